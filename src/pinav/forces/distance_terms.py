@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector
+from pinav.forces.profile_laws import AbstractProfileLaw
 from pinav.forces.structures import (
     ROUNDING,
     AbstractProfileTerm,
@@ -19,18 +20,20 @@ class CentralTerm(AbstractProfileTerm):
     r"""A force about a centre, $f(r)\,\hat r$ with $r = |x - c|$, or a swirl about it.
 
     Attributes:
-        weights: $w_j$ of the profile [L T⁻²].
+        weights: height of the law, if any, then $w_j$ of the profile [L T⁻²].
         center: $c$ [L].
         places: of the kernels [L]; fixed.
         width: of a kernel [L]; fixed.
         rotational: a swirl, in the plane alone.
+        law: that the potential follows beside the kernels, if any.
     """
 
-    weights: Float[Array, " kernel"]
+    weights: Float[Array, " weight"]
     center: Vector
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)
+    law: AbstractProfileLaw | None = None
 
     @property
     def kind(self) -> str:
@@ -41,7 +44,7 @@ class CentralTerm(AbstractProfileTerm):
         return r"f(|x - c|)\,\hat\varphi" if self.rotational else r"f(|x - c|)\,\hat r"
 
     @property
-    def geometry(self) -> PyTree:
+    def placement(self) -> PyTree:
         return (self.center,)
 
     @property
@@ -59,20 +62,22 @@ class EllipticTerm(AbstractProfileTerm):
     entries $(p, q)$: $e^{2|S|}$ is the ratio of the axes.
 
     Attributes:
-        weights: $w_j$ of the profile [L T⁻²].
+        weights: height of the law, if any, then $w_j$ of the profile [L T⁻²].
         center: $c$ [L].
         shear: $p$ and $q$.
         places: of the kernels [L]; fixed.
         width: of a kernel [L]; fixed.
         rotational: whether $z$ shapes a stream function.
+        law: that the potential follows beside the kernels, if any.
     """
 
-    weights: Float[Array, " kernel"]
+    weights: Float[Array, " weight"]
     center: Float[Array, "2"]
     shear: Float[Array, "2"]
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)
+    law: AbstractProfileLaw | None = None
 
     @property
     def kind(self) -> str:
@@ -83,11 +88,11 @@ class EllipticTerm(AbstractProfileTerm):
         return r"f(z)\,\nabla z,\ z^2 = (x - c)^\top e^{2S} (x - c)"
 
     @property
-    def geometry(self) -> PyTree:
+    def placement(self) -> PyTree:
         return self.center, self.shear
 
     @property
-    def geometry_scales(self) -> tuple[float, ...]:
+    def placement_scales(self) -> tuple[float, ...]:
         return self.reach, 1.0
 
     @property
@@ -106,20 +111,22 @@ class WallTerm(AbstractProfileTerm):
     or, turned, a shear flow.
 
     Attributes:
-        weights: $w_j$ of the profile [L T⁻²].
+        weights: height of the law, if any, then $w_j$ of the profile [L T⁻²].
         angle: $\phi$ of the normal to the x axis [rad].
         origin: $x_0$ [L]; fixed.
         places: of the kernels [L]; fixed.
         width: of a kernel [L]; fixed.
         rotational: the force is along the layers.
+        law: that the potential follows beside the kernels, if any.
     """
 
-    weights: Float[Array, " kernel"]
+    weights: Float[Array, " weight"]
     angle: Float[Array, ""] = eqx.field(converter=jnp.asarray)
     origin: Float[Array, "2"]
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)
+    law: AbstractProfileLaw | None = None
 
     @property
     def kind(self) -> str:
@@ -131,11 +138,11 @@ class WallTerm(AbstractProfileTerm):
         return rf"f(n \cdot x)\,{normal}"
 
     @property
-    def geometry(self) -> PyTree:
+    def placement(self) -> PyTree:
         return (self.angle,)
 
     @property
-    def geometry_scales(self) -> tuple[float, ...]:
+    def placement_scales(self) -> tuple[float, ...]:
         return (1.0,)
 
     @property
@@ -151,18 +158,20 @@ class SegmentTerm(AbstractProfileTerm):
     r"""A force away from a segment: a fibre with round ends.
 
     Attributes:
-        weights: $w_j$ of the profile [L T⁻²].
+        weights: height of the law, if any, then $w_j$ of the profile [L T⁻²].
         ends: of the segment [L].
         places: of the kernels [L]; fixed.
         width: of a kernel [L]; fixed.
         rotational: a swirl about the segment.
+        law: that the potential follows beside the kernels, if any.
     """
 
-    weights: Float[Array, " kernel"]
+    weights: Float[Array, " weight"]
     ends: Float[Array, "2 2"]
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)
+    law: AbstractProfileLaw | None = None
 
     @property
     def kind(self) -> str:
@@ -173,7 +182,7 @@ class SegmentTerm(AbstractProfileTerm):
         return r"f(z)\,\nabla z,\ z = \mathrm{dist}(x, \overline{ab})"
 
     @property
-    def geometry(self) -> PyTree:
+    def placement(self) -> PyTree:
         return (self.ends,)
 
     @property
@@ -192,18 +201,20 @@ class ObstaclesTerm(AbstractProfileTerm):
     r"""Obstacles of one kind: central forces about several centres, one profile.
 
     Attributes:
-        weights: $w_j$ of the profile [L T⁻²].
+        weights: height of the law, if any, then $w_j$ of the profile [L T⁻²].
         centers: $c_k$ [L].
         places: of the kernels [L]; fixed.
         width: of a kernel [L]; fixed.
         rotational: swirls of one kind.
+        law: that the potential follows beside the kernels, if any.
     """
 
-    weights: Float[Array, " kernel"]
+    weights: Float[Array, " weight"]
     centers: Float[Array, "center dim"]
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)
+    law: AbstractProfileLaw | None = None
 
     @property
     def kind(self) -> str:
@@ -214,7 +225,7 @@ class ObstaclesTerm(AbstractProfileTerm):
         return r"\sum_k f(|x - c_k|)\,\hat r_k"
 
     @property
-    def geometry(self) -> PyTree:
+    def placement(self) -> PyTree:
         return (self.centers,)
 
     @property

@@ -296,6 +296,7 @@ class MixturePrior(AbstractPrior):
         second: prior of the second part.
         first_ratio: logarithm of the ratio of amplitudes at which a search begins.
         least_ratio: the lowest one.
+        most_ratio: the highest one.
         unit: amplitude of the second part, over that of the first, at a ratio of one:
             weights may be energies here and forces there, and no choice may depend on
             the unit of length.
@@ -305,6 +306,7 @@ class MixturePrior(AbstractPrior):
     second: AbstractPrior
     first_ratio: float = 0.0
     least_ratio: float = -LOG_RATIO
+    most_ratio: float = LOG_RATIO
     unit: float = 1.0
 
     @property
@@ -327,7 +329,7 @@ class MixturePrior(AbstractPrior):
 
     @property
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
-        ratio = [[self.least_ratio, LOG_RATIO]]
+        ratio = [[self.least_ratio, self.most_ratio]]
         return np.concatenate([self.first.bounds, self.second.bounds, ratio])
 
     def split(

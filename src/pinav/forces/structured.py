@@ -15,20 +15,16 @@ from pinav.forces.force import (
 from pinav.forces.kernel_mixtures import KernelMixture
 from pinav.forces.kernels import KernelForce, KernelPotential
 from pinav.forces.priors import Centers, MixturePrior, Shape
-from pinav.forces.structures import AbstractTerm, check_rotation, prior_of
+from pinav.forces.structures import (
+    LEAST,
+    SMALL,
+    AbstractTerm,
+    check_rotation,
+    prior_of,
+)
 
 Remainder = KernelPotential | KernelForce | KernelMixture
 """Free kernels beside structured terms."""
-
-SMALL = -3.0
-"""Logarithm of the remainder's amplitude relative to that of the terms at the start of
-a search: from equal ones it ends where the remainder carries all, and the geometry of
-terms without weight is not determined."""
-
-
-LEAST = -12.0
-"""The lowest logarithm of that ratio. A profile of great length scale has a far greater
-amplitude than its force: the remainder must be able to vanish beside the force."""
 
 
 class StructuredForce(AbstractLearnedForce):
@@ -94,7 +90,7 @@ class StructuredForce(AbstractLearnedForce):
     def prior(self) -> MixturePrior:
         unit = self.terms[0].force_per_weight / self.remainder.force_per_weight
         return MixturePrior(
-            prior_of(self.terms), self.remainder.prior(), SMALL, LEAST, unit
+            prior_of(self.terms), self.remainder.prior(), SMALL, LEAST, unit=unit
         )
 
     def variance_beyond(

@@ -24,12 +24,22 @@ from jaxtyping import Array, Float, PyTree
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce
-from pinav.forces.priors import AbstractPrior, MixturePrior
+from pinav.forces.priors import AbstractPrior, IsotropicPrior, MixturePrior
+from pinav.forces.profile_laws import AbstractProfileLaw
 from pinav.forces.profile_priors import DistancePrior, ProfilePrior
 
 Places = Float[Array, " kernel"]
 """Places of the kernels of a profile [L]."""
 
+
+SMALL, LEAST, MOST = -3.0, -12.0, -1.5
+"""Logarithm of the amplitude of what stands beside terms, or of kernels beside a law,
+relative to theirs: at the start of a search, since from equal ones it ends where what
+is free carries all, and the geometry of terms without weight is not determined; and the
+lowest, since it must be able to vanish."""
+
+FAR = 10.0
+"""Reach of a law, in its own sizes."""
 
 ROUNDING = 1e-3
 """Distance, in widths of a kernel, within which the distance to a point is rounded: its
@@ -98,13 +108,36 @@ def prior_of(terms: Sequence[AbstractTerm]) -> AbstractPrior:
 class AbstractProfileTerm(AbstractTerm):
     """A term with a profile of one coordinate, or of several that share it.
 
+    Where its potential follows a law, the first weight is the height of that [L² T⁻²],
+    before those of the kernels.
+
     Attributes:
         places: of the kernels in the coordinate [L]; fixed.
         width: of a kernel [L]; fixed.
+        law: that the potential follows beside the kernels, if any.
     """
 
     places: eqx.AbstractVar[Places]
     width: eqx.AbstractVar[Scalar]
+    law: eqx.AbstractVar[AbstractProfileLaw | None]
+
+    @property
+    @abc.abstractmethod
+    def placement(self) -> PyTree:
+        """The numbers that shape its coordinate."""
+
+    @property
+    def placement_scales(self) -> tuple[float, ...]:
+        """Of each of them: how far it may be from where a fit begins."""
+        return (self.reach,)
+
+    @property
+    def geometry(self) -> PyTree:
+        return (*self.placement, *(self.law.numbers if self.law else ()))
+
+    @property
+    def geometry_scales(self) -> tuple[float, ...]:
+        return (*self.placement_scales, *(self.law.scales if self.law else ()))
 
     @property
     @abc.abstractmethod
@@ -117,24 +150,36 @@ class AbstractProfileTerm(AbstractTerm):
 
     def profile(self, z: Scalar) -> Float[Array, ""]:
         """The force along the coordinate at `z` [L T⁻²]."""
-        return profile_kernels(self, z) @ self.weights
+        values = profile_kernels(self, z)
+        if self.law is None:
+            return values @ self.weights
+        return self.weights[0] * self.law.force(z) + values @ self.weights[1:]
 
     @property
     def reach(self) -> float:
-        """Distance of the farthest kernel from the term [L]."""
+        """Distance of the farthest kernel from the term [L]; of a law alone, its own."""
+        if self.law is not None and not self.has_kernels:
+            return FAR * float(self.law.size)
         return float(np.max(np.abs(self.places)))
 
     @property
-    def geometry_scales(self) -> tuple[float, ...]:
-        return (self.reach,)
+    def has_kernels(self) -> bool:
+        """Whether there are kernels, beside a law or without one."""
+        return len(self.places) > 0
 
     @property
     def force_per_weight(self) -> float:
-        return 1.0
+        return 1.0 if self.law is None else 1 / float(self.law.size)
 
     def prior(self) -> AbstractPrior:
+        if not self.has_kernels:
+            return IsotropicPrior(1)
         base = ProfilePrior(np.asarray(self.places), float(self.width))
-        return DistancePrior(base) if self.is_odd else base
+        kernels = DistancePrior(base) if self.is_odd else base
+        if self.law is None:
+            return kernels
+        height, unit = IsotropicPrior(1), self.force_per_weight
+        return MixturePrior(height, kernels, 2 * SMALL, LEAST, MOST, unit)
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         def height(z: Scalar) -> Float[Array, ""]:
@@ -145,7 +190,10 @@ class AbstractProfileTerm(AbstractTerm):
             if self.is_odd:
                 mirrored = erf((z + self.places) / root) - erf(self.places / root)
                 rise = rise - mirrored
-            return -scale * (rise @ self.weights)
+            if self.law is None:
+                return -scale * (rise @ self.weights)
+            height = self.weights[0] * self.law.potential(z)
+            return height - scale * (rise @ self.weights[1:])
 
         return jnp.sum(jax.vmap(height)(self.coordinates(x)))
 

@@ -9,15 +9,46 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.commands.fitted_run import FittedRun
-from pinav.fitting import derive, is_worth_a_search
+from pinav.fitting import Posterior, derive, is_worth_a_search
 from pinav.fitting.environments.choice import MIXTURE
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.structure.survey import LEAST_SAMPLES, LEAST_TRAJECTORIES
-from pinav.forces import AbstractProfileTerm, HillsTerm, split_structure
+from pinav.forces import (
+    AbstractProfileTerm,
+    AbstractTerm,
+    HillsTerm,
+    split_structure,
+)
 from pinav.report import number
 
 POINTS = 121
 """Of a drawn profile."""
+
+
+class LawRow(msgspec.Struct, frozen=True):
+    """A law that the potential of a profile follows.
+
+    Attributes:
+        kind: the word for it.
+        formula: of the potential, in LaTeX, for unit height.
+        names: of its constants, the height [L² T⁻²] first.
+        values: of them.
+        sd: their standard deviations.
+    """
+
+    kind: str
+    formula: str
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    sd: tuple[float, ...]
+
+    def text(self) -> str:
+        """The law in words and numbers."""
+        constants = [
+            f"{name} {number(value, 4)} ± {number(sd, 2)}"
+            for name, value, sd in zip(self.names, self.values, self.sd, strict=True)
+        ]
+        return f"potential: {self.kind} of {', '.join(constants)}"
 
 
 class TermRow(msgspec.Struct, frozen=True):
@@ -28,15 +59,21 @@ class TermRow(msgspec.Struct, frozen=True):
         formula: in LaTeX.
         geometry: its numbers, such as a centre [L] or an angle [rad].
         sd: their standard deviations.
+        law: that its profile follows, if any.
     """
 
     kind: str
     formula: str
     geometry: tuple[float, ...]
     sd: tuple[float, ...]
+    law: LawRow | None = None
 
     def text(self) -> str:
         """The term in words and numbers."""
+        place = self._place()
+        return place if self.law is None else f"{place} ({self.law.text()})"
+
+    def _place(self) -> str:
         if not self.geometry:
             return self.kind
         spread = f" ± {number(max(self.sd), 2)}"
@@ -136,6 +173,7 @@ def structure_row(run: FittedRun) -> StructureRow | None:
                 term.latex,
                 tuple(one.value for one in numbers),
                 tuple(one.sd for one in numbers),
+                _law_row(term, evidence.posterior, index),
             )
         )
     rotation = evidence.structure.rotation
@@ -149,8 +187,28 @@ def structure_row(run: FittedRun) -> StructureRow | None:
 
 
 def _numbers(model: Any, index: int) -> Float[Array, " number"]:
-    leaves = model.environment.terms[index].geometry
+    term = model.environment.terms[index]
+    leaves = term.placement if isinstance(term, AbstractProfileTerm) else term.geometry
     return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(leaf) for leaf in leaves)])
+
+
+def _law_row(term: AbstractTerm, posterior: Posterior, index: int) -> LawRow | None:
+    law = term.law if isinstance(term, AbstractProfileTerm) else None
+    if law is None:
+        return None
+
+    def constants(model: Any) -> Float[Array, " constant"]:
+        one = model.environment.terms[index]
+        return jnp.stack([one.weights[0], *one.law.constants.values()])
+
+    estimates = derive(posterior, constants)
+    return LawRow(
+        law.kind,
+        law.latex,
+        ("height", *law.constants),
+        tuple(one.value for one in estimates),
+        tuple(one.sd for one in estimates),
+    )
 
 
 def profile_arrays(run: FittedRun) -> dict[str, np.ndarray]:

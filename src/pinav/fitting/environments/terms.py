@@ -10,6 +10,7 @@ import msgspec
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractForce,
+    AbstractProfileTerm,
     AbstractTerm,
     CentralTerm,
     EllipticTerm,
@@ -22,6 +23,7 @@ from pinav.forces import (
     WallTerm,
     split_structure,
 )
+from pinav.forces.profile_laws import LAWS
 
 TERMS: dict[str, type[AbstractTerm]] = {
     kind.__name__: kind
@@ -46,44 +48,58 @@ class TermSummary(msgspec.Struct, frozen=True):
         kind: name of its class, in `TERMS`.
         shapes: of its arrays, by name.
         rotational: whether it is turned.
+        law: name of the class of the law that its profile follows, in `LAWS`, if any.
     """
 
     kind: str
     shapes: dict[str, tuple[int, ...]]
     rotational: bool = False
+    law: str | None = None
 
 
 def summarise_terms(force: AbstractForce) -> tuple[TermSummary, ...]:
     """The terms of a force; none where it has no structure."""
-    return tuple(
-        TermSummary(
-            type(term).__name__,
-            {
-                field.name: tuple(jnp.shape(getattr(term, field.name)))
-                for field in dataclasses.fields(term)
-                if field.name != "rotational"
-            },
-            term.rotational,
-        )
-        for term in split_structure(force)[0]
-    )
+    return tuple(map(_summarise, split_structure(force)[0]))
+
+
+def _summarise(term: AbstractTerm) -> TermSummary:
+    law = term.law if isinstance(term, AbstractProfileTerm) else None
+    shapes = {
+        field.name: tuple(jnp.shape(getattr(term, field.name)))
+        for field in dataclasses.fields(term)
+        if field.name not in ("rotational", "law")
+    }
+    name = None if law is None else type(law).__name__
+    return TermSummary(type(term).__name__, shapes, term.rotational, name)
 
 
 def with_terms(model: Any, terms: tuple[TermSummary, ...]) -> Any:
     """A model whose kernels have terms beside them; their numbers are still zero.
 
     Raises:
-        InputError: there is no such term.
+        InputError: there is no such term, or no such law.
     """
     if not terms:
         return model
-    made = []
-    for term in terms:
-        if term.kind not in TERMS:
-            raise InputError(
-                f"term {term.kind!r} is unknown; choose one of: {', '.join(TERMS)}"
-            )
-        arrays = {name: jnp.zeros(shape) for name, shape in term.shapes.items()}
-        made.append(TERMS[term.kind](**arrays, rotational=term.rotational))
-    force = StructuredForce(tuple(made), model.environment)
+    force = StructuredForce(tuple(map(_blank, terms)), model.environment)
     return eqx.tree_at(lambda m: m.environment, model, force)
+
+
+def _blank(term: TermSummary) -> AbstractTerm:
+    """A term whose numbers are zero."""
+    if term.kind not in TERMS:
+        raise InputError(
+            f"term {term.kind!r} is unknown; choose one of: {', '.join(TERMS)}"
+        )
+    parts: dict[str, Any] = {
+        name: jnp.zeros(shape) for name, shape in term.shapes.items()
+    }
+    if term.law is not None:
+        if term.law not in LAWS:
+            raise InputError(
+                f"law {term.law!r} is unknown; choose one of: {', '.join(LAWS)}"
+            )
+        law = LAWS[term.law]
+        numbers = [jnp.zeros(()) for _ in dataclasses.fields(law)]
+        parts["law"] = law(*numbers)
+    return TERMS[term.kind](**parts, rotational=term.rotational)

@@ -217,6 +217,7 @@ def twins(
             places=term.places,
             width=term.width,
             rotational=term.rotational,
+            law=term.law,
         )
         for place in places
     ]

@@ -35,6 +35,7 @@ from pinav.fitting.evidence.model_evidence import (
 )
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.hills import propose_hills
+from pinav.fitting.structure.laws import follow_laws
 from pinav.fitting.structure.proposals import Proposal, fallbacks, prune, refine
 from pinav.fitting.structure.survey import Survey, is_worth_a_search
 from pinav.fitting.structure.trials import Terms, polish
@@ -169,7 +170,7 @@ class Search(eqx.Module):
         proposed = None if proposal is None else self._fit_proposal(proposal)
         if proposed is None:
             return fit_free()
-        structured, evidence = proposed
+        structured, evidence = self._with_laws(*proposed)
         model, best = self.specification.model, structured.hyperparameters.log_evidence
 
         def is_coarse(step: Step) -> bool:
@@ -314,6 +315,29 @@ class Search(eqx.Module):
         fewer = self._fit_terms(kept, fit)
         is_worse = evidence_of(fewer) < evidence_of(fit) - DECISIVE
         return fit if fewer.outcome is Outcome.DIVERGED or is_worse else fewer
+
+    def _with_laws(
+        self, fit: EvidenceFit, evidence: float
+    ) -> tuple[EvidenceFit, float]:
+        """The fit of terms whose profiles follow laws, where it explains the data.
+
+        Args:
+            fit: of the terms.
+            evidence: its logarithm.
+
+        Returns:
+            The better fit, and its log evidence.
+        """
+        survey = Survey.of(self.specification, self.free(), fit)
+        lawful = follow_laws(fit.model.environment.terms, survey.response)
+        if lawful is None:
+            return fit, evidence
+        with contextlib.suppress(FitError):
+            other = self._fit_terms(lawful.terms, fit)
+            gained = evidence_of(other)
+            if other.outcome is Outcome.CONVERGED and gained > evidence - DECISIVE:
+                return other, gained
+        return fit, evidence
 
     def _fit_terms(self, terms: Terms, begun: EvidenceFit) -> EvidenceFit:
         """The fit of terms beside the free kernels, from the states of another."""

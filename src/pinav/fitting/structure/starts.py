@@ -202,6 +202,7 @@ def circular(
         places=term.places,
         width=term.width,
         rotational=term.rotational,
+        law=term.law,
     )
 
 

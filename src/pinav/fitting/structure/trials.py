@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from pinav.arguments import on_device
+from pinav.arguments import Scalar, on_device
 from pinav.errors import FitError
 from pinav.fitting.engine.constant_priors import ConstantPriors, wide_priors
 from pinav.fitting.engine.iterate import iterate
@@ -39,6 +39,7 @@ from pinav.fitting.structure.response import (
 from pinav.fitting.structure.starts import KERNELS
 from pinav.forces import AbstractProfileTerm, AbstractTerm, SumForce
 from pinav.forces.priors import AbstractPrior
+from pinav.forces.profile_laws import AbstractProfileLaw
 from pinav.forces.structures import prior_of
 from pinav.threads import map_on_cores
 
@@ -92,10 +93,27 @@ def _with_finer_profile(term: AbstractProfileTerm) -> AbstractTerm:
     places = (np.arange(count) + 0.5) * width
     if not term.is_odd:
         places = term.places[0] + np.arange(count - 1) * width
-    return eqx.tree_at(
-        lambda one: (one.weights, one.places, one.width),
-        term,
-        (on_device(np.zeros(len(places))), on_device(np.asarray(places)), width),
+    return with_places(term, np.asarray(places), width)
+
+
+def with_places(
+    term: AbstractProfileTerm,
+    places: Float[np.ndarray, " kernel"],
+    width: Scalar,
+    law: AbstractProfileLaw | None = None,
+) -> AbstractProfileTerm:
+    """The term with other kernels, without weight.
+
+    Args:
+        term: whose geometry stays.
+        places: of the kernels [L].
+        width: of a kernel [L].
+        law: beside the kernels; that of the term unless given.
+    """
+    law = term.law if law is None else law
+    weights = on_device(np.zeros(len(places) + (law is not None)))
+    return dataclasses.replace(
+        term, weights=weights, places=on_device(places), width=width, law=law
     )
 
 
@@ -174,11 +192,15 @@ def _smooth_shapes(
     for smoothness in SMOOTHNESSES:
         shape = prior.start.copy()
         for term, place in zip(terms, _shape_places(terms), strict=True):
-            if isinstance(term, AbstractProfileTerm):
+            if _has_kernels(term):
                 kernels = KERNELS[response.points.shape[-1]]
                 shape[place] = np.log(smoothness * kernels)
         shapes.append(shape)
     return shapes
+
+
+def _has_kernels(term: AbstractTerm) -> bool:
+    return isinstance(term, AbstractProfileTerm) and term.has_kernels
 
 
 def smooth_shape(
@@ -275,9 +297,7 @@ def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
     if not np.isfinite(value):
         return None
     scales = tuple(
-        float(np.exp(chosen.shape[place]))
-        if isinstance(term, AbstractProfileTerm)
-        else np.inf
+        float(np.exp(chosen.shape[place])) if _has_kernels(term) else np.inf
         for term, place in zip(terms, _shape_places(terms), strict=True)
     )
     return Proposal(fitted.terms, value, chosen.noise, scales)
@@ -309,16 +329,16 @@ def _is_in_reach(term: AbstractTerm, response: ForceResponse) -> bool:
     Of a term that left them nothing is determined, and the integral over its geometry
     is no evidence.
     """
-    if not isinstance(term, AbstractProfileTerm):
+    if not isinstance(term, AbstractProfileTerm) or term.law is not None:
         return True
-    z = np.asarray(_coordinates(term, response.points))
+    z = np.asarray(coordinates(term, response.points))
     z = z.reshape(-1, z.shape[-1])
     reach = float(np.max(term.places)) + float(term.width)
     return bool(np.mean(np.abs(z).min(axis=-1) < reach) > MOST)
 
 
 @eqx.filter_jit
-def _coordinates(
+def coordinates(
     term: AbstractProfileTerm, points: Float[Array, "trajectory group dim"]
 ) -> Float[Array, "trajectory group coordinate"]:
     return jax.vmap(jax.vmap(term.coordinates))(points)

@@ -6,13 +6,50 @@ const onlyNumber = (value) => arrayOf(value)[0];
 
 const NEAR_CENTRE = 1e-3; // of distances, in widths of a kernel: as in forces/structures.py
 
+/** Force of a hill of any tail at an offset from its top, for unit height. */
+function hillForce(offset, size, form) {
+  const tail = 0.5 * Math.expm1(form);
+  const square = 0.5 * (offset / size) ** 2;
+  const base = 1 + tail * square;
+  if (base <= 0) return 0;
+  const height = tail === 0 ? Math.exp(-square) : Math.exp(-Math.log1p(tail * square) / tail);
+  return ((offset / size ** 2) * height) / base;
+}
+
+/** Force of a rounded step, for unit height. */
+function stepForce(offset, size) {
+  const rise = 1 / (1 + Math.exp(-offset / size));
+  return (-rise * (1 - rise)) / size;
+}
+
+/** Forces of laws along the coordinate, as in forces/profile_laws.py. */
+const LAWS = {
+  HillLaw: (z, { log_size, form }) => hillForce(z, Math.exp(log_size), form),
+  RingLaw: (z, { radius, log_size, form }) => hillForce(z - radius, Math.exp(log_size), form),
+  StepLaw: (z, { place, log_size }) => stepForce(z - place, Math.exp(log_size)),
+  ChannelLaw(z, { middle, half, log_size }) {
+    const [away, size] = [z - middle, Math.exp(log_size)];
+    return stepForce(away - half, size) - stepForce(-away - half, size);
+  },
+};
+
+/** The force of the law of a term, zero where it has none. */
+function lawOf(tree) {
+  if (!tree.law) return () => 0;
+  const { kind, ...numbers } = tree.law;
+  const height = arrayOf(tree.weights)[0];
+  const constants = Object.fromEntries(Object.entries(numbers).map(([name, value]) => [name, onlyNumber(value)]));
+  return (z) => height * LAWS[kind](z, constants);
+}
+
 /** The profile of a term: its force at a place along the coordinate. */
 function profileOf(tree, odd) {
-  const weights = arrayOf(tree.weights);
+  const law = lawOf(tree);
+  const weights = arrayOf(tree.weights).slice(tree.law ? 1 : 0);
   const places = arrayOf(tree.places);
   const width = onlyNumber(tree.width);
   return (z) => {
-    let total = 0;
+    let total = law(z);
     for (let j = 0; j < places.length; j++) {
       let value = Math.exp(-0.5 * ((z - places[j]) / width) ** 2);
       if (odd) value -= Math.exp(-0.5 * ((z + places[j]) / width) ** 2);

@@ -1,0 +1,186 @@
+"""Laws that the profiles of a structure may follow, by the evidence of the data.
+
+Of each kind of law the one next to the profile of a fit is polished, and kept where the
+evidence gains more than its numbers cost; the kernels of the profile stay beside it.
+"""
+
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.arguments import on_device
+from pinav.fitting.evidence.model_evidence import DECISIVE
+from pinav.fitting.structure.proposals import prune
+from pinav.fitting.structure.response import ForceResponse
+from pinav.fitting.structure.trials import (
+    Proposal,
+    Terms,
+    coordinates,
+    polish,
+    with_places,
+)
+from pinav.forces import AbstractProfileTerm
+from pinav.forces.profile_laws import (
+    AbstractProfileLaw,
+    ChannelLaw,
+    HillLaw,
+    RingLaw,
+    StepLaw,
+)
+
+SIZES, PLACES, FORMS = 10, 16, (-1.0, 0.0, 1.1, 1.6)
+"""Sizes and places of a law that are tried, and forms: an end, Gaussian, and tails."""
+
+HALVES = 8
+"""Widths of a channel that are tried."""
+
+POINTS, PROMISING = 200, 2
+"""Data at whose coordinates laws are compared with a profile; and the kinds of laws
+nearest to it that are polished."""
+
+BEYOND = 0.2
+"""How far beyond the data a law may have its place at first, as a share of theirs."""
+
+
+def follow_laws(terms: Terms, response: ForceResponse) -> Proposal | None:
+    """Terms whose profiles follow laws; None where the evidence is for none.
+
+    Args:
+        terms: of a fit.
+        response: of the data to forces, about that fit.
+    """
+    first = best = polish(terms, response)
+    if best is None:
+        return None
+    for index, term in enumerate(terms):
+        if isinstance(term, AbstractProfileTerm) and term.law is None:
+            better = _with_law_of(best.terms, index, response)
+            if better is not None and _is_better(better, best):
+                best = better
+    return None if best is first else prune(best, response)
+
+
+def _is_better(one: Proposal, other: Proposal) -> bool:
+    """Whether the evidence of a proposal is decisively higher, and no accident.
+
+    Laws whose numbers left the data make forces of which nothing but rounding is left;
+    that explains them to any noise.
+    """
+    is_plausible = one.noise > PLAUSIBLE * other.noise
+    return is_plausible and one.log_evidence > other.log_evidence + DECISIVE
+
+
+PLAUSIBLE = 0.5
+"""Noise relative to that of the fit before, below which it counts as rounding."""
+
+
+def _with_law_of(terms: Terms, index: int, response: ForceResponse) -> Proposal | None:
+    """The structure in which a profile follows the most likely law.
+
+    A law is polished alone first: beside kernels, which would carry what is wrong with
+    its numbers, they do not move.
+    """
+    before, (term, *after) = terms[:index], terms[index:]
+    assert isinstance(term, AbstractProfileTerm)
+    starts = [
+        with_places(term, np.zeros(0), term.width, law)
+        for law in _laws_like(term, response)
+    ]
+    alone = [polish((*before, start, *after), response) for start in starts]
+    best = max(filter(None, alone), key=lambda one: one.log_evidence, default=None)
+    if best is None:
+        return None
+    before, (lawful, *after) = best.terms[:index], best.terms[index:]
+    assert isinstance(lawful, AbstractProfileTerm)
+    whole = with_places(lawful, np.asarray(term.places), term.width)
+    return polish((*before, whole, *after), response)
+
+
+def _laws_like(
+    term: AbstractProfileTerm, response: ForceResponse
+) -> list[AbstractProfileLaw]:
+    """The laws whose forces come nearest to the profile of a term, of several kinds."""
+    z = np.sort(np.asarray(coordinates(term, response.points)), axis=None)
+    z = z[:: -(-len(z) // POINTS)]
+    profile = np.asarray(_profile(term, on_device(z)))
+    fits = [_nearest(laws, z, profile) for laws in _laws(term, z)]
+    fits.sort(key=lambda fit: fit[0])
+    return [law for misfit, law in fits[:PROMISING]]
+
+
+def _nearest(
+    laws: AbstractProfileLaw,
+    z: Float[np.ndarray, " place"],
+    profile: Float[np.ndarray, " place"],
+) -> tuple[float, AbstractProfileLaw]:
+    """The law of a kind whose force comes nearest to a profile, after its misfit.
+
+    Args:
+        laws: where its numbers may begin, stacked.
+        z: where they are compared [L].
+        profile: the force there [L T⁻²].
+    """
+    from scipy.optimize import least_squares
+
+    leaves, kind = jax.tree.flatten(laws)
+    starts = np.stack([np.asarray(leaf) for leaf in leaves], axis=1)
+
+    def misfits(
+        numbers: Float[np.ndarray, "law number"],
+    ) -> Float[np.ndarray, "law place"]:
+        """What is left of the profile, with the height that leaves least."""
+        stacked = jax.tree.unflatten(kind, list(map(on_device, numbers.T)))
+        forces = np.nan_to_num(np.asarray(_law_forces(stacked, on_device(z))))
+        squares = np.maximum((forces**2).sum(axis=1), np.finfo(float).tiny)
+        return profile - ((forces @ profile) / squares)[:, None] * forces
+
+    first = np.argmin((misfits(starts) ** 2).sum(axis=1))
+    best = least_squares(lambda one: misfits(one[None])[0], starts[first], max_nfev=50)
+    law = jax.tree.unflatten(kind, list(map(on_device, best.x)))
+    return float(best.cost), law
+
+
+@eqx.filter_jit
+def _profile(
+    term: AbstractProfileTerm, z: Float[Array, " place"]
+) -> Float[Array, " place"]:
+    return jax.vmap(term.profile)(z)
+
+
+@eqx.filter_jit
+def _law_forces(
+    laws: AbstractProfileLaw, z: Float[Array, " place"]
+) -> Float[Array, "law place"]:
+    """Of laws whose numbers are stacked, for unit height."""
+    return jax.vmap(lambda law: jax.vmap(law.force)(z))(laws)
+
+
+def _laws(
+    term: AbstractProfileTerm, z: Float[np.ndarray, " place"]
+) -> Iterator[AbstractProfileLaw]:
+    """Laws of each kind that a profile may follow, their numbers stacked.
+
+    Args:
+        term: the profile.
+        z: where there are data [L].
+    """
+    low, extent = z.min(), np.ptp(z)
+    sizes = np.log(np.geomspace(float(term.width), 0.5 * extent, SIZES))
+    first = 0.0 if term.is_odd else -BEYOND
+    places = low + extent * np.linspace(first, 1 + BEYOND, PLACES)
+    if term.is_odd:
+        yield jax.vmap(HillLaw)(*_mesh(sizes, np.array(FORMS)))
+    yield jax.vmap(RingLaw)(*_mesh(places, sizes, np.zeros(1)))
+    yield jax.vmap(StepLaw)(*_mesh(places, sizes))
+    if not term.is_odd:
+        halves = np.linspace(0.0, 0.6, HALVES + 1)[1:] * extent
+        yield jax.vmap(ChannelLaw)(*_mesh(places, halves, sizes))
+
+
+def _mesh(*axes: Float[np.ndarray, "_"]) -> list[Float[Array, " law"]]:
+    """Numbers of laws, each with each, one array for each number."""
+    grids = np.meshgrid(*axes, indexing="ij")
+    return [on_device(grid.ravel()) for grid in grids]

@@ -1,0 +1,73 @@
+import numpy as np
+import pytest
+from tests.fitting.structure.observed_forces import observed_forces
+
+from pinav.fitting.structure.laws import follow_laws
+from pinav.fitting.structure.starts import Region, central_term, linear_term, wall_term
+from pinav.fitting.structure.trials import with_profiles
+from pinav.forces import (
+    CompactHill,
+    LinearForce,
+    PowerHill,
+    RingBarrier,
+    SoftWall,
+    SumForce,
+)
+from pinav.forces.profile_laws import HillLaw, RingLaw, StepLaw
+
+POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
+REGION = Region.of(POINTS[0])
+CENTER = [4.0, 6.0]
+
+
+def lawful(truth, *starts):
+    """The last term of the structure that follows laws."""
+    data = observed_forces(truth, POINTS, 0.003)
+    made = follow_laws(with_profiles(starts, data), data)
+    return None if made is None else made.terms[-1]
+
+
+@pytest.mark.parametrize(
+    ("truth", "tail", "size"),
+    [
+        (PowerHill(3.0, CENTER, 1.5, 0.5), 2.0, 1.5),
+        (PowerHill(3.0, CENTER, 1.5, 1.0), 1.0, 1.5 / np.sqrt(2)),
+        (CompactHill(-3.0, CENTER, 4.0), -1 / 3, 4.0 / np.sqrt(6)),
+    ],
+)
+def test_a_hill_has_the_tail_and_size_of_the_true_one(truth, tail, size):
+    term = lawful(truth, central_term(REGION, np.array([4.05, 5.97])))
+    assert isinstance(term.law, HillLaw)
+    constants = term.law.constants
+    np.testing.assert_allclose(constants["tail"], tail, atol=0.1)
+    np.testing.assert_allclose(constants["size"], size, rtol=0.03)
+    np.testing.assert_allclose(term.center, CENTER, atol=0.02)
+
+
+def test_a_ring_and_a_wall_follow_their_laws():
+    ring = lawful(
+        RingBarrier(2.0, CENTER, 3.0, 0.8), central_term(REGION, np.array([4.0, 6.0]))
+    )
+    assert isinstance(ring.law, RingLaw)
+    np.testing.assert_allclose(ring.law.constants["radius"], 3.0, atol=0.02)
+    wall = lawful(SoftWall(4.0, 0.7, 7.0, 0.8), wall_term(REGION, 0.7))
+    assert isinstance(wall.law, StepLaw)
+    np.testing.assert_allclose(wall.law.constants["size"], 0.8, rtol=0.05)
+
+
+def test_the_law_of_a_term_in_a_sum_is_found():
+    saddle = LinearForce(np.array([[0.2, 0.05], [0.05, -0.2]]), [5.0, 5.0])
+    truth = SumForce((PowerHill(3.0, CENTER, 1.5, 1.0), saddle))
+    centre = central_term(REGION, np.array([4.03, 6.02]))
+    term = lawful(truth, linear_term(REGION), centre)
+    assert isinstance(term.law, HillLaw)
+    np.testing.assert_allclose(term.law.constants["tail"], 1.0, atol=0.15)
+
+
+def test_a_profile_that_follows_no_law_keeps_its_kernels():
+    """Two rings of opposite sign about one centre."""
+    truth = SumForce(
+        (RingBarrier(2.0, CENTER, 3.0, 0.6), RingBarrier(-2.0, CENTER, 1.2, 0.4))
+    )
+    centre = central_term(REGION, np.array([4.0, 6.0]))
+    assert lawful(truth, centre) is None

@@ -1,0 +1,143 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pinav.forces import (
+    AbstractForce,
+    CentralTerm,
+    CompactHill,
+    GaussianBarrier,
+    PowerHill,
+    RingBarrier,
+    SoftWall,
+    SumForce,
+    WallTerm,
+)
+from pinav.forces.profile_laws import (
+    NEAR_GAUSSIAN,
+    ChannelLaw,
+    HillLaw,
+    RingLaw,
+    StepLaw,
+    falling,
+)
+
+HEIGHT, CENTER, NO_PLACES = 2.5, jnp.array([4.0, 5.5]), jnp.zeros(0)
+TIME, STILL = jnp.zeros(()), jnp.zeros(2)
+
+
+def form(tail):
+    return jnp.asarray(np.log1p(2 * tail))
+
+
+def central(law):
+    return CentralTerm(jnp.array([HEIGHT]), CENTER, NO_PLACES, 0.5, law=law)
+
+
+def wall(law, angle=0.7):
+    return WallTerm(jnp.array([HEIGHT]), angle, jnp.zeros(2), NO_PLACES, 0.5, law=law)
+
+
+def steps():
+    middle, half, width = 5.0, 3.0, 0.8
+    return SumForce(
+        (
+            SoftWall(HEIGHT, 0.7, middle + half, width),
+            SoftWall(HEIGHT, 0.7 + np.pi, half - middle, width),
+        )
+    )
+
+
+SAME = {
+    "Gaussian": (
+        central(HillLaw(np.log(1.5), form(0.0))),
+        GaussianBarrier(HEIGHT, CENTER, 1.5),
+    ),
+    "Lorentzian": (
+        central(HillLaw(np.log(1.5), form(1.0))),
+        PowerHill(HEIGHT, CENTER, 1.5 * np.sqrt(2), 1.0),
+    ),
+    "screened": (
+        central(HillLaw(np.log(1.5), form(2.0))),
+        PowerHill(HEIGHT, CENTER, 1.5, 0.5),
+    ),
+    "compact": (
+        central(HillLaw(np.log(1.5), form(-1 / 3))),
+        CompactHill(HEIGHT, CENTER, 1.5 * np.sqrt(6)),
+    ),
+    "ring": (
+        central(RingLaw(3.0, np.log(0.8), form(0.0))),
+        RingBarrier(HEIGHT, CENTER, 3.0, 0.8),
+    ),
+    "step": (wall(StepLaw(6.0, np.log(0.9))), SoftWall(HEIGHT, 0.7, 6.0, 0.9)),
+    "channel": (wall(ChannelLaw(5.0, 3.0, np.log(0.8))), steps()),
+}
+
+
+@pytest.mark.parametrize(("term", "truth"), SAME.values(), ids=list(SAME))
+def test_a_term_that_follows_a_law_alone_is_the_force_of_that_name(
+    term: AbstractForce, truth: AbstractForce
+):
+    places = jnp.asarray(np.random.default_rng(1).uniform(-2.0, 12.0, (200, 2)))
+    made = jax.vmap(lambda x: term(TIME, x, STILL))(places)
+    true = jax.vmap(lambda x: truth(TIME, x, STILL))(places)
+    np.testing.assert_allclose(made, true, atol=1e-5 * HEIGHT)
+
+
+@given(
+    square=st.floats(0.0, 200.0),
+    tail=st.floats(-0.49, 5.0),
+)
+def test_what_falls_lies_between_zero_and_one_and_has_finite_slopes(square, tail):
+    at = jnp.asarray(square), jnp.asarray(tail)
+    assert 0.0 <= float(falling(*at)) <= 1.0
+    slopes = jax.jacfwd(jax.grad(falling, argnums=(0, 1)), argnums=(0, 1))(*at)
+    first = jax.grad(falling, argnums=(0, 1))(*at)
+    assert np.all(np.isfinite(jax.tree.leaves(first)))
+    if 1 + tail * square > 1e-2 or tail > 0:  # beyond, a second slope may be steep
+        assert np.all(np.isfinite(jax.tree.leaves(slopes)))
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_series_about_the_gaussian_joins_the_power(sign):
+    squares = jnp.linspace(0.0, 20.0, 50)
+    inside, outside = sign * NEAR_GAUSSIAN * np.array([1 - 1e-9, 1 + 1e-9])
+    near = [jax.vmap(lambda q, k=k: falling(q, k))(squares) for k in (inside, outside)]
+    np.testing.assert_allclose(*near, rtol=1e-6)
+
+
+def test_kernels_beside_a_law_add_to_it():
+    law, places = HillLaw(np.log(1.5), form(0.5)), jnp.arange(0.5, 4.0, 0.5)
+    weights = jnp.linspace(0.2, -0.1, len(places))
+    both = CentralTerm(
+        jnp.append(jnp.array([HEIGHT]), weights), CENTER, places, 0.5, law=law
+    )
+    kernels = CentralTerm(weights, CENTER, places, 0.5)
+    x = jnp.array([5.1, 4.2])
+    for part in ("__call__", "potential"):
+        at = (TIME, x, STILL)[: 3 if part == "__call__" else 2]
+        parts = [getattr(one, part)(*at) for one in (central(law), kernels)]
+        np.testing.assert_allclose(getattr(both, part)(*at), sum(parts), rtol=1e-12)
+
+
+def test_the_numbers_of_a_law_are_part_of_the_geometry():
+    term = central(HillLaw(jnp.asarray(0.3), form(1.0)))
+    assert len(term.geometry) == len(term.geometry_scales) == 3
+    constants = term.law.constants
+    np.testing.assert_allclose(constants["size"], np.exp(0.3))
+    np.testing.assert_allclose(constants["tail"], 1.0)
+
+
+def test_the_prior_of_kernels_beside_a_law_keeps_them_the_smaller_part():
+    places = jnp.arange(0.5, 4.0, 0.5)
+    term = CentralTerm(
+        jnp.zeros(8), CENTER, places, 0.5, law=HillLaw(jnp.asarray(0.0), form(0.0))
+    )
+    prior = term.prior()
+    assert prior.covariance(prior.start).shape == (8, 8)
+    most = prior.covariance(prior.bounds[:, 1])
+    assert np.sqrt(most[1:, 1:].max()) < term.force_per_weight
+    assert central(term.law).prior().covariance(np.zeros(0)).shape == (1, 1)
