@@ -20,6 +20,7 @@ from pinav.forces.profile_laws import (
     NEAR_GAUSSIAN,
     ChannelLaw,
     HillLaw,
+    PlateauLaw,
     RingLaw,
     StepLaw,
     falling,
@@ -54,6 +55,10 @@ def steps():
 SAME = {
     "Gaussian": (
         central(HillLaw(np.log(1.5), form(0.0))),
+        GaussianBarrier(HEIGHT, CENTER, 1.5),
+    ),
+    "plateau of steepness one": (
+        central(PlateauLaw(np.log(1.5), 0.0)),
         GaussianBarrier(HEIGHT, CENTER, 1.5),
     ),
     "Lorentzian": (
@@ -107,6 +112,15 @@ def test_the_series_about_the_gaussian_joins_the_power(sign):
     inside, outside = sign * NEAR_GAUSSIAN * np.array([1 - 1e-9, 1 + 1e-9])
     near = [jax.vmap(lambda q, k=k: falling(q, k))(squares) for k in (inside, outside)]
     np.testing.assert_allclose(*near, rtol=1e-6)
+
+
+def test_a_plateau_falls_to_a_share_that_its_steepness_does_not_change():
+    """At a distance of the square root of two sizes the exponent is one."""
+    for steepness in (-0.7, 0.0, 1.5):
+        law = PlateauLaw(np.log(1.5), steepness)
+        edge = law.potential(jnp.asarray(1.5 * np.sqrt(2)))
+        np.testing.assert_allclose(edge, np.exp(-1), rtol=1e-6)
+        np.testing.assert_allclose(law.potential(jnp.asarray(1e-9)), 1.0, atol=1e-3)
 
 
 def test_kernels_beside_a_law_add_to_it():

@@ -109,6 +109,47 @@ class HillLaw(AbstractProfileLaw):
 
 
 @final
+class PlateauLaw(AbstractProfileLaw):
+    r"""A hill with a flat top, $U = \exp(-(z^2 / 2 s^2)^m)$, or a pointed one.
+
+    Attributes:
+        log_size: $\log s$, $s$ in [L].
+        log_steepness: $\log m$; at zero the hill is Gaussian.
+    """
+
+    log_size: Scalar
+    log_steepness: Scalar
+
+    @property
+    def kind(self) -> str:
+        return "plateau"
+
+    @property
+    def latex(self) -> str:
+        return r"e^{-(z^2 / 2 s^2)^m}"
+
+    @property
+    def numbers(self) -> PyTree:
+        return self.log_size, self.log_steepness
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        return SIZE, FORM
+
+    @property
+    def constants(self) -> dict[str, Scalar]:
+        return {"size": self.size, "steepness": jnp.exp(self.log_steepness)}
+
+    @property
+    def size(self) -> Scalar:
+        return jnp.exp(self.log_size)
+
+    def potential(self, z: Scalar) -> Float[Array, ""]:
+        logarithm = 2 * jnp.log(jnp.abs(z) / self.size) - jnp.log(2.0)
+        return jnp.exp(-jnp.exp(jnp.exp(self.log_steepness) * logarithm))
+
+
+@final
 class RingLaw(AbstractProfileLaw):
     r"""A ring about a point, or a layer along a line: a hill of any tail at $\rho$.
 
@@ -236,7 +277,7 @@ class ChannelLaw(AbstractProfileLaw):
 
 
 LAWS: dict[str, type[AbstractProfileLaw]] = {
-    law.__name__: law for law in (HillLaw, RingLaw, StepLaw, ChannelLaw)
+    law.__name__: law for law in (HillLaw, PlateauLaw, RingLaw, StepLaw, ChannelLaw)
 }
 """Laws by the names of their classes."""
 

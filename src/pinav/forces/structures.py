@@ -157,7 +157,7 @@ class AbstractProfileTerm(AbstractTerm):
 
     @property
     def reach(self) -> float:
-        """Distance of the farthest kernel from the term [L]; of a law alone, its own."""
+        """Distance of the farthest kernel from the term [L]; of a law, if alone."""
         if self.law is not None and not self.has_kernels:
             return FAR * float(self.law.size)
         return float(np.max(np.abs(self.places)))

@@ -17,6 +17,7 @@ from tests.commands.test_heat import small
 from tests.commands.test_heat_voxels import write as write_voxels
 
 import pinav.forces as forces
+import pinav.forces.profile_laws as laws
 from pinav import cli
 from pinav.commands.explore.document import document
 from pinav.commands.explore.job import explorer
@@ -141,6 +142,35 @@ def changing():
     return random(forces.ChangingPotential(static, timed))
 
 
+def structured():
+    """Terms whose profiles follow each law, with kernels beside it or alone."""
+    center, places = jnp.array([0.4, 0.9]), jnp.arange(0.5, 3.0, 0.5)
+    both, alone = (jnp.linspace(0.9, -0.3, 6), places), (jnp.ones(1), jnp.zeros(0))
+    hill, ended = laws.HillLaw(0.2, 0.7), laws.HillLaw(0.5, -1.1)
+
+    def central(weights, places, law):
+        return forces.CentralTerm(weights, center, places, 0.6, law=law)
+
+    terms = (
+        central(*both, hill),
+        central(*alone, ended),
+        central(*alone, laws.HillLaw(0.2, 0.0)),
+        central(*alone, laws.PlateauLaw(0.2, 0.6)),
+        central(*both, laws.RingLaw(1.5, -0.2, 0.0)),
+        central(both[0][1:], places, None),
+        forces.EllipticTerm(
+            both[0], center, jnp.array([0.2, -0.1]), places, 0.6, law=hill
+        ),
+        forces.WallTerm(both[0], 0.6, center, places, 0.6, law=laws.StepLaw(1.0, -0.2)),
+        forces.WallTerm(
+            alone[0], 0.6, center, alone[1], 0.6, law=laws.ChannelLaw(0.1, 0.9, -0.3)
+        ),
+        forces.LinearTerm(jnp.arange(5.0) / 9, center, 2.0),
+    )
+    free = forces.KernelPotential.with_zero_weights(CENTERS, 1.1)
+    return forces.StructuredForce(terms, random(free))
+
+
 LEARNED = {
     "kernel force": lambda: random(forces.KernelForce.with_zero_weights(CENTERS, 1.1)),
     "mixture": lambda: random(forces.KernelMixture.with_zero_weights(CENTERS, 1.1)),
@@ -149,6 +179,7 @@ LEARNED = {
     "neural potential": lambda: forces.NeuralPotential(network(1), FEATURES, 1.7),
 }
 KNOWN = {
+    "structured": structured,
     "barrier": lambda: BARRIER,
     "ridge": lambda: forces.GaussianRidge(1.5, jnp.array([2.0, 1.0]), 2.0, 0.5, 0.4),
     "swirl": lambda: forces.GaussianSwirl(1.5, jnp.array([2.0, 1.0]), 1.3),

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -27,12 +28,16 @@ from pinav.forces.profile_laws import (
     AbstractProfileLaw,
     ChannelLaw,
     HillLaw,
+    PlateauLaw,
     RingLaw,
     StepLaw,
 )
 
-SIZES, PLACES, FORMS = 10, 16, (-1.0, 0.0, 1.1, 1.6)
-"""Sizes and places of a law that are tried, and forms: an end, Gaussian, and tails."""
+SIZES, PLACES = 10, 16
+"""Sizes and places of a law that are tried."""
+
+FORMS, STEEP = (-1.0, 0.0, 1.1, 1.6), (-0.5, 0.5, 1.0)
+"""Forms of a hill that are tried: an end, Gaussian, and tails; and of a plateau."""
 
 HALVES = 8
 """Widths of a channel that are tried."""
@@ -57,32 +62,50 @@ def follow_laws(terms: Terms, response: ForceResponse) -> Proposal | None:
         return None
     for index, term in enumerate(terms):
         if isinstance(term, AbstractProfileTerm) and term.law is None:
-            better = _with_law_of(best.terms, index, response)
-            if better is not None and _is_better(better, best):
+            better = _with_law_of(best, index, response)
+            if better and better.log_evidence > best.log_evidence + DECISIVE:
                 best = better
     return None if best is first else prune(best, response)
 
 
-def _is_better(one: Proposal, other: Proposal) -> bool:
-    """Whether the evidence of a proposal is decisively higher, and no accident.
+def _is_lawful(alone: Proposal, index: int, noise: float) -> bool:
+    """Whether a law alone explains nearly what the kernels of a profile did.
 
-    Laws whose numbers left the data make forces of which nothing but rounding is left;
-    that explains them to any noise.
+    Not where its numbers left the data: of their forces nothing but rounding is left,
+    and that explains data to any noise. About a centre the force must vanish, which
+    that of a ring over the centre does not.
+
+    Args:
+        alone: the structure without these kernels.
+        index: of the term.
+        noise: that the structure with them left.
     """
-    is_plausible = one.noise > PLAUSIBLE * other.noise
-    return is_plausible and one.log_evidence > other.log_evidence + DECISIVE
+    term = alone.terms[index]
+    assert isinstance(term, AbstractProfileTerm)
+    assert term.law is not None
+    at_centre = float(term.law.force(jnp.asarray(CENTRE * term.law.size)))
+    is_smooth = abs(at_centre) * float(term.law.size) < POINTED or not term.is_odd
+    return is_smooth and ROUNDED * noise < alone.noise < LAWFUL * noise
 
 
-PLAUSIBLE = 0.5
-"""Noise relative to that of the fit before, below which it counts as rounding."""
+LAWFUL, ROUNDED = 1.1, 0.5
+"""Misfit of a law alone, relative to that of the kernels: above one, it is no law of
+the profile; below the other, it is rounding."""
+
+CENTRE, POINTED = 0.02, 0.45
+"""Distance from a centre at which a force must be small, in sizes of the law; and what
+is small, relative to the height over the size."""
 
 
-def _with_law_of(terms: Terms, index: int, response: ForceResponse) -> Proposal | None:
+def _with_law_of(
+    structure: Proposal, index: int, response: ForceResponse
+) -> Proposal | None:
     """The structure in which a profile follows the most likely law.
 
     A law is polished alone first: beside kernels, which would carry what is wrong with
     its numbers, they do not move.
     """
+    terms, noise = structure.terms, structure.noise
     before, (term, *after) = terms[:index], terms[index:]
     assert isinstance(term, AbstractProfileTerm)
     starts = [
@@ -90,7 +113,8 @@ def _with_law_of(terms: Terms, index: int, response: ForceResponse) -> Proposal 
         for law in _laws_like(term, response)
     ]
     alone = [polish((*before, start, *after), response) for start in starts]
-    best = max(filter(None, alone), key=lambda one: one.log_evidence, default=None)
+    good = [one for one in alone if one and _is_lawful(one, index, noise)]
+    best = max(good, key=lambda one: one.log_evidence, default=None)
     if best is None:
         return None
     before, (lawful, *after) = best.terms[:index], best.terms[index:]
@@ -173,6 +197,7 @@ def _laws(
     places = low + extent * np.linspace(first, 1 + BEYOND, PLACES)
     if term.is_odd:
         yield jax.vmap(HillLaw)(*_mesh(sizes, np.array(FORMS)))
+        yield jax.vmap(PlateauLaw)(*_mesh(sizes, np.array(STEEP)))
     yield jax.vmap(RingLaw)(*_mesh(places, sizes, np.zeros(1)))
     yield jax.vmap(StepLaw)(*_mesh(places, sizes))
     if not term.is_odd:
@@ -180,7 +205,7 @@ def _laws(
         yield jax.vmap(ChannelLaw)(*_mesh(places, halves, sizes))
 
 
-def _mesh(*axes: Float[np.ndarray, "_"]) -> list[Float[Array, " law"]]:
+def _mesh(*axes: Float[np.ndarray, " ..."]) -> list[Float[Array, " law"]]:
     """Numbers of laws, each with each, one array for each number."""
     grids = np.meshgrid(*axes, indexing="ij")
     return [on_device(grid.ravel()) for grid in grids]

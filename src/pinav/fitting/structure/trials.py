@@ -341,6 +341,7 @@ def _is_in_reach(term: AbstractTerm, response: ForceResponse) -> bool:
 def coordinates(
     term: AbstractProfileTerm, points: Float[Array, "trajectory group dim"]
 ) -> Float[Array, "trajectory group coordinate"]:
+    """Coordinates of a term at the points of a response [L]."""
     return jax.vmap(jax.vmap(term.coordinates))(points)
 
 

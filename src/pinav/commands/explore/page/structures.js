@@ -25,9 +25,14 @@ function stepForce(offset, size) {
 /** Forces of laws along the coordinate, as in forces/profile_laws.py. */
 const LAWS = {
   HillLaw: (z, { log_size, form }) => hillForce(z, Math.exp(log_size), form),
+  PlateauLaw: (z, { log_size, log_steepness }) => {
+    const steepness = Math.exp(log_steepness);
+    const power = (0.5 * (z / Math.exp(log_size)) ** 2) ** steepness;
+    return (2 * steepness * power * Math.exp(-power)) / z;
+  },
   RingLaw: (z, { radius, log_size, form }) => hillForce(z - radius, Math.exp(log_size), form),
   StepLaw: (z, { place, log_size }) => stepForce(z - place, Math.exp(log_size)),
-  ChannelLaw(z, { middle, half, log_size }) {
+  ChannelLaw: (z, { middle, half, log_size }) => {
     const [away, size] = [z - middle, Math.exp(log_size)];
     return stepForce(away - half, size) - stepForce(-away - half, size);
   },
