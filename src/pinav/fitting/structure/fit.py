@@ -135,7 +135,9 @@ def _weigh_rotation(
     potential = functools.cache(lambda: survey.proposal(rotational=False))
 
     def no_potential_explains() -> bool:
-        return _unless_rough(potential()) is None
+        # About smoothed states a rough one may be right; its fit will tell.
+        best = potential()
+        return best is None or (best.is_rough and survey.is_begun)
 
     # Where a rotation is plain a search for a potential would take long, for nothing.
     if asked.is_plain or (asked.is_needed and no_potential_explains()):

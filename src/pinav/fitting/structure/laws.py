@@ -58,14 +58,15 @@ def follow_laws(terms: Terms, response: ForceResponse) -> Proposal | None:
         response: of the data to forces, about that fit.
     """
     first = best = polish(terms, response)
-    if best is None:
-        return None
-    for index, term in enumerate(terms):
+    index = 0
+    while best is not None and index < len(best.terms):
+        term = best.terms[index]
         if isinstance(term, AbstractProfileTerm) and term.law is None:
-            better = _with_law_of(best, index, response)
-            if better and better.log_evidence > best.log_evidence + DECISIVE:
-                best = better
-    return None if best is first else prune(best, response)
+            lawful = _with_law_of(best, index, response)
+            if lawful and lawful.log_evidence > best.log_evidence + DECISIVE:
+                best = prune(lawful, response)
+        index += 1
+    return None if best is first else best
 
 
 def _is_lawful(alone: Proposal, index: int, noise: float) -> bool:

@@ -91,7 +91,12 @@ the misfit before, above which further terms lead nowhere."""
 
 
 def propose(
-    response: ForceResponse, region: Region, noise: float, *, rotational: bool
+    response: ForceResponse,
+    region: Region,
+    noise: float,
+    *,
+    rotational: bool,
+    is_begun: bool = True,
 ) -> Proposal | None:
     """The structure of highest evidence; None where no term explains anything.
 
@@ -104,8 +109,11 @@ def propose(
         region: where they are.
         noise: of the observations, roughly.
         rotational: whether the force may have no potential.
+        is_begun: whether the data are linearised about a fit that was begun. Smoothed
+            states miss the path of quick swimmers, and a term that is right may leave
+            a few times the noise: it is not worth a search for others.
     """
-    ground = _Ground.of(response, region, noise)
+    ground = _Ground.of(response, region, noise, ENOUGH if is_begun else HOPELESS)
     best: Proposal | None = None
     may_pair = region.is_planar
     for _ in range(MOST_ROUNDS):
@@ -137,7 +145,7 @@ def propose(
             break
         if best.noise < EXPLAINED * noise or len(best.terms) == MOST_TERMS:
             best = prune(winner, response)
-        if best.noise < ENOUGH * noise:
+        if ground.is_explained([best]):
             break
     return best
 
@@ -150,7 +158,8 @@ def is_hopeless(response: ForceResponse, region: Region, noise: float) -> bool:
         region: where they are.
         noise: of the observations, roughly.
     """
-    tried = _Ground.of(response, region, noise).add_term((), rotational=False)
+    ground = _Ground.of(response, region, noise, HOPELESS)
+    tried = ground.add_term((), rotational=False)
     return all(one.noise > HOPELESS * noise for one in tried)
 
 
@@ -200,7 +209,7 @@ def _simpler(terms: Terms) -> Iterator[Terms]:
             yield (*(one for one in terms if all(one is not t for t in pair)), waves)
     for index, term in enumerate(terms):
         before, after = terms[:index], terms[index + 1 :]
-        if after:  # without the last term the evidence was asked before
+        if len(terms) > 1:
             yield before + after
         if isinstance(term, EllipticTerm):
             yield (*before, circular(term, term.center), *after)
@@ -229,6 +238,7 @@ class _Ground(eqx.Module):
         response: of the data to forces.
         region: where they are.
         noise: of the observations, roughly.
+        enough: misfit relative to it at which nothing else is sought.
         seen: the potential of free kernels, in the plane.
         summits: of that potential, further places of centres [L].
     """
@@ -236,15 +246,18 @@ class _Ground(eqx.Module):
     response: ForceResponse
     region: Region
     noise: float
+    enough: float
     seen: PotentialMap | None
     summits: Float[np.ndarray, "place dim"]
 
     @classmethod
-    def of(cls, response: ForceResponse, region: Region, noise: float) -> "_Ground":
+    def of(
+        cls, response: ForceResponse, region: Region, noise: float, enough: float
+    ) -> "_Ground":
         """The ground of the data, with the summits of their free potential."""
         seen = PotentialMap.of(response) if region.is_planar else None
         summits = np.zeros((0, len(region.middle))) if seen is None else seen.summits()
-        return cls(response, region, noise, seen, summits)
+        return cls(response, region, noise, enough, seen, summits)
 
     def add_term(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
         """Structures with one scanned term more than there are, polished.
@@ -359,8 +372,8 @@ class _Ground(eqx.Module):
         return made
 
     def is_explained(self, proposals: Sequence[Proposal]) -> bool:
-        """Whether one of them leaves next to nothing but noise."""
-        return any(one.noise < ENOUGH * self.noise for one in proposals)
+        """Whether one of them leaves so little that nothing else is sought."""
+        return any(one.noise < self.enough * self.noise for one in proposals)
 
     def _polish_each(
         self, structures: Sequence[Terms], again: int = 1

@@ -35,11 +35,13 @@ class Survey(eqx.Module):
         response: of the observations to forces.
         region: where the observations are.
         noise: of the observations, roughly or as it was given.
+        is_begun: whether the states are those of a fit, not smoothed ones.
     """
 
     response: ForceResponse
     region: Region
     noise: float
+    is_begun: bool
 
     @classmethod
     def of(
@@ -78,6 +80,7 @@ class Survey(eqx.Module):
             noise=min(problem.first_noise, response.least_noise)
             if given is None
             else given,
+            is_begun=fit is not None,
         )
 
     def proposal(self, *, rotational: bool) -> Proposal | None:
@@ -88,7 +91,13 @@ class Survey(eqx.Module):
         Args:
             rotational: whether the force may have no potential.
         """
-        best = propose(self.response, self.region, self.noise, rotational=rotational)
+        best = propose(
+            self.response,
+            self.region,
+            self.noise,
+            rotational=rotational,
+            is_begun=self.is_begun,
+        )
         if best is None or best.noise > HOPELESS * self.noise:
             return None
         if not self.is_near_noise(best):
