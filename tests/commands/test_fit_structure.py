@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from pinav.commands.fit.structure import StructureRow, TermRow
+from pinav.commands.fit.structure import LawRow, StructureRow, TermRow
 
 CENTRE = TermRow("central", "f(r)", (4.99, 5.01), (0.004, 0.003))
 
@@ -20,6 +20,15 @@ def test_a_term_is_named_with_its_numbers():
     assert hills.text() == "2 hills and wells at (1.000, 2.000), (3.000, 4.000) ± 0.20"
     other = TermRow("obstacles", "h", (1.0, 2.0), (0.1, 0.2))
     assert other.text() == "obstacles with (1.000, 2.000) ± 0.20"
+
+
+def test_a_law_is_named_with_its_constants():
+    law = LawRow("hill", "L", ("height", "tail"), (3.883, -0.3321), (0.012, 0.0043))
+    term = TermRow("central", "f(r)", (4.99, 5.01), (0.004, 0.003), law)
+    assert term.text() == (
+        "central about (4.990, 5.010) ± 0.0040 (potential: hill of height "
+        "3.883 ± 0.012, tail −0.3321 ± 0.0043)"
+    )
 
 
 def test_structures_are_weighed_against_free_kernels():

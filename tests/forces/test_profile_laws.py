@@ -140,9 +140,21 @@ def test_kernels_beside_a_law_add_to_it():
 def test_the_numbers_of_a_law_are_part_of_the_geometry():
     term = central(HillLaw(jnp.asarray(0.3), form(1.0)))
     assert len(term.geometry) == len(term.geometry_scales) == 3
-    constants = term.law.constants
+    constants = term.law.constants()
     np.testing.assert_allclose(constants["size"], np.exp(0.3))
     np.testing.assert_allclose(constants["tail"], 1.0)
+
+
+def test_places_of_a_wall_are_told_from_the_origin_of_space():
+    origin = jnp.array([3.0, 1.0])
+    term = WallTerm(
+        jnp.ones(1), 0.0, origin, NO_PLACES, 0.5, law=StepLaw(2.0, jnp.asarray(0.0))
+    )
+    np.testing.assert_allclose(term.law.constants(term.offset)["place"], 5.0)
+    middle = ChannelLaw(2.0, 1.0, jnp.asarray(0.0)).constants(term.offset)["middle"]
+    radius = RingLaw(2.0, jnp.asarray(0.0), form(0.0)).constants(term.offset)["radius"]
+    np.testing.assert_allclose([middle, radius], 5.0)
+    assert central(StepLaw(2.0, jnp.asarray(0.0))).offset == 0.0
 
 
 def test_the_prior_of_kernels_beside_a_law_keeps_them_the_smaller_part():

@@ -149,9 +149,16 @@ class WallTerm(AbstractProfileTerm):
     def is_odd(self) -> bool:
         return False
 
+    @property
+    def offset(self) -> Scalar:
+        return self._normal @ self.origin
+
     def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
-        normal = jnp.stack([jnp.cos(self.angle), jnp.sin(self.angle)])
-        return (normal @ (x - self.origin))[None]
+        return (self._normal @ (x - self.origin))[None]
+
+    @property
+    def _normal(self) -> Float[Array, "2"]:
+        return jnp.stack([jnp.cos(self.angle), jnp.sin(self.angle)])
 
 
 class SegmentTerm(AbstractProfileTerm):

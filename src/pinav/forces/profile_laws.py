@@ -42,10 +42,13 @@ class AbstractProfileLaw(eqx.Module):
     def scales(self) -> tuple[float, ...]:
         """Of each number: how far it may be from where a fit begins."""
 
-    @property
     @abc.abstractmethod
-    def constants(self) -> dict[str, Scalar]:
-        """The numbers as tables name them."""
+    def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
+        """The numbers as tables name them.
+
+        Args:
+            offset: of the coordinate, which places are told with [L].
+        """
 
     @property
     @abc.abstractmethod
@@ -96,8 +99,7 @@ class HillLaw(AbstractProfileLaw):
     def scales(self) -> tuple[float, ...]:
         return SIZE, FORM
 
-    @property
-    def constants(self) -> dict[str, Scalar]:
+    def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
         return {"size": self.size, "tail": tail(self.form)}
 
     @property
@@ -136,8 +138,7 @@ class PlateauLaw(AbstractProfileLaw):
     def scales(self) -> tuple[float, ...]:
         return SIZE, FORM
 
-    @property
-    def constants(self) -> dict[str, Scalar]:
+    def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
         return {"size": self.size, "steepness": jnp.exp(self.log_steepness)}
 
     @property
@@ -179,9 +180,9 @@ class RingLaw(AbstractProfileLaw):
     def scales(self) -> tuple[float, ...]:
         return float(self.size), SIZE, FORM
 
-    @property
-    def constants(self) -> dict[str, Scalar]:
-        return {"radius": self.radius, "size": self.size, "tail": tail(self.form)}
+    def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
+        radius = self.radius + offset
+        return {"radius": radius, "size": self.size, "tail": tail(self.form)}
 
     @property
     def size(self) -> Scalar:
@@ -220,9 +221,8 @@ class StepLaw(AbstractProfileLaw):
     def scales(self) -> tuple[float, ...]:
         return 2 * float(self.size), SIZE
 
-    @property
-    def constants(self) -> dict[str, Scalar]:
-        return {"place": self.place, "size": self.size}
+    def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
+        return {"place": self.place + offset, "size": self.size}
 
     @property
     def size(self) -> Scalar:
@@ -262,9 +262,9 @@ class ChannelLaw(AbstractProfileLaw):
     def scales(self) -> tuple[float, ...]:
         return 2 * float(self.size), 2 * float(self.size), SIZE
 
-    @property
-    def constants(self) -> dict[str, Scalar]:
-        return {"middle": self.middle, "half width": self.half, "size": self.size}
+    def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
+        middle = self.middle + offset
+        return {"middle": middle, "half width": self.half, "size": self.size}
 
     @property
     def size(self) -> Scalar:

@@ -144,6 +144,11 @@ class AbstractProfileTerm(AbstractTerm):
     def is_odd(self) -> bool:
         """Whether the profile is odd, as a distance asks for."""
 
+    @property
+    def offset(self) -> Scalar:
+        """Of the coordinate: it is this much less than from the origin of space [L]."""
+        return 0.0
+
     @abc.abstractmethod
     def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
         """The coordinates that share the profile [L]."""

@@ -1,6 +1,7 @@
 import dataclasses
 
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 import pytest
 from tests.fitting.structure.observed_forces import observed_forces
@@ -17,7 +18,13 @@ from pinav.fitting.structure.starts import (
     linear_term,
     wall_term,
 )
-from pinav.fitting.structure.trials import cost, polish, quick_evidences
+from pinav.fitting.structure.trials import (
+    Proposal,
+    cost,
+    polish,
+    quick_evidences,
+    with_places,
+)
 from pinav.forces import (
     GaussianBarrier,
     KernelPotential,
@@ -27,6 +34,7 @@ from pinav.forces import (
     StructuredForce,
     SumForce,
 )
+from pinav.forces.profile_laws import RingLaw
 from pinav.forces.structures import prior_of
 from pinav.scenarios import scenario
 
@@ -181,8 +189,11 @@ def test_a_term_that_left_the_data_is_no_proposal():
 def test_terms_are_built_again_from_what_a_file_keeps():
     model = scenario("barrier-crossings").swimmer
     free = KernelPotential.with_zero_weights(POINTS[0, :3], 1.0)
+    center, law = central_term(REGION, np.array([4.0, 6.0])), RingLaw(3.0, 0.1, 0.2)
+    lawful = with_places(center, np.asarray(center.places), center.width, law)
     terms = (
-        central_term(REGION, np.array([4.0, 6.0])),
+        center,
+        lawful,
         wall_term(REGION, 0.7),
         linear_term(REGION),
     )
@@ -196,3 +207,19 @@ def test_terms_are_built_again_from_what_a_file_keeps():
     assert summarise_terms(free) == ()
     with pytest.raises(InputError, match="term 'Spiral' is unknown; choose one of"):
         with_terms(model, (TermSummary("Spiral", {}),))
+    unknown = msgspec.structs.replace(kept[1], law="HookeLaw")
+    with pytest.raises(InputError, match="law 'HookeLaw' is unknown; choose one of"):
+        with_terms(model, (unknown,))
+
+
+def test_finer_kernels_and_single_centres_keep_the_law():
+    center, law = central_term(REGION, np.array([4.0, 6.0])), RingLaw(3.0, 0.1, 0.2)
+    lawful = with_places(center, np.asarray(center.places), center.width, law)
+    (several,) = twins(lawful, np.array([[5.0, 8.0]]))
+    assert several.law is law
+    (single,) = next(iter(fallbacks((several,))))
+    assert single.law is law
+    rough = Proposal((lawful,), 0.0, 1.0, (1.0,))
+    (finer,) = rough.finer
+    assert finer.law is law
+    assert len(finer.weights) == 1 + len(finer.places)

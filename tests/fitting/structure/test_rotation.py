@@ -78,7 +78,7 @@ def ended(monkeypatch):
     model = truth.swimmer.with_environment(kernel_environment(KernelPotential, data))
     asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
     made = Search(asked, 20, None, throw=False)
-    survey = Survey(response(PULL), Region.of(POINTS[0]), 0.05)
+    survey = Survey(response(PULL), Region.of(POINTS[0]), 0.05, is_begun=True)
 
     def weigh(
         surveyed,

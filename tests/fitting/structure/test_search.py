@@ -15,11 +15,12 @@ from pinav.fitting.environments.refinement import Refinement
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure import fit as structure_fit
-from pinav.fitting.structure import search
+from pinav.fitting.structure import proposals, search
 from pinav.fitting.structure.search import Search, has_many_hills
 from pinav.fitting.structure.starts import Region, central_term, linear_term
 from pinav.fitting.structure.survey import Survey
 from pinav.forces import (
+    AbstractProfileTerm,
     HillsTerm,
     KernelMixture,
     KernelPotential,
@@ -27,6 +28,7 @@ from pinav.forces import (
     forces_at,
     split_structure,
 )
+from pinav.forces.profile_laws import HillLaw
 from pinav.scenarios import fibres, many_barriers, random_system
 from pinav.scenarios.spaces import box
 from pinav.systems.files import parse_system
@@ -342,3 +344,41 @@ def test_obstacles_that_no_peak_shows_grow_from_a_pair():
     gaps = np.linalg.norm(np.asarray(term.centers)[:, None] - centers, axis=-1)
     assert gaps.shape == (3, 3)
     assert gaps.min(axis=0).max() < 0.02
+
+
+@pytest.mark.slow
+def test_a_hill_that_ends_follows_its_law_beyond_the_data():
+    truth = random_system("compact", 42)
+    data = simulate(truth.with_starts(count=16), key=jax.random.key(42))
+    positions = data.only(("x", "y"))
+    kernels = kernel_environment(KernelPotential, positions, dim=2)
+    result = fit_structured(truth.swimmer.with_environment(kernels), positions)
+    assert result.structure is not None
+    (term,) = result.structure.terms
+    assert isinstance(term, AbstractProfileTerm)
+    assert isinstance(term.law, HillLaw)
+    np.testing.assert_allclose(term.law.constants()["tail"], -1 / 3, atol=0.02)
+    places = jnp.asarray(np.random.default_rng(1).uniform(0.0, 10.0, (200, 2)))
+    times = jnp.zeros(len(places))
+    true = forces_at(truth.environment, times, places)
+    learned = forces_at(result.force, times, places)
+    assert jnp.linalg.norm(learned - true) < 0.01 * jnp.linalg.norm(true)
+
+
+@pytest.mark.slow
+def test_a_well_that_swimmers_circle_is_fitted_before_other_terms_are_sought(
+    monkeypatch,
+):
+    """About smoothed states the right centre leaves four times the noise."""
+
+    def pairs_are_sought(*_, **__):
+        pytest.fail("pairs of terms were sought")
+
+    monkeypatch.setattr(proposals, "scan_pairs", pairs_are_sought)
+    truth = random_system("lorentzian", 59)
+    data = simulate(truth.with_starts(count=16), key=jax.random.key(59))
+    positions = data.only(("x", "y"))
+    kernels = kernel_environment(KernelPotential, positions, dim=2)
+    result = fit_structured(truth.swimmer.with_environment(kernels), positions)
+    assert result.structure is not None
+    assert [term.kind for term in result.structure.terms] == ["central"]

@@ -199,13 +199,14 @@ def _law_row(term: AbstractTerm, posterior: Posterior, index: int) -> LawRow | N
 
     def constants(model: Any) -> Float[Array, " constant"]:
         one = model.environment.terms[index]
-        return jnp.stack([one.weights[0], *one.law.constants.values()])
+        values = one.law.constants(one.offset).values()
+        return jnp.stack([one.weights[0], *values])
 
     estimates = derive(posterior, constants)
     return LawRow(
         law.kind,
         law.latex,
-        ("height", *law.constants),
+        ("height", *law.constants()),
         tuple(one.value for one in estimates),
         tuple(one.sd for one in estimates),
     )
