@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
-from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.structure.proposals import prune
 from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.trials import (
@@ -46,6 +45,10 @@ POINTS, PROMISING = 200, 2
 """Data at whose coordinates laws are compared with a profile; and the kinds of laws
 nearest to it that are polished."""
 
+KINDS = 2.0
+"""Nats that a law must gain: the logarithm of the number of kinds, and a little more.
+A formula is no bolder a claim than kernels that explain as much."""
+
 BEYOND = 0.2
 """How far beyond the data a law may have its place at first, as a share of theirs."""
 
@@ -63,7 +66,7 @@ def follow_laws(terms: Terms, response: ForceResponse) -> Proposal | None:
         term = best.terms[index]
         if isinstance(term, AbstractProfileTerm) and term.law is None:
             lawful = _with_law_of(best, index, response)
-            if lawful and lawful.log_evidence > best.log_evidence + DECISIVE:
+            if lawful and lawful.log_evidence > best.log_evidence + KINDS:
                 best = prune(lawful, response)
         index += 1
     return None if best is first else best
