@@ -140,7 +140,7 @@ def test_hills_come_first_in_a_rugged_field_without_a_plain_rotation(
         object.__setattr__(fit, "outcome", FINE)
         return StructuredFit(fit, 900.0)
 
-    monkeypatch.setattr(Survey, "is_hopeless", True)
+    monkeypatch.setattr(Survey, "is_hopeless", lambda *_, **__: True)
     monkeypatch.setattr(structure_fit, "_weigh_beside", weigh_beside)
     options = {"is_rugged": True, "is_plain": is_plain, "fit_free": fit_hills}
     ended(80.0, 90.0, 40.0, FINE, FINE, **options)

@@ -80,7 +80,7 @@ def fit_structured(
         if weigh_rotation:
             return _weigh_rotation(search, survey, fit_free, is_rugged=is_rugged)
         is_still = search.kernels.is_conservative
-        asks_for_hills = is_rugged and is_still and survey.is_hopeless
+        asks_for_hills = is_rugged and is_still and survey.is_hopeless(rotational=False)
         if asks_for_hills and has_many_hills(fit_free().force):
             return fit_free()
         return search.best(survey.proposal(rotational=not is_still), fit_free)
@@ -128,9 +128,11 @@ def _weigh_rotation(
     """
     kernels = search.kernels.kernels
     asked = survey_rotation(survey.response, survey.noise, (), kernels)
-    asks_for_hills = is_rugged and not asked.is_plain and survey.is_hopeless
-    if asks_for_hills and has_many_hills(fit_free().force):
-        return _weigh_beside(search, fit_free(), None)
+    is_plain = asked.is_plain
+    if is_rugged and not is_plain and survey.is_hopeless(rotational=False):
+        is_plain = asked.is_needed and not survey.is_hopeless(rotational=True)
+        if not is_plain and has_many_hills(fit_free().force):
+            return _weigh_beside(search, fit_free(), None)
     turning, turned, rotation = None, None, asked.gain
     potential = functools.cache(lambda: survey.proposal(rotational=False))
 
@@ -140,10 +142,10 @@ def _weigh_rotation(
         return best is None or (best.is_rough and survey.is_begun)
 
     # Where a rotation is plain a search for a potential would take long, for nothing.
-    if asked.is_plain or (asked.is_needed and no_potential_explains()):
+    if is_plain or (asked.is_needed and no_potential_explains()):
         turned = _unless_rough(survey.proposal(rotational=True))
     if _has_swirl(turned) or (
-        no_potential_explains() and (asked.is_plain or turned is not None)
+        no_potential_explains() and (is_plain or turned is not None)
     ):
         turning = _turning(search, turned)
         if turning is not None and turning.rotation > DECISIVE:

@@ -150,16 +150,19 @@ def propose(
     return best
 
 
-def is_hopeless(response: ForceResponse, region: Region, noise: float) -> bool:
+def is_hopeless(
+    response: ForceResponse, region: Region, noise: float, *, rotational: bool
+) -> bool:
     """Whether no centre, wall or linear force explains much of the data on its own.
 
     Args:
         response: of the data to forces.
         region: where they are.
         noise: of the observations, roughly.
+        rotational: whether the force may have no potential.
     """
     ground = _Ground.of(response, region, noise, HOPELESS)
-    tried = ground.add_term((), rotational=False)
+    tried = ground.add_term((), rotational=rotational)
     return all(one.noise > HOPELESS * noise for one in tried)
 
 

@@ -106,10 +106,15 @@ class Survey(eqx.Module):
         # In space the kernels of the search are half as many as those of a fit.
         return best if self.region.is_planar else refine(best, self.response, 1)
 
-    @property
-    def is_hopeless(self) -> bool:
-        """Whether no single term explains much of the data."""
-        return is_hopeless(self.response, self.region, self.noise)
+    def is_hopeless(self, *, rotational: bool) -> bool:
+        """Whether no single term explains much of the data.
+
+        Args:
+            rotational: whether the force may have no potential.
+        """
+        return is_hopeless(
+            self.response, self.region, self.noise, rotational=rotational
+        )
 
     def is_near_noise(self, proposal: Proposal) -> bool:
         """Whether terms leave little more of the data unexplained than the noise."""
