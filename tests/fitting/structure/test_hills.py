@@ -5,11 +5,13 @@ import scipy.optimize
 from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
-from pinav.fitting.structure.hills import propose_hills
+from pinav.fitting.structure.hills import obstacles_of, propose_hills
 from pinav.fitting.structure.patterns import free_potential
+from pinav.fitting.structure.starts import Region
 from pinav.forces import (
     GaussianBarrier,
     GaussianRidge,
+    HillsTerm,
     KernelPotential,
     LinearForce,
     SumForce,
@@ -84,3 +86,28 @@ def test_a_rough_field_of_many_summits_has_no_hills():
     weights = jnp.asarray(np.random.default_rng(3).normal(size=len(centers)))
     rough = KernelPotential(weights, rough.centers, width)
     assert propose_hills(observed_forces(rough, POINTS, NOISE), NOISE, rough) is None
+
+
+@pytest.mark.parametrize(
+    ("heights", "sizes", "shears", "are_alike"),
+    [
+        ((3.0, 2.5), (0.1, 0.3), (0.0, 0.1), True),
+        ((-3.0, -2.5), (0.1, 0.3), (0.0, 0.1), True),
+        ((3.0, -3.0), (0.1, 0.1), (0.0, 0.0), False),
+        ((3.0, 1.0), (0.1, 0.1), (0.0, 0.0), False),
+        ((3.0, 3.0), (0.0, 0.9), (0.0, 0.0), False),
+        ((3.0, 3.0), (0.1, 0.1), (0.0, 0.5), False),
+        ((3.0,), (0.1,), (0.0,), False),
+    ],
+)
+def test_round_hills_that_are_alike_may_be_obstacles(heights, sizes, shears, are_alike):
+    weights = np.zeros((len(heights), len(WIDTHS)))
+    weights[:, MIDDLE] = heights
+    shapes = np.stack([sizes, shears, np.zeros(len(sizes))], axis=1)
+    centers = np.arange(2.0 * len(heights)).reshape(-1, 2)
+    hills = HillsTerm(*map(jnp.asarray, (weights.ravel(), centers, shapes)))
+    term = obstacles_of(hills, Region.of(POINTS[0]))
+    assert (term is not None) == are_alike
+    if term is not None:
+        np.testing.assert_array_equal(term.centers, centers)
+        assert not np.any(term.weights)

@@ -16,7 +16,7 @@ from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure import fit as structure_fit
 from pinav.fitting.structure import proposals, search
-from pinav.fitting.structure.search import Search, has_many_hills
+from pinav.fitting.structure.search import Search, needs_no_search
 from pinav.fitting.structure.starts import Region, central_term, linear_term
 from pinav.fitting.structure.survey import Survey
 from pinav.forces import (
@@ -198,8 +198,8 @@ def test_hills_that_overlap_are_no_reason_to_seek_nothing_else(apart, are_many):
     places = apart * jnp.arange(9.0)[:, None] * jnp.array([[1.0, 0.0]])
     hills = HillsTerm(weights=jnp.zeros(27), centers=places, shapes=jnp.zeros((9, 3)))
     free = KernelPotential.with_zero_weights(PLACES, 1.0)
-    assert has_many_hills(StructuredForce((hills,), free)) == are_many
-    assert not has_many_hills(free)
+    assert needs_no_search(StructuredForce((hills,), free)) == are_many
+    assert not needs_no_search(free)
 
 
 @pytest.mark.slow

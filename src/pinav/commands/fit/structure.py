@@ -234,6 +234,10 @@ def profile_arrays(run: FittedRun) -> dict[str, np.ndarray]:
 
         values = derive(run.posterior, profile)
         arrays[f"structure/{index}"] = np.stack(
-            [places, [v.value for v in values], [v.sd for v in values]]
+            [
+                places + float(term.offset),
+                [v.value for v in values],
+                [v.sd for v in values],
+            ]
         )
     return arrays

@@ -26,7 +26,7 @@ from pinav.fitting.structure.search import (
     Search,
     StructuredFit,
     evidence_of,
-    has_many_hills,
+    needs_no_search,
 )
 from pinav.fitting.structure.survey import Survey, is_worth_a_search, may_turn
 from pinav.forces import split_structure
@@ -81,7 +81,7 @@ def fit_structured(
             return _weigh_rotation(search, survey, fit_free, is_rugged=is_rugged)
         is_still = search.kernels.is_conservative
         asks_for_hills = is_rugged and is_still and survey.is_hopeless(rotational=False)
-        if asks_for_hills and has_many_hills(fit_free().force):
+        if asks_for_hills and needs_no_search(fit_free().force):
             return fit_free()
         return search.best(survey.proposal(rotational=not is_still), fit_free)
 
@@ -131,7 +131,7 @@ def _weigh_rotation(
     is_plain = asked.is_plain
     if is_rugged and not is_plain and survey.is_hopeless(rotational=False):
         is_plain = asked.is_needed and not survey.is_hopeless(rotational=True)
-        if not is_plain and has_many_hills(fit_free().force):
+        if not is_plain and needs_no_search(fit_free().force):
             return _weigh_beside(search, fit_free(), None)
     turning, turned, rotation = None, None, asked.gain
     potential = functools.cache(lambda: survey.proposal(rotational=False))
@@ -249,7 +249,7 @@ def _weigh_beside(
         turning = _turning(search, proposal)
         rotation = np.nan if turning is None else turning.rotation
     if turning is not None and rotation > DECISIVE:
-        is_better = not has_many_hills(still.force) or (
+        is_better = not needs_no_search(still.force) or (
             evidence_of(turning.fit) > evidence_of(still.fit)
         )
         return turning if is_better else still

@@ -34,7 +34,8 @@ from pinav.fitting.structure.response import (
     force_columns,
     residuals_of_none,
 )
-from pinav.forces import HillsTerm, KernelPotential, forces_at
+from pinav.fitting.structure.starts import Region, central_term
+from pinav.forces import HillsTerm, KernelPotential, ObstaclesTerm, forces_at
 from pinav.forces.hills import MIDDLE, WIDTHS
 from pinav.threads import map_on_cores
 
@@ -119,6 +120,34 @@ def propose_hills(
             best = landscape.fit(better.hills, SETTLED)
             best = landscape.without_needless(best)
     return _term(best.hills)
+
+
+def obstacles_of(hills: HillsTerm, region: Region) -> ObstaclesTerm | None:
+    """Obstacles of one kind in place of several round hills that are alike.
+
+    Args:
+        hills: of a fit.
+        region: of the data.
+    """
+    heights = np.asarray(hills.weights).reshape(-1, len(WIDTHS)).sum(axis=1)
+    sizes, shears = np.split(np.asarray(hills.shapes), [1], axis=1)
+    is_one_kind = abs(np.sign(heights).sum()) == len(heights)
+    spreads = np.ptp(np.log(np.abs(heights) + TINY)), np.ptp(sizes)
+    is_alike = max(spreads) < ALIKE and np.hypot(*shears.T).max() < ROUND
+    if len(heights) < 2 or not (is_one_kind and is_alike):
+        return None
+    start = central_term(region, region.middle)
+    return ObstaclesTerm(
+        weights=start.weights,
+        centers=hills.centers,
+        places=start.places,
+        width=start.width,
+    )
+
+
+ALIKE, ROUND, TINY = 0.7, 0.3, 1e-12
+"""Largest difference of the logarithms of heights and of sizes of hills that may be
+obstacles of one kind; their greatest shear; and a height next to none."""
 
 
 class _Fit(eqx.Module):

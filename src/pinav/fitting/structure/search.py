@@ -34,7 +34,7 @@ from pinav.fitting.evidence.model_evidence import (
     model_evidence,
 )
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure.hills import propose_hills
+from pinav.fitting.structure.hills import obstacles_of, propose_hills
 from pinav.fitting.structure.laws import follow_laws
 from pinav.fitting.structure.proposals import Proposal, fallbacks, prune, refine
 from pinav.fitting.structure.survey import Survey, is_worth_a_search
@@ -42,6 +42,7 @@ from pinav.fitting.structure.trials import Terms, polish
 from pinav.forces import (
     AbstractForce,
     HillsTerm,
+    ObstaclesTerm,
     StructuredForce,
     forces_at,
     split_structure,
@@ -244,7 +245,35 @@ class Search(eqx.Module):
             return None
         if fit.outcome is not Outcome.CONVERGED:
             return None
-        return StructuredFit(fit, evidence_of(fit) - evidence_of(rough))
+        gain = evidence_of(fit) - evidence_of(rough)
+        return self._fit_obstacles(fit, rough) or StructuredFit(fit, gain)
+
+    def _fit_obstacles(
+        self, hills: EvidenceFit, rough: EvidenceFit
+    ) -> StructuredFit | None:
+        """The fit of obstacles of one kind in place of hills that are alike.
+
+        Args:
+            hills: their fit.
+            rough: that of free kernels.
+        """
+        terms = hills.model.environment.terms
+        survey = Survey.of(self.specification, self.free(), hills)
+        alike = obstacles_of(terms[0], survey.region)
+        if alike is None:
+            return None
+        # The fit of hills is not charged for their places; these proposals are.
+        several = polish(terms, survey.response)
+        proposal = polish((alike,), survey.response)
+        if several is None or proposal is None:
+            return None
+        if several.log_evidence > proposal.log_evidence + DECISIVE:
+            return None
+        fit = self.about(hills)._fit_proposal(proposal)
+        if fit is None or not _is_as_good(fit[0], hills):
+            return None
+        obstacles, evidence = self._with_laws(*fit)
+        return StructuredFit(obstacles, evidence - evidence_of(rough))
 
     def _fit_proposal(self, proposal: Proposal) -> tuple[EvidenceFit, float] | None:
         """The fit of proposed terms beside the free kernels; None where it fails.
@@ -349,14 +378,16 @@ class Search(eqx.Module):
         return self.of(StructuredForce(terms, self.kernels))
 
 
-def has_many_hills(force: AbstractForce) -> bool:
-    """Whether a force has so many hills that no other structure is worth a search.
+def needs_no_search(force: AbstractForce) -> bool:
+    """Whether a rugged force is known so well that no other structure is sought.
 
-    Hills that overlap may be parts of a ring or of a wall.
+    By obstacles of one kind, or many hills. A few may be a sum of other terms, and
+    those that overlap parts of a ring or of a wall.
     """
     terms, _ = split_structure(force)
     return any(
-        isinstance(term, HillsTerm) and np.sum(term.gaps > SEPARATE) >= MANY
+        isinstance(term, ObstaclesTerm)
+        or (isinstance(term, HillsTerm) and np.sum(term.gaps > SEPARATE) >= MANY)
         for term in terms
     )
 
