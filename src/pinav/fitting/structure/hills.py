@@ -145,7 +145,7 @@ def obstacles_of(hills: HillsTerm, region: Region) -> ObstaclesTerm | None:
     )
 
 
-ALIKE, ROUND, TINY = 0.7, 0.3, 1e-12
+ALIKE, ROUND, TINY = 0.5, 0.3, 1e-12
 """Largest difference of the logarithms of heights and of sizes of hills that may be
 obstacles of one kind; their greatest shear; and a height next to none."""
 
