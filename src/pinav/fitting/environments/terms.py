@@ -1,6 +1,7 @@
 """Structured terms as a file keeps them, and the force that is built from that."""
 
 import dataclasses
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -91,15 +92,13 @@ def _blank(term: TermSummary) -> AbstractTerm:
         raise InputError(
             f"term {term.kind!r} is unknown; choose one of: {', '.join(TERMS)}"
         )
-    parts: dict[str, Any] = {
-        name: jnp.zeros(shape) for name, shape in term.shapes.items()
-    }
-    if term.law is not None:
-        if term.law not in LAWS:
-            raise InputError(
-                f"law {term.law!r} is unknown; choose one of: {', '.join(LAWS)}"
-            )
-        law = LAWS[term.law]
-        numbers = [jnp.zeros(()) for _ in dataclasses.fields(law)]
-        parts["law"] = law(*numbers)
-    return TERMS[term.kind](**parts, rotational=term.rotational)
+    arrays = {name: jnp.zeros(shape) for name, shape in term.shapes.items()}
+    make = functools.partial(TERMS[term.kind], **arrays, rotational=term.rotational)
+    if term.law is None:
+        return make()
+    if term.law not in LAWS:
+        raise InputError(
+            f"law {term.law!r} is unknown; choose one of: {', '.join(LAWS)}"
+        )
+    law = LAWS[term.law]
+    return make(law=law(*(jnp.zeros(()) for _ in dataclasses.fields(law))))
