@@ -136,7 +136,7 @@ def _laws_like(
     profile = np.asarray(_profile(term, on_device(z)))
     fits = [_nearest(laws, z, profile) for laws in _laws(term, z)]
     fits.sort(key=lambda fit: fit[0])
-    return [law for misfit, law in fits[:PROMISING]]
+    return [law for _, law in fits[:PROMISING]]
 
 
 def _nearest(
@@ -196,7 +196,8 @@ def _laws(
         z: where there are data [L].
     """
     low, extent = z.min(), np.ptp(z)
-    sizes = np.log(np.geomspace(float(term.width), 0.5 * extent, SIZES))
+    width = float(term.width)
+    sizes = np.log(np.geomspace(width, max(0.5 * extent, 2 * width), SIZES))
     first = 0.0 if term.is_odd else -BEYOND
     places = low + extent * np.linspace(first, 1 + BEYOND, PLACES)
     if term.is_odd:
