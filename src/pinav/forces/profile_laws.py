@@ -20,7 +20,13 @@ SIZE, FORM = 1.0, 1.0
 
 
 class AbstractProfileLaw(eqx.Module):
-    """A potential of one coordinate, of unit height."""
+    """A potential of one coordinate, of unit height.
+
+    Attributes:
+        log_size: logarithm of the distance over which it falls, in [L].
+    """
+
+    log_size: eqx.AbstractVar[Scalar]
 
     @property
     @abc.abstractmethod
@@ -51,9 +57,9 @@ class AbstractProfileLaw(eqx.Module):
         """
 
     @property
-    @abc.abstractmethod
     def size(self) -> Scalar:
         """Distance over which it falls [L]."""
+        return jnp.exp(self.log_size)
 
     @abc.abstractmethod
     def potential(self, z: Scalar) -> Float[Array, ""]:
@@ -102,10 +108,6 @@ class HillLaw(AbstractProfileLaw):
     def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
         return {"size": self.size, "tail": tail(self.form)}
 
-    @property
-    def size(self) -> Scalar:
-        return jnp.exp(self.log_size)
-
     def potential(self, z: Scalar) -> Float[Array, ""]:
         return falling(0.5 * (z / self.size) ** 2, tail(self.form))
 
@@ -140,10 +142,6 @@ class PlateauLaw(AbstractProfileLaw):
 
     def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
         return {"size": self.size, "steepness": jnp.exp(self.log_steepness)}
-
-    @property
-    def size(self) -> Scalar:
-        return jnp.exp(self.log_size)
 
     def potential(self, z: Scalar) -> Float[Array, ""]:
         logarithm = 2 * jnp.log(jnp.abs(z) / self.size) - jnp.log(2.0)
@@ -184,10 +182,6 @@ class RingLaw(AbstractProfileLaw):
         radius = self.radius + offset
         return {"radius": radius, "size": self.size, "tail": tail(self.form)}
 
-    @property
-    def size(self) -> Scalar:
-        return jnp.exp(self.log_size)
-
     def potential(self, z: Scalar) -> Float[Array, ""]:
         offset = (z - self.radius) / self.size
         return falling(0.5 * offset**2, tail(self.form))
@@ -223,10 +217,6 @@ class StepLaw(AbstractProfileLaw):
 
     def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
         return {"place": self.place + offset, "size": self.size}
-
-    @property
-    def size(self) -> Scalar:
-        return jnp.exp(self.log_size)
 
     def potential(self, z: Scalar) -> Float[Array, ""]:
         return jax.nn.sigmoid((z - self.place) / self.size)
@@ -265,10 +255,6 @@ class ChannelLaw(AbstractProfileLaw):
     def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
         middle = self.middle + offset
         return {"middle": middle, "half width": self.half, "size": self.size}
-
-    @property
-    def size(self) -> Scalar:
-        return jnp.exp(self.log_size)
 
     def potential(self, z: Scalar) -> Float[Array, ""]:
         away = z - self.middle

@@ -350,11 +350,8 @@ def test_obstacles_that_no_peak_shows_grow_from_a_pair():
 
 @pytest.mark.slow
 def test_a_hill_that_ends_follows_its_law_beyond_the_data():
-    truth = random_system("compact", 42)
-    data = simulate(truth.with_starts(count=16), key=jax.random.key(42))
-    positions = data.only(("x", "y"))
-    kernels = kernel_environment(KernelPotential, positions, dim=2)
-    result = fit_structured(truth.swimmer.with_environment(kernels), positions)
+    truth, model, positions = drawn("compact", 42)
+    result = fit_structured(model, positions)
     assert result.structure is not None
     (term,) = result.structure.terms
     assert isinstance(term, AbstractProfileTerm)
@@ -377,10 +374,7 @@ def test_a_well_that_swimmers_circle_is_fitted_before_other_terms_are_sought(
         pytest.fail("pairs of terms were sought")
 
     monkeypatch.setattr(proposals, "scan_pairs", pairs_are_sought)
-    truth = random_system("lorentzian", 59)
-    data = simulate(truth.with_starts(count=16), key=jax.random.key(59))
-    positions = data.only(("x", "y"))
-    kernels = kernel_environment(KernelPotential, positions, dim=2)
-    result = fit_structured(truth.swimmer.with_environment(kernels), positions)
+    _, model, positions = drawn("lorentzian", 59)
+    result = fit_structured(model, positions)
     assert result.structure is not None
     assert [term.kind for term in result.structure.terms] == ["central"]

@@ -34,7 +34,7 @@ from pinav.fitting.structure.response import (
     force_columns,
     residuals_of_none,
 )
-from pinav.fitting.structure.starts import Region, central_term
+from pinav.fitting.structure.starts import Region, central_term, obstacles_at
 from pinav.forces import HillsTerm, KernelPotential, ObstaclesTerm, forces_at
 from pinav.forces.hills import MIDDLE, WIDTHS
 from pinav.threads import map_on_cores
@@ -136,13 +136,7 @@ def obstacles_of(hills: HillsTerm, region: Region) -> ObstaclesTerm | None:
     is_alike = max(spreads) < ALIKE and np.hypot(*shears.T).max() < ROUND
     if len(heights) < 2 or not (is_one_kind and is_alike):
         return None
-    start = central_term(region, region.middle)
-    return ObstaclesTerm(
-        weights=start.weights,
-        centers=hills.centers,
-        places=start.places,
-        width=start.width,
-    )
+    return obstacles_at(central_term(region, region.middle), hills.centers)
 
 
 ALIKE, ROUND, TINY = 0.5, 0.3, 1e-12

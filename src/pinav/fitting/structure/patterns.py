@@ -24,7 +24,12 @@ from pinav.fitting.evidence.evidence import (
     posterior_mean,
 )
 from pinav.fitting.structure.response import ForceResponse, force_quadratic
-from pinav.fitting.structure.starts import Region, central_term, circular
+from pinav.fitting.structure.starts import (
+    Region,
+    central_term,
+    circular,
+    obstacles_at,
+)
 from pinav.forces import (
     CentralTerm,
     KernelPotential,
@@ -191,12 +196,7 @@ def obstacles(seen: PotentialMap, region: Region) -> Iterator[ObstaclesTerm]:
     for sign in (1.0, -1.0):
         centers = seen.peaks(sign * (seen.heights - middle), APART, PEAK)
         if 2 <= len(centers) <= MOST_PEAKS:
-            yield ObstaclesTerm(
-                weights=start.weights,
-                centers=jnp.asarray(centers),
-                places=start.places,
-                width=start.width,
-            )
+            yield obstacles_at(start, jnp.asarray(centers))
 
 
 def twins(
@@ -211,14 +211,7 @@ def twins(
     several = isinstance(term, ObstaclesTerm)
     centers = term.centers if several else term.center[None]
     return [
-        ObstaclesTerm(
-            weights=term.weights,
-            centers=jnp.concatenate([centers, jnp.asarray(place)[None]]),
-            places=term.places,
-            width=term.width,
-            rotational=term.rotational,
-            law=term.law,
-        )
+        obstacles_at(term, jnp.concatenate([centers, jnp.asarray(place)[None]]))
         for place in places
     ]
 

@@ -206,6 +206,20 @@ def circular(
     )
 
 
+def obstacles_at(
+    term: CentralTerm | ObstaclesTerm, centers: Float[Array, "center dim"]
+) -> ObstaclesTerm:
+    """Obstacles at several centres with the profile of a term."""
+    return ObstaclesTerm(
+        weights=term.weights,
+        centers=centers,
+        places=term.places,
+        width=term.width,
+        rotational=term.rotational,
+        law=term.law,
+    )
+
+
 def ellipses(
     region: Region, centers: Float[np.ndarray, "place 2"]
 ) -> list[EllipticTerm]:
