@@ -46,6 +46,12 @@ TANGENTS = 16
 Residuals = Callable[[Any], Float[Array, " residual"]]
 """From a model to predicted less observed values."""
 
+Slopes = tuple[Float[np.ndarray, " residual"], Float[np.ndarray, "residual parameter"]]
+"""Residuals, and their slopes by the parameters."""
+
+Linearisation = Callable[[ParametricModel, Parameters], Slopes]
+"""From the parameters of a model to residuals and their slopes."""
+
 
 def fit_regression(
     model: Any,
@@ -138,6 +144,7 @@ class Regression(AbstractProblem):
         num_projected: residuals that were projected out before.
         log_determinant: of what was integrated out before.
         priors: what is known of the constants.
+        linearisation: of the residuals, where they have one of their own.
         states: none, for there are no dynamics.
         teacher: none.
     """
@@ -158,6 +165,7 @@ class Regression(AbstractProblem):
     num_projected: int = 0
     log_determinant: float = 0.0
     priors: ConstantPriors = ConstantPriors()
+    linearisation: Linearisation | None = None
     states: Float[Array, "trajectory time state"] | None = None
     teacher: LinearFit | None = None
 
@@ -227,10 +235,11 @@ class Regression(AbstractProblem):
         )
 
     def linearise(self, theta: Parameters, states: States) -> AbstractLocalModel | None:
-        residuals, jacobian = _linearise(
-            self.parametric, self.residuals, on_device(theta)
-        )
-        rows, right = np.asarray(jacobian), np.asarray(residuals)
+        if self.linearisation is not None:
+            right, rows = self.linearisation(self.parametric, theta)
+        else:
+            inputs = self.residuals, on_device(theta)
+            right, rows = map(np.asarray, _linearise(self.parametric, *inputs))
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
             return None
         return LocalRegression(
@@ -245,7 +254,7 @@ class Regression(AbstractProblem):
             ),
             problem=self,
             jacobian=rows,
-            residuals=residuals,
+            residuals=on_device(right),
         )
 
     def residual_series(

@@ -14,11 +14,11 @@ def observed_forces(truth, places, noise):
     errors = noise * np.random.default_rng(2).normal(size=forces.shape)
     count = forces[0].size
     return ForceResponse(
-        rows=jnp.eye(count)[None],
-        targets=jnp.asarray(-(forces + errors).reshape(1, -1)),
+        rows=np.eye(count)[None],
+        targets=-(forces + errors).reshape(1, -1),
         points=points,
         times=times,
-        forces=jnp.zeros_like(points),
+        forces=np.zeros_like(forces),
         num_free=count,
         squares=0.0,
     )

@@ -32,7 +32,6 @@ from pinav.forces import (
     RingBarrier,
     SoftWall,
     StructuredForce,
-    SumForce,
 )
 from pinav.forces.profile_laws import RingLaw
 from pinav.forces.structures import prior_of
@@ -76,10 +75,6 @@ def test_the_evidence_prefers_the_kind_that_is_right():
     assert walls[0] > max(*values, walls[1]) + 20
 
 
-def both_weights(force):
-    return [term.weights for term in force.terms]
-
-
 def test_each_of_many_terms_has_the_evidence_that_it_has_alone():
     """More of them than are computed in one call, beside a linear term."""
     data, linear = response(HILL + SADDLE), linear_term(REGION)
@@ -87,7 +82,7 @@ def test_each_of_many_terms_has_the_evidence_that_it_has_alone():
     assert len(starts) > AT_ONCE
     values = quick_evidences(starts, (linear,), data)
     for value, start in list(zip(values, starts, strict=True))[::9]:
-        quadratic = force_quadratic(SumForce((linear, start)), data, both_weights)
+        quadratic = force_quadratic((linear, start), data)
         prior = prior_of((linear, start))
         shapes = [prior.start.copy(), prior.start.copy()]
         first = len(linear.prior().start)

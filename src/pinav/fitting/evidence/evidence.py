@@ -188,6 +188,7 @@ def best_hyperparameters(
     prior: AbstractPrior,
     start: Shape,
     noise: float | None = None,
+    tolerance: float = 1e-8,
 ) -> Hyperparameters:
     """The hyperparameters of highest evidence, by L-BFGS-B from `start`.
 
@@ -196,6 +197,7 @@ def best_hyperparameters(
         prior: of the weights.
         start: shape at which the search begins, each entry scaled to order one.
         noise: standard deviation of the residuals; estimated unless given.
+        tolerance: change of the log evidence, relative to it, at which the search ends.
     """
     if not len(start):
         return at_shape(data, prior.covariance, start, noise)
@@ -213,7 +215,7 @@ def best_hyperparameters(
         method="L-BFGS-B",
         jac=True,
         bounds=prior.bounds,
-        options={"ftol": 1e-8, "gtol": 1e-3, "maxiter": 60},
+        options={"ftol": tolerance, "gtol": 1e-3, "maxiter": 60},
     )
     return at_shape(data, prior.covariance, search.x, noise)
 

@@ -97,9 +97,11 @@ class GaussianWeights(AbstractWeights):
 
     Attributes:
         prior: its covariance.
+        tolerance: of the evidence; see `best_hyperparameters`.
     """
 
     prior: AbstractPrior
+    tolerance: float = 1e-8
 
     @property
     def start(self) -> Shape:
@@ -145,7 +147,7 @@ class GaussianWeights(AbstractWeights):
         self, quadratic: Quadratic, shape: Shape, noise: float | None
     ) -> Inference:
         data = LinearisedObservations.of(quadratic)
-        chosen = best_hyperparameters(data, self.prior, shape, noise)
+        chosen = best_hyperparameters(data, self.prior, shape, noise, self.tolerance)
         weights = weight_posterior(data, self.prior.covariance(chosen.shape), chosen)
         return Inference(chosen, *weights)
 

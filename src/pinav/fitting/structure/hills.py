@@ -31,8 +31,7 @@ from pinav.fitting.evidence.evidence import root
 from pinav.fitting.structure.patterns import PotentialMap
 from pinav.fitting.structure.response import (
     ForceResponse,
-    force_columns,
-    residuals_of_none,
+    columns,
 )
 from pinav.fitting.structure.starts import Region, central_term, obstacles_at
 from pinav.forces import HillsTerm, KernelPotential, ObstaclesTerm, forces_at
@@ -196,20 +195,20 @@ class _Landscape(eqx.Module):
         prior = kernels.prior()
         shape = prior.start.copy()
         shape[:2] = np.log(LENGTH), prior.bounds[1, 1]
-        columns = root(prior.covariance(shape))
+        free = root(prior.covariance(shape))
 
         def told(
             data: Float[np.ndarray, "trajectory datum ..."],
         ) -> Float[np.ndarray, "residual ..."]:
             return data[:, first:].reshape(-1, *data.shape[2:]) / noise
 
-        explained = force_columns(kernels, response) @ columns
+        explained = columns(kernels, response) @ free
         return cls(
             points=response.points,
             rows=rows[:, first:] / noise,
-            offset=told(residuals_of_none(response).reshape(count, -1)),
+            offset=told(response.residuals_of_none.reshape(count, -1)),
             kernels=kernels,
-            root=columns,
+            root=free,
             columns=told(explained.reshape(count, -1, explained.shape[1])),
             height=float(np.median(np.abs(hills[:, 0]))),
             price=_log_places(positions, hills),

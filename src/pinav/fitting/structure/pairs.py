@@ -16,8 +16,7 @@ from jaxtyping import Float, Int
 from pinav.fitting.evidence.evidence import root
 from pinav.fitting.structure.response import (
     ForceResponse,
-    reduced_columns,
-    residuals_of_none,
+    term_columns,
 )
 from pinav.forces import AbstractTerm
 from pinav.forces.priors import Shape
@@ -61,19 +60,17 @@ def scan_pairs(
         beside: a term that is there in any case.
         response: of the data to forces.
     """
-    grounds = _Grounds(
-        offset=residuals_of_none(response),
-        fixed=_directions([beside], beside.prior().start, response)[0],
-        squares=response.squares,
-        num_free=response.num_free,
-    )
     blocks = [
-        _directions(terms, shape, response)
-        for terms, shape in zip(kinds, shapes, strict=True)
+        _directions([beside], beside.prior().start, response),
+        *(
+            _directions(terms, s, response)
+            for terms, s in zip(kinds, shapes, strict=True)
+        ),
     ]
+    grounds = _Grounds.of(blocks, response)
     made = []
     for first, second in itertools.combinations_with_replacement(range(len(kinds)), 2):
-        values = grounds.evidences(blocks[first], blocks[second])
+        values = grounds.evidences(first, second)
         if second == first:  # each pair once, and no term beside itself
             values[np.tri(len(values), dtype=bool)] = -np.inf
         best = int(np.argmax(values))
@@ -87,63 +84,74 @@ def _directions(
     terms: Sequence[AbstractTerm], shape: Shape, response: ForceResponse
 ) -> Float[np.ndarray, "term datum direction"]:
     """Residuals by the directions of most variance of the weights of each term."""
-    columns = root(terms[0].prior().covariance(shape))[:, :DIRECTIONS]
-    return reduced_columns(terms, columns, response)
+    chosen = root(terms[0].prior().covariance(shape))[:, :DIRECTIONS]
+    return np.stack([rows @ chosen for rows in term_columns(terms, response)])
 
 
 class _Grounds(eqx.Module):
-    """What is the same for all pairs.
+    """Products of all directions of all terms with each other.
 
     Attributes:
-        offset: residuals of no force.
-        fixed: residuals by the directions of a term that is there in any case.
-        squares: sum of squares that no force explains.
+        gram: of the directions with each other.
+        along: of the directions with the residuals of no force.
+        places: of the directions of each term of each kind; those of the term that is
+            there in any case come first.
+        squares: sum of squares where there is no force.
         num_free: residuals less starts.
     """
 
-    offset: Float[np.ndarray, " datum"]
-    fixed: Float[np.ndarray, "datum direction"]
+    gram: Float[np.ndarray, "all all"]
+    along: Float[np.ndarray, " all"]
+    places: list[Int[np.ndarray, "_ _"]]
     squares: float
     num_free: int
 
-    def evidences(
-        self,
-        ones: Float[np.ndarray, "one datum direction"],
-        others: Float[np.ndarray, "other datum direction"],
-    ) -> Float[np.ndarray, "one other"]:
+    @classmethod
+    def of(
+        cls,
+        blocks: Sequence[Float[np.ndarray, "_ datum _"]],
+        response: ForceResponse,
+    ) -> "_Grounds":
+        stacked = np.concatenate([side for block in blocks for side in block], axis=1)
+        sizes = [block.shape[0] * block.shape[2] for block in blocks]
+        places = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+        offset = response.residuals_of_none
+        return cls(
+            gram=stacked.T @ stacked,
+            along=stacked.T @ offset,
+            places=[p.reshape(len(b), -1) for p, b in zip(places, blocks, strict=True)],
+            squares=float(offset @ offset) + response.squares,
+            num_free=response.num_free,
+        )
+
+    def evidences(self, one: int, other: int) -> Float[np.ndarray, "one other"]:
         """Log evidence of each of one kind beside each of another."""
-        sides = [np.concatenate(list(block), axis=1) for block in (ones, others)]
-        stacked = np.concatenate([self.fixed, *sides], axis=1)
-        gram, along = stacked.T @ stacked, stacked.T @ self.offset
-        count, left, right = self.fixed.shape[1], ones.shape[2], others.shape[2]
-        pairs = np.argwhere(np.ones((len(ones), len(others)), bool))
-        first = count + pairs[:, :1] * left + np.arange(left)
-        second = count + len(ones) * left + pairs[:, 1:] * right + np.arange(right)
-        held = np.broadcast_to(np.arange(count), (len(pairs), count))
-        places = np.concatenate([held, first, second], axis=1)
+        (fixed,), *kinds = self.places
+        first, second = kinds[one], kinds[other]
+        pairs = np.argwhere(np.ones((len(first), len(second)), bool))
+        held = np.broadcast_to(fixed, (len(pairs), len(fixed)))
+        sides = held, first[pairs[:, 0]], second[pairs[:, 1]]
+        places = np.concatenate(sides, axis=1)
         parts = [
-            self._evidences(gram, along, places[begin : begin + AT_ONCE])
+            self._evidences(places[begin : begin + AT_ONCE])
             for begin in range(0, len(places), AT_ONCE)
         ]
-        return np.concatenate(parts).reshape(len(ones), len(others))
+        return np.concatenate(parts).reshape(len(first), len(second))
 
     def _evidences(
-        self,
-        gram: Float[np.ndarray, "all all"],
-        along: Float[np.ndarray, " all"],
-        places: Int[np.ndarray, "pair direction"],
+        self, places: Int[np.ndarray, "pair direction"]
     ) -> Float[np.ndarray, " pair"]:
         """Log evidence of weights at several places, at the best of a few ratios."""
-        matrices = gram[places[:, :, None], places[:, None, :]]
-        vectors, count = along[places], places.shape[1]
+        matrices = self.gram[places[:, :, None], places[:, None, :]]
+        vectors, count = self.along[places], places.shape[1]
         largest = np.trace(matrices, axis1=1, axis2=2)
-        squares = float(self.offset @ self.offset) + self.squares
         best = np.full(len(places), -np.inf)
         for share in RATIOS:
             ratio = share * largest
             lower = np.linalg.cholesky(matrices + ratio[:, None, None] * np.eye(count))
             whitened = np.linalg.solve(lower, vectors[..., None])[..., 0]
-            left = np.maximum(squares - (whitened**2).sum(axis=1), ROUNDING * squares)
+            left = self.squares - (whitened**2).sum(axis=1)
+            left = np.maximum(left, ROUNDING * self.squares)
             sizes = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
             values = -0.5 * (self.num_free * np.log(left) - count * np.log(ratio))
             best = np.maximum(best, values - sizes)

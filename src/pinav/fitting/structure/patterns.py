@@ -5,13 +5,12 @@ are the peaks of the potential that free kernels have in the linearised data.
 """
 
 from collections.abc import Iterator
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
 from scipy.ndimage import maximum_filter
 
 from pinav.arguments import on_device
@@ -240,14 +239,9 @@ def free_potential(
     shape = prior.start.copy()
     shape[1] = prior.bounds[1, 1]
     try:
-        quadratic = force_quadratic(kernels, response, _weights)
-        data = LinearisedObservations.of(quadratic)
+        data = LinearisedObservations.of(force_quadratic([kernels], response))
     except FitError:
         return None
     chosen = at_shape(data, prior.covariance, shape)
     mean = posterior_mean(Whitened.of(data, prior.covariance(shape)), chosen)
     return KernelPotential(on_device(mean), kernels.centers, kernels.width)
-
-
-def _weights(force: Any) -> PyTree:
-    return force.weights

@@ -6,7 +6,7 @@ then the evidence of any structure is a regression without dynamics, in millisec
 It is that of the fit to first order; the fit of the chosen structure has the last word.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -22,7 +22,9 @@ from pinav.fitting.engine.multiple_shooting import (
     eliminate,
     propagate,
 )
-from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
+from pinav.fitting.evidence.quadratic import Parameters, Quadratic
+from pinav.fitting.least_squares import Slopes
 from pinav.fitting.matching.objectives import Observations
 from pinav.forces import AbstractForce, AbstractTerm, ConstantForce, forces_at
 from pinav.forces.kernels import AbstractKernels
@@ -34,9 +36,15 @@ LEAST_EIGENVALUE = 1e-8
 """Directions of the forces that the data determine less than this, relative to the
 best, are left out."""
 
+Linear = AbstractTerm | AbstractKernels
+"""A force that is linear in its weights."""
+
 
 class ForceResponse(eqx.Module):
     r"""Residuals as a function of the force.
+
+    Forces are computed term by term, and what the data say of them outside of compiled
+    functions: so all structures, and data of every number, share the programs of terms.
 
     Attributes:
         rows: $R_i$ of each trajectory, from forces to independent data.
@@ -48,11 +56,11 @@ class ForceResponse(eqx.Module):
         squares: sum of squares that no force explains.
     """
 
-    rows: Float[Array, "trajectory datum force"]
-    targets: Float[Array, "trajectory datum"]
+    rows: Float[np.ndarray, "trajectory datum force"]
+    targets: Float[np.ndarray, "trajectory datum"]
     points: Float[Array, "trajectory group dim"]
     times: Float[Array, "trajectory group"]
-    forces: Float[Array, "trajectory group dim"]
+    forces: Float[np.ndarray, "trajectory group dim"]
     num_free: int = eqx.field(static=True)
     squares: float = eqx.field(static=True)
 
@@ -67,6 +75,11 @@ class ForceResponse(eqx.Module):
         left = self.num_free - self.targets.size
         return float(np.sqrt(self.squares / left)) if left > 0 else np.inf
 
+    @property
+    def residuals_of_none(self) -> Float[np.ndarray, " datum"]:
+        """Residuals of no force, of all trajectories in a row."""
+        return self.targets.ravel() - self.change(self.forces)
+
     def __call__(self, force: AbstractForce) -> Float[Array, " residual"]:
         """Residuals of another force, the last of them what no force explains."""
         changes = forces_at(force, self.times, self.points) - self.forces
@@ -74,23 +87,51 @@ class ForceResponse(eqx.Module):
         left = jnp.einsum("idf,if->id", self.rows, flat) + self.targets
         return jnp.append(left.reshape(-1), jnp.sqrt(self.squares))
 
+    def change(
+        self, forces: Float[np.ndarray, "trajectory group dim *all"]
+    ) -> Float[np.ndarray, " datum *all"]:
+        """What forces change of the residuals.
 
-def force_quadratic(
-    force: AbstractForce,
-    response: ForceResponse,
-    weights: Callable[[Any], PyTree],
-) -> Quadratic:
-    """What the data say of the weights of a force that is linear in them.
+        Args:
+            forces: at the points, or several of them, along further axes.
+        """
+        others = forces.shape[3:]
+        flat = forces.reshape(len(forces), self.rows.shape[2], -1)
+        return (self.rows @ flat).reshape(-1, *others)
+
+    def linearise(self, parametric: ParametricModel, theta: Parameters) -> Slopes:
+        """Residuals of a sum of terms, and their slopes by its parameters.
+
+        Args:
+            parametric: the sum by the weights and the geometry of its terms.
+            theta: these parameters.
+        """
+        parts = [_slopes(term, self) for term in parametric.at(theta).terms]
+        forces = sum(part[0] for part in parts) - self.forces
+        slopes = np.concatenate([part[1] for part in parts], axis=-1)
+        residuals = self.change(forces) + self.targets.ravel()
+        rows = np.vstack([self.change(slopes), np.zeros(len(theta))])
+        return np.append(residuals, np.sqrt(self.squares)), rows
+
+
+def columns(
+    force: Linear, response: ForceResponse
+) -> Float[np.ndarray, "datum weight"]:
+    """Residuals by each weight of a force that is linear in them."""
+    slopes = _slopes(force, response)[1]
+    return response.change(slopes[..., : force.weights.size])
+
+
+def force_quadratic(parts: Sequence[Linear], response: ForceResponse) -> Quadratic:
+    """What the data say of the weights of forces that act together.
 
     Args:
-        force: its other numbers are held.
+        parts: the forces; their other numbers are held.
         response: of the data to forces.
-        weights: picks the leaves from a force; it must not be made anew for each call,
-            which would be compiled again.
     """
-    normal = _weight_equations(force, response, weights)
-    hessian, gradient, squares = map(np.asarray, normal)
-    return _about_none(hessian, gradient, float(squares), response)
+    rows = np.concatenate([columns(part, response) for part in parts], axis=1)
+    offset = response.residuals_of_none
+    return _about_none(rows.T @ rows, rows.T @ offset, response)
 
 
 def term_quadratics(
@@ -105,155 +146,121 @@ def term_quadratics(
         beside: whose weights come first.
         response: of the data to forces.
     """
-    quadratics: list[Quadratic] = []
-    for some, stacked in _stacks(terms):
-        equations = _term_equations(stacked, beside, response)
-        hessians, gradients, squares = map(np.asarray, equations)
-        quadratics += [
-            _about_none(hessian, gradient, float(squares), response)
-            for hessian, gradient, _ in zip(hessians, gradients, some, strict=False)
-        ]
-    return quadratics
+    offset = response.residuals_of_none
+    others = [columns(term, response) for term in beside]
+    kept = np.concatenate([np.zeros((len(offset), 0)), *others], axis=1)
+    among, along = kept.T @ kept, kept.T @ offset
+
+    def beside_others(rows: Float[np.ndarray, "datum weight"]) -> Quadratic:
+        cross = kept.T @ rows
+        hessian = np.block([[among, cross], [cross.T, rows.T @ rows]])
+        return _about_none(hessian, np.append(along, rows.T @ offset), response)
+
+    return [beside_others(rows) for rows in term_columns(terms, response)]
 
 
-def reduced_columns(
-    terms: Sequence[AbstractTerm],
-    root: Float[np.ndarray, "weight column"],
-    response: ForceResponse,
-) -> Float[np.ndarray, "term datum column"]:
-    """Residuals by each direction of the weights that a root of their prior holds.
+def term_columns(
+    terms: Sequence[AbstractTerm], response: ForceResponse
+) -> Iterator[Float[np.ndarray, "datum weight"]]:
+    """Residuals by each weight of each of several terms.
+
+    Always as many are computed in one call, so that lists of every length share a
+    compilation.
 
     Args:
         terms: of one kind, with as many kernels each.
-        root: of the covariance of their weights.
         response: of the data to forces.
-    """
-    parts = [
-        np.asarray(_reduced_columns(stacked, on_device(root), response))[: len(some)]
-        for some, stacked in _stacks(terms)
-    ]
-    return np.concatenate(parts)
-
-
-def _stacks(
-    terms: Sequence[AbstractTerm],
-) -> Iterator[tuple[Sequence[AbstractTerm], AbstractTerm]]:
-    """Terms in groups, and each group as one term whose leaves are stacked.
-
-    Always as many are stacked, so that lists of every length share a compilation.
     """
     for first in range(0, len(terms), AT_ONCE):
         some = terms[first : first + AT_ONCE]
         filled = [*some, *[some[-1]] * (AT_ONCE - len(some))]
-        yield some, jax.tree.map(lambda *leaves: jnp.stack(leaves), *filled)
-
-
-@eqx.filter_jit
-def _reduced_columns(
-    terms: AbstractTerm, root: Float[Array, "weight column"], response: ForceResponse
-) -> Float[Array, "term datum column"]:
-    return jax.lax.map(lambda one: _columns(one, response, _own_weights) @ root, terms)
-
-
-def force_columns(
-    kernels: AbstractKernels, response: ForceResponse
-) -> Float[np.ndarray, "datum weight"]:
-    """Residuals by each weight of kernels."""
-    return np.asarray(_force_columns(kernels, response))
-
-
-@eqx.filter_jit
-def _force_columns(
-    kernels: AbstractKernels, response: ForceResponse
-) -> Float[Array, "datum weight"]:
-    return _columns(kernels, response, _own_weights)
-
-
-def residuals_of_none(response: ForceResponse) -> Float[np.ndarray, " datum"]:
-    """Residuals of no force."""
-    return np.asarray(_offset(response))
+        stacked = jax.tree.map(_stack, *filled)
+        forces = np.asarray(_forces_by_weight(stacked, response.times, response.points))
+        yield from (response.change(one) for one in forces[: len(some)])
 
 
 AT_ONCE = 32
-"""Terms whose equations are computed in one call."""
+"""Terms whose forces are computed in one call."""
+
+
+def _stack(*leaves: ArrayLike) -> Array:
+    return on_device(np.stack([np.asarray(leaf) for leaf in leaves]))
 
 
 def _about_none(
     hessian: Float[np.ndarray, "weight weight"],
     gradient: Float[np.ndarray, " weight"],
-    squares: float,
     response: ForceResponse,
 ) -> Quadratic:
     """Normal equations about no weights as a quadratic."""
+    offset = response.residuals_of_none
     return Quadratic(
         point=np.zeros(len(gradient)),
         hessian=hessian,
         gradient=gradient,
-        squares=squares + response.squares,
+        squares=float(offset @ offset) + response.squares,
         num_free=response.num_free,
         log_determinant=0.0,
     )
 
 
-@eqx.filter_jit
-def _weight_equations(
-    force: AbstractForce, response: ForceResponse, weights: Callable[[Any], PyTree]
-) -> tuple[Float[Array, "weight weight"], Float[Array, " weight"], Float[Array, ""]]:
-    """Normal equations of the weights, about none."""
-    columns, offset = _columns(force, response, weights), _offset(response)
-    return columns.T @ columns, columns.T @ offset, offset @ offset
-
-
-@eqx.filter_jit
-def _term_equations(
-    terms: AbstractTerm, beside: tuple[AbstractTerm, ...], response: ForceResponse
+def _slopes(
+    force: Linear, response: ForceResponse
 ) -> tuple[
-    Float[Array, "term weight weight"], Float[Array, "term weight"], Float[Array, ""]
+    Float[np.ndarray, "trajectory group dim"],
+    Float[np.ndarray, "trajectory group dim number"],
 ]:
-    """Normal equations of the weights of stacked terms, each beside the others."""
-    offset = _offset(response)
-    others = [_columns(term, response, _own_weights) for term in beside]
-    kept = jnp.concatenate([jnp.zeros((len(offset), 0)), *others], axis=1)
-    among, along = kept.T @ kept, kept.T @ offset
+    """A force at the points of the data, and its slopes by its weights and geometry.
 
-    def one(term: AbstractTerm) -> tuple[Array, Array]:
-        columns = _columns(term, response, _own_weights)
-        cross, alone = kept.T @ columns, columns.T @ columns
-        hessian = jnp.block([[among, cross], [cross.T, alone]])
-        return hessian, jnp.concatenate([along, columns.T @ offset])
-
-    hessians, gradients = jax.lax.map(one, terms)
-    return hessians, gradients, offset @ offset
+    Weights come first, as they do in every such force.
+    """
+    by_numbers = ravel_model(force, _numbers)
+    made = _forces_and_slopes(*by_numbers, response.times, response.points)
+    forces, slopes = map(np.asarray, made)
+    return forces, slopes
 
 
-def _own_weights(term: AbstractTerm | AbstractKernels) -> PyTree:
-    return term.weights
+def _numbers(force: Linear) -> PyTree:
+    is_term = isinstance(force, AbstractTerm)
+    return (force.weights, force.geometry) if is_term else force.weights
 
 
-def _columns(
-    force: AbstractForce, response: ForceResponse, weights: Callable[[Any], PyTree]
-) -> Float[Array, "datum weight"]:
-    """Residuals by each weight of a force that is linear in them."""
+@eqx.filter_jit
+def _forces_and_slopes(
+    parametric: ParametricModel,
+    theta: Float[Array, " number"],
+    times: Float[Array, "trajectory group"],
+    points: Float[Array, "trajectory group dim"],
+) -> tuple[
+    Float[Array, "trajectory group dim"], Float[Array, "trajectory group dim number"]
+]:
+    def at(theta: Float[Array, " number"], t: Scalar, x: Vector) -> Any:
+        force = parametric(theta)(t, x, jnp.zeros_like(x))
+        return force, force
 
-    def at(leaves: list[Array], t: Scalar, x: Vector) -> Vector:
-        placed = eqx.tree_at(lambda f: jax.tree.leaves(weights(f)), force, leaves)
-        return placed(t, x, jnp.zeros_like(x))
-
-    zero = [jnp.zeros_like(leaf) for leaf in jax.tree.leaves(weights(force))]
-    slopes = jax.vmap(jax.vmap(jax.jacrev(at), (None, 0, 0)), (None, 0, 0))
-    parts = slopes(zero, response.times, response.points)
-    shape = response.points.shape
-    basis = jnp.concatenate([part.reshape(*shape, -1) for part in parts], axis=-1)
-    basis = basis.reshape(len(basis), -1, basis.shape[-1])
-    columns = jnp.einsum("idf,ifw->idw", response.rows, basis)
-    return columns.reshape(-1, columns.shape[-1])
+    by_numbers = jax.jacrev(at, has_aux=True)
+    each = jax.vmap(jax.vmap(by_numbers, (None, 0, 0)), (None, 0, 0))
+    slopes, forces = each(theta, times, points)
+    return forces, slopes
 
 
-def _offset(response: ForceResponse) -> Float[Array, " datum"]:
-    """Residuals of no force."""
-    flat = response.forces.reshape(len(response.forces), -1)
-    offset = response.targets - jnp.einsum("idf,if->id", response.rows, flat)
-    return offset.reshape(-1)
+@eqx.filter_jit
+def _forces_by_weight(
+    terms: AbstractTerm,
+    times: Float[Array, "trajectory group"],
+    points: Float[Array, "trajectory group dim"],
+) -> Float[Array, "term trajectory group dim weight"]:
+    """Of stacked terms, which are linear in their weights."""
+
+    def one(term: AbstractTerm) -> Float[Array, "trajectory group dim weight"]:
+        def at(weights: Float[Array, " weight"], t: Scalar, x: Vector) -> Vector:
+            placed = eqx.tree_at(lambda one: one.weights, term, weights)
+            return placed(t, x, jnp.zeros_like(x))
+
+        each = jax.vmap(jax.vmap(jax.jacrev(at), (None, 0, 0)), (None, 0, 0))
+        return each(jnp.zeros_like(term.weights), times, points)
+
+    return jax.lax.map(one, terms)
 
 
 def force_response(
@@ -282,11 +289,11 @@ def force_response(
     when = _means((times[:, 1:, None] + times[:, :-1, None]) / 2, group, groups)[..., 0]
     count = int(np.asarray(observations.observed).sum())
     return ForceResponse(
-        rows=on_device(rows),
-        targets=on_device(targets),
+        rows=rows,
+        targets=targets,
         points=on_device(points),
         times=on_device(when),
-        forces=forces_at(model.environment, when, points),
+        forces=np.asarray(forces_at(model.environment, when, points)),
         num_free=count - states.shape[0] * states.shape[2],
         squares=max(float(np.sum(np.asarray(squares)) - left), 0.0),
     )

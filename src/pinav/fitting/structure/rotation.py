@@ -9,7 +9,6 @@ the states of a fitted mixture, where it is that of the fits near the decision.
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import PyTree
 
 from pinav.errors import FitError
 from pinav.fitting.engine.evidence_fit import EvidenceFit
@@ -82,7 +81,8 @@ def survey_rotation(
     mixture = mixture_on(kernels)
     potential = mixture.gradient
     try:
-        quadratic = force_quadratic(_beside(terms, mixture), response, _weights)
+        parts = *terms, potential, mixture.rotation
+        quadratic = force_quadratic(parts, response)
         kept = np.ones(len(quadratic.gradient), bool)
         kept[-len(potential.weights) :] = False
         alone = LinearisedObservations.of(restrict(quadratic, kept))
@@ -147,10 +147,6 @@ def mixture_on(kernels: KernelPlaces) -> KernelMixture:
     """An untrained mixture on given kernels."""
     centers = np.asarray(kernels.centers)
     return KernelMixture.with_zero_weights(centers, float(kernels.width))
-
-
-def _weights(force: Any) -> PyTree:
-    return force.parameters
 
 
 def _beside(

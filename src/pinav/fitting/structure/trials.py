@@ -46,6 +46,10 @@ from pinav.threads import map_on_cores
 POLISH = 8
 """Steps of the engine for the geometry of a proposal."""
 
+ROUGHLY = 1e-6
+"""Change of the log evidence, relative to it, at which the hyperparameters of a
+proposal are known well enough: about a hundredth of a nat."""
+
 Terms = tuple[AbstractTerm, ...]
 
 
@@ -119,8 +123,7 @@ def with_places(
 
 def _linearise(terms: Terms, response: ForceResponse) -> LinearisedObservations:
     """What the data say of the weights of terms of a given geometry."""
-    quadratic = force_quadratic(SumForce(terms), response, _weights)
-    return LinearisedObservations.of(quadratic)
+    return LinearisedObservations.of(force_quadratic(terms, response))
 
 
 def _geometry(force: Any) -> list[PyTree]:
@@ -174,7 +177,7 @@ def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
     shapes = _smooth_shapes(terms, prior, response)
     tried = [at_shape(data, prior.covariance, shape) for shape in shapes]
     start = max(tried, key=lambda one: one.log_evidence).shape
-    chosen = best_hyperparameters(data, prior, start)
+    chosen = best_hyperparameters(data, prior, start, tolerance=ROUGHLY)
     white = Whitened.of(data, prior.covariance(chosen.shape))
     mean, made = posterior_mean(white, chosen), []
     for term in terms:
@@ -268,11 +271,12 @@ def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
             force,
             response,
             weights=_weights,
-            weights_prior=GaussianWeights(prior_of(terms)),
+            weights_prior=GaussianWeights(prior_of(terms), ROUGHLY),
             constants=_geometry,
             step_rule=FullStep(),
             is_linear=not shaped,
             num_projected=response.num_projected,
+            linearisation=response.linearise,
         )
         # Without bounds that of a term of no weight would not be determined.
         reach = [scale for term in terms for scale in term.geometry_scales]
