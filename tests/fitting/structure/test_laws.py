@@ -17,13 +17,13 @@ from pinav.forces.profile_laws import HillLaw, RingLaw, StepLaw
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
 REGION = Region.of(POINTS[0])
-CENTER = [4.0, 6.0]
+CENTER, NOISE = [4.0, 6.0], 0.003
 
 
 def lawful(truth, *starts):
     """The last term of the structure that follows laws."""
-    data = observed_forces(truth, POINTS, 0.003)
-    made = follow_laws(with_profiles(starts, data), data)
+    data = observed_forces(truth, POINTS, NOISE)
+    made = follow_laws(with_profiles(starts, data), data, NOISE)
     return None if made is None else made.terms[-1]
 
 

@@ -80,9 +80,11 @@ def fit_structured(
         if weigh_rotation:
             return _weigh_rotation(search, survey, fit_free, is_rugged=is_rugged)
         is_still = search.kernels.is_conservative
-        asks_for_hills = is_rugged and is_still and survey.is_hopeless(rotational=False)
-        if asks_for_hills and needs_no_search(fit_free().force):
-            return fit_free()
+        if is_rugged and is_still and survey.is_hopeless(rotational=False):
+            if needs_no_search(fit_free().force):
+                return fit_free()
+            if _explains(fit_free().fit, survey):
+                search, survey = _about(search, fit_free().fit)
         return search.best(survey.proposal(rotational=not is_still), fit_free)
 
 
@@ -110,6 +112,18 @@ def _survey(search: Search) -> tuple[Search, Survey, bool]:
     return search, Survey.of(specification, search.free(), begun), False
 
 
+def _explains(free: EvidenceFit, survey: Survey) -> bool:
+    """Whether the fit of free kernels explains the data nearly to the noise."""
+    is_good = free.outcome in (Outcome.CONVERGED, Outcome.UNDER_RESOLVED)
+    return is_good and free.hyperparameters.noise <= EXPLAINED * survey.noise
+
+
+def _about(search: Search, fit: EvidenceFit) -> tuple[Search, Survey]:
+    """A search from the states of a fit, and the survey of the data about it."""
+    search = search.about(fit)
+    return search, Survey.of(search.specification, search.free(), fit)
+
+
 def _weigh_rotation(
     search: Search,
     survey: Survey,
@@ -131,8 +145,15 @@ def _weigh_rotation(
     is_plain = asked.is_plain
     if is_rugged and not is_plain and survey.is_hopeless(rotational=False):
         is_plain = asked.is_needed and not survey.is_hopeless(rotational=True)
-        if not is_plain and needs_no_search(fit_free().force):
-            return _weigh_beside(search, fit_free(), None)
+        if not is_plain:
+            free = fit_free()
+            if needs_no_search(free.force):
+                return _weigh_beside(search, free, None)
+            if _explains(free.fit, survey):
+                search, survey = _about(search, free.fit)
+                kernels = free.force.kernels
+                asked = survey_rotation(survey.response, survey.noise, (), kernels)
+                is_plain = asked.is_plain
     turning, turned, rotation = None, None, asked.gain
     potential = functools.cache(lambda: survey.proposal(rotational=False))
 

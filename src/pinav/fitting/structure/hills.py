@@ -64,6 +64,10 @@ ROUGH, SHARES = 0.3, (0.1, 0.03, 0.01)
 """Deviation of the coarse kernels, relative to the height of a typical hill: the first
 fit leaves them much to carry, the last ones little."""
 
+CARRIED = 1.2
+"""Factor by which the misfit may grow where the coarse kernels are left less to carry.
+Of a field that is rough everywhere they carry much that no hills explain."""
+
 COARSE = KernelGrid(across=12, margin=2.0)
 """Where those kernels are."""
 
@@ -96,7 +100,7 @@ is left out."""
 def propose_hills(
     response: ForceResponse, noise: float, potential: KernelPotential
 ) -> HillsTerm | None:
-    """Hills and wells that explain the data; None where there are no summits, or many.
+    """Hills and wells that explain the data; None where kernels explain them better.
 
     Args:
         response: of the data to forces, about a fit of free kernels.
@@ -110,7 +114,10 @@ def propose_hills(
     best = landscape.with_share(ROUGH).fit(first, SETTLED)
     for share in SHARES:
         landscape = landscape.with_share(share)
-        best = landscape.without_needless(landscape.fit(best.hills, SETTLED))
+        fewer_kernels = landscape.fit(best.hills, SETTLED)
+        if fewer_kernels.misfit > CARRIED * best.misfit:
+            return None
+        best = landscape.without_needless(fewer_kernels)
         for _ in range(ROUNDS):
             tried = landscape.fit_each(list(landscape.longer(best)))
             better = max(tried, key=_log_evidence, default=best)
@@ -144,9 +151,16 @@ obstacles of one kind; their greatest shear; and a height next to none."""
 
 
 class _Fit(eqx.Module):
-    """Hills, and the logarithm of their evidence by Laplace's method."""
+    """Hills beside coarse kernels.
+
+    Attributes:
+        hills: of least misfit.
+        misfit: half the sum of squares, those of the priors included.
+        log_evidence: by Laplace's method.
+    """
 
     hills: Hills
+    misfit: float
     log_evidence: float
 
 
@@ -257,12 +271,13 @@ class _Landscape(eqx.Module):
                 xtol=1e-5,
             )
         except (ValueError, np.linalg.LinAlgError):  # forces that are not finite
-            return _Fit(hills, -np.inf)
+            return _Fit(hills, np.inf, -np.inf)
         scaled = search.jac * _deviations(hills).ravel()
         volume = float(np.linalg.slogdet(scaled.T @ scaled).logabsdet)
         price = len(hills) * self.price
-        value = -float(search.cost) - 0.5 * volume - price
-        return _Fit(search.x.reshape(-1, NUMBERS), value)
+        misfit = float(search.cost)
+        value = -misfit - 0.5 * volume - price
+        return _Fit(search.x.reshape(-1, NUMBERS), misfit, value)
 
     def fit_each(self, trials: Sequence[Hills]) -> list[_Fit]:
         """Short fits from several starts."""

@@ -53,14 +53,18 @@ BEYOND = 0.2
 """How far beyond the data a law may have its place at first, as a share of theirs."""
 
 
-def follow_laws(terms: Terms, response: ForceResponse) -> Proposal | None:
+def follow_laws(terms: Terms, response: ForceResponse, noise: float) -> Proposal | None:
     """Terms whose profiles follow laws; None where the evidence is for none.
 
     Args:
         terms: of a fit.
         response: of the data to forces, about that fit.
+        noise: of the observations. Terms that leave more to free kernels beside them
+            are not asked: their profiles are no laws.
     """
     first = best = polish(terms, response)
+    if first is None or first.noise > LAWFUL * noise:
+        return None
     index = 0
     while best is not None and index < len(best.terms):
         term = best.terms[index]

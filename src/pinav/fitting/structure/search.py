@@ -15,6 +15,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from pinav.arguments import on_device
 from pinav.errors import FitError
 from pinav.fitting.bayes.fit_bayes import ADVICE, NOT_FINITE
 from pinav.fitting.bayes.neural import FitSpecification
@@ -131,7 +132,7 @@ class Search(eqx.Module):
 
     def about(self, fit: EvidenceFit) -> "Search":
         """The same from the states of a fit."""
-        return dataclasses.replace(self, states=fit.states)
+        return dataclasses.replace(self, states=on_device(fit.states))
 
     def report(self, progress: EvidenceProgress) -> None:
         """Pass a step on, with the name of the force."""
@@ -358,7 +359,8 @@ class Search(eqx.Module):
             The better fit, and its log evidence.
         """
         survey = Survey.of(self.specification, self.free(), fit)
-        lawful = follow_laws(fit.model.environment.terms, survey.response)
+        noise = fit.hyperparameters.noise
+        lawful = follow_laws(fit.model.environment.terms, survey.response, noise)
         if lawful is None:
             return fit, evidence
         with contextlib.suppress(FitError):
