@@ -92,7 +92,7 @@ def test_a_study_says_why_another_tool_has_no_row(monkeypatch, tmp_path):
     sweep = Sweep(folder, InThisProcess())
     (row,) = study("data-efficiency", "barrier-crossings", settings, sweep).rows
     assert row.outcome == (
-        "failed: StochasticForceInference is not installed; pip install 'pinav[bench]'"
+        "failed: StochasticForceInference is not installed; pip install 'pinav[peers]'"
     )
     assert row.rollouts_median is None
 

@@ -6,6 +6,7 @@ not part of it.
 """
 
 import abc
+import dataclasses
 import functools
 import operator
 
@@ -44,6 +45,11 @@ class AbstractPrior(eqx.Module):
     @abc.abstractmethod
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
         """Between which the shape is sought."""
+
+    @property
+    def broad(self) -> "AbstractPrior":
+        """The same of a field that fades nowhere soon, and so is no hill."""
+        return self
 
     @abc.abstractmethod
     def covariance(self, shape: Shape) -> Matrix:
@@ -84,22 +90,30 @@ class WeightPrior(AbstractPrior):
         centers: $c$ of the kernels [L].
         width: of a kernel [L].
         components: weights of each kernel, independent of each other.
+        narrowest: least reach of the envelope, as a share of the extent of the kernels;
+            at any rate one width.
     """
 
     centers: Centers = eqx.field(converter=_exact)
     width: float = eqx.field(converter=float)
     components: int = 1
+    narrowest: float = 0.0
 
     @property
     def start(self) -> Shape:
-        return np.append([0.5, np.log(0.5 * self._extent)], np.zeros(self._dim))
+        return np.append([0.5, np.log(BROAD * self._extent)], np.zeros(self._dim))
 
     @property
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
         extent = self._extent
         half = 0.5 * MIDDLE * extent
-        scales = [(-1.2, np.log(10 * extent)), (0.0, np.log(10 * extent))]
+        least = np.log(max(self.narrowest * extent, 1.0))
+        scales = [(-1.2, np.log(10 * extent)), (least, np.log(10 * extent))]
         return np.array(scales + [(-half, half)] * self._dim)
+
+    @property
+    def broad(self) -> "WeightPrior":
+        return dataclasses.replace(self, narrowest=BROAD)
 
     def covariance(self, shape: Shape) -> Matrix:
         return _per_component(self._scalar(shape), self.components)
@@ -221,6 +235,9 @@ def _squares(centers: bytes, dim: int) -> Gram:
     return squares
 
 
+BROAD = 0.5
+"""Reach of an envelope, as a share of the extent of the kernels, that is no hill's."""
+
 MIDDLE = 0.6
 """Share of the extent of kernels in which the middle of an envelope lies: as they are
 laid, a fifth of them or more on each side is beyond the data."""
@@ -319,6 +336,11 @@ class MixturePrior(AbstractPrior):
         first = [self._join(shape, self.second.start) for shape in self.first.starts]
         second = [self._join(self.first.start, shape) for shape in self.second.starts]
         return first + second[1:]
+
+    @property
+    def broad(self) -> "MixturePrior":
+        parts = self.first.broad, self.second.broad
+        return dataclasses.replace(self, first=parts[0], second=parts[1])
 
     def _join(
         self,

@@ -17,6 +17,7 @@ from pinav.forces.kernels import KernelForce, KernelPotential
 from pinav.forces.priors import Centers, MixturePrior, Shape
 from pinav.forces.structures import (
     LEAST,
+    MOST,
     SMALL,
     AbstractTerm,
     check_rotation,
@@ -89,9 +90,8 @@ class StructuredForce(AbstractLearnedForce):
 
     def prior(self) -> MixturePrior:
         unit = self.terms[0].force_per_weight / self.remainder.force_per_weight
-        return MixturePrior(
-            prior_of(self.terms), self.remainder.prior(), SMALL, LEAST, unit=unit
-        )
+        terms, rest = prior_of(self.terms), self.remainder.prior().broad
+        return MixturePrior(terms, rest, 2 * SMALL, LEAST, MOST, unit)
 
     def variance_beyond(
         self, shape: Shape, positions: Float[np.ndarray, "point dim"]

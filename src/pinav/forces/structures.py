@@ -34,10 +34,9 @@ Places = Float[Array, " kernel"]
 
 SMALL, LEAST, MOST = -3.0, -12.0, -1.5
 """Logarithm of the amplitude of what stands beside terms, or of kernels beside a law,
-relative to theirs: at the start of a search, since from equal ones it ends where what
-is free carries all, and the geometry of terms without weight is not determined; the
-lowest, since it must be able to vanish; and of kernels beside a law the highest, since
-without a bound they may be all there is, and the law undetermined."""
+relative to theirs: at the start of a search; the lowest, since it must be able to
+vanish; and the highest, since without a bound what is free may be all there is, and
+then neither the geometry of a term nor the numbers of a law are determined."""
 
 FAR = 10.0
 """Reach of a law, in its own sizes."""

@@ -37,7 +37,7 @@ class StudySettings(Settings, frozen=True):
 
     Attributes:
         models: Models to compare; ude is the paper's network with time, sfi
-            StochasticForceInference (pip install 'pinav[bench]').
+            StochasticForceInference (pip install 'pinav[peers]').
         seeds: Seeds of starts, noise and networks, one fit for each.
         counts: data-efficiency: numbers of trajectories, nested.
         sigmas: noise: standard deviations of the observations.

@@ -76,7 +76,7 @@ def infer_force(
         raise FitError("StochasticForceInference is asked for swimmers with inertia")
     if importlib.util.find_spec("SFI") is None:
         raise FitError(
-            "StochasticForceInference is not installed; pip install 'pinav[bench]'"
+            "StochasticForceInference is not installed; pip install 'pinav[peers]'"
         )
     positions = trajectories.states[..., :2]
     points = positions.reshape(-1, 2)

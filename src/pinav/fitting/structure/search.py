@@ -53,6 +53,10 @@ CLEAR = 100.0
 """Nats before the cost of hyperparameters by which a fit has lost to another, converged
 or not; and those that hills must gain."""
 
+TIED = 2 * DECISIVE
+"""Nats by which terms that need nothing beside them may lose to free kernels. Kernels
+whose envelope is the hill are as good a model of it, and have fewer numbers."""
+
 BEFORE_SURVEY = 3
 """Steps of a fit, free or of a proposal, about which the data are asked for terms."""
 
@@ -194,7 +198,7 @@ class Search(eqx.Module):
         last = steps[-1]
         linear, chosen = free.linear_fit(last), last.hyperparameters
         gain = evidence - model_evidence(linear, chosen).log_evidence
-        if gain > DECISIVE or (gain > -DECISIVE and stands_alone(structured)):
+        if gain > DECISIVE or (gain > -TIED and stands_alone(structured)):
             return StructuredFit(structured, gain)
         if outcome is Outcome.CONVERGED and not is_coarse(last):
             alone = evidence_fit(free, outcome, steps, not_finite=NOT_FINITE, advice={})

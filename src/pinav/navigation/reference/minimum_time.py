@@ -66,7 +66,7 @@ def minimum_time(task: Task, *, intervals: int = INTERVALS) -> QuickestWay:
     """
     problem = _Problem.of(task)
     if not is_available():
-        raise FitError("CasADi is not installed; pip install 'pinav[bench]'")
+        raise FitError("CasADi is not installed; pip install 'pinav[peers]'")
     solve = _program(importlib.import_module("casadi"), problem, intervals)
     ways = [way for detour in DETOURS if (way := solve(detour)) is not None]
     if not ways:
