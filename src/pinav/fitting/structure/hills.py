@@ -27,7 +27,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
-from pinav.fitting.evidence.evidence import root
+from pinav.fitting.evidence.evidence import Hyperparameters, root
 from pinav.fitting.structure.patterns import PotentialMap
 from pinav.fitting.structure.response import (
     ForceResponse,
@@ -64,9 +64,8 @@ ROUGH, SHARES = 0.3, (0.1, 0.03, 0.01)
 """Deviation of the coarse kernels, relative to the height of a typical hill: the first
 fit leaves them much to carry, the last ones little."""
 
-CARRIED = 1.2
-"""Factor by which the misfit may grow where the coarse kernels are left less to carry.
-Of a field that is rough everywhere they carry much that no hills explain."""
+CLEAR = 100.0
+"""Nats by which the first hills may be worse than free kernels: some may be missing."""
 
 COARSE = KernelGrid(across=12, margin=2.0)
 """Where those kernels are."""
@@ -98,7 +97,10 @@ is left out."""
 
 
 def propose_hills(
-    response: ForceResponse, noise: float, potential: KernelPotential
+    response: ForceResponse,
+    noise: float,
+    potential: KernelPotential,
+    chosen: Hyperparameters,
 ) -> HillsTerm | None:
     """Hills and wells that explain the data; None where kernels explain them better.
 
@@ -106,18 +108,19 @@ def propose_hills(
         response: of the data to forces, about a fit of free kernels.
         noise: of the observations.
         potential: of that fit.
+        chosen: its hyperparameters.
     """
     first = _summits(potential, np.asarray(response.points).reshape(-1, 2))
     if not 0 < len(first) <= MOST_HILLS:
         return None
     landscape = _Landscape.of(response, noise, first)
+    free = landscape.evidence_of(potential, chosen, response)
     best = landscape.with_share(ROUGH).fit(first, SETTLED)
+    if best.log_evidence < free - CLEAR:
+        return None
     for share in SHARES:
         landscape = landscape.with_share(share)
-        fewer_kernels = landscape.fit(best.hills, SETTLED)
-        if fewer_kernels.misfit > CARRIED * best.misfit:
-            return None
-        best = landscape.without_needless(fewer_kernels)
+        best = landscape.without_needless(landscape.fit(best.hills, SETTLED))
         for _ in range(ROUNDS):
             tried = landscape.fit_each(list(landscape.longer(best)))
             better = max(tried, key=_log_evidence, default=best)
@@ -125,6 +128,8 @@ def propose_hills(
                 break
             best = landscape.fit(better.hills, SETTLED)
             best = landscape.without_needless(best)
+        if best.log_evidence < free:
+            return None
     return _term(best.hills)
 
 
@@ -155,12 +160,10 @@ class _Fit(eqx.Module):
 
     Attributes:
         hills: of least misfit.
-        misfit: half the sum of squares, those of the priors included.
         log_evidence: by Laplace's method.
     """
 
     hills: Hills
-    misfit: float
     log_evidence: float
 
 
@@ -173,6 +176,7 @@ class _Landscape(eqx.Module):
 
     Attributes:
         points: where forces act [L].
+        noise: of the observations.
         rows: from forces to data, in deviations of the noise.
         offset: of the data without any force, likewise.
         kernels: the coarse ones.
@@ -182,9 +186,11 @@ class _Landscape(eqx.Module):
         price: logarithm of the number of places at which a hill may be.
         deviation: of the coarse kernels [L² T⁻²].
         basis: orthonormal, of what they explain.
+        kernel_volume: half the logarithm of the determinant of their evidence.
     """
 
     points: Float[Array, "trajectory group 2"]
+    noise: float
     rows: Float[np.ndarray, "trajectory datum force"]
     offset: Float[np.ndarray, " residual"]
     kernels: KernelPotential
@@ -194,6 +200,7 @@ class _Landscape(eqx.Module):
     price: float
     deviation: float
     basis: Float[np.ndarray, "row explained"]
+    kernel_volume: float
 
     @classmethod
     def of(cls, response: ForceResponse, noise: float, hills: Hills) -> "_Landscape":
@@ -219,6 +226,7 @@ class _Landscape(eqx.Module):
         explained = columns(kernels, response) @ free
         return cls(
             points=response.points,
+            noise=noise,
             rows=rows[:, first:] / noise,
             offset=told(response.residuals_of_none.reshape(count, -1)),
             kernels=kernels,
@@ -228,7 +236,33 @@ class _Landscape(eqx.Module):
             price=_log_places(positions, hills),
             deviation=0.0,
             basis=np.zeros((0, 0)),
+            kernel_volume=0.0,
         )
+
+    def evidence_of(
+        self,
+        potential: KernelPotential,
+        chosen: Hyperparameters,
+        response: ForceResponse,
+    ) -> float:
+        """Log evidence of a potential of kernels alone, of the same data.
+
+        Args:
+            potential: its kernels.
+            chosen: the hyperparameters of their weights.
+            response: of the data to forces.
+        """
+        free = chosen.amplitude * root(potential.prior().covariance(chosen.shape))
+        explained = columns(potential, response) @ free
+        explained = explained.reshape(len(self.rows), -1, free.shape[1])
+        told = explained[:, -self.rows.shape[1] :].reshape(-1, free.shape[1])
+        basis, square = np.linalg.qr(
+            np.vstack([told / self.noise, np.eye(free.shape[1])])
+        )
+        reached = basis[: len(self.offset)].T @ self.offset
+        left = float(self.offset @ self.offset - reached @ reached)
+        volume = np.log(np.abs(np.diagonal(square))).sum()
+        return float(-0.5 * left - volume)
 
     def with_share(self, share: float) -> "_Landscape":
         """The same for another deviation of the coarse kernels.
@@ -237,8 +271,11 @@ class _Landscape(eqx.Module):
             share: relative to the height of a typical hill.
         """
         deviation = share * self.height
-        basis, _ = np.linalg.qr(self._equations(deviation))
-        return dataclasses.replace(self, deviation=deviation, basis=basis)
+        basis, square = np.linalg.qr(self._equations(deviation))
+        volume = float(np.log(np.abs(np.diagonal(square))).sum())
+        return dataclasses.replace(
+            self, deviation=deviation, basis=basis, kernel_volume=volume
+        )
 
     def fit(self, hills: Hills, evaluations: int) -> _Fit:
         """Hills of least misfit, their priors about where they are.
@@ -271,13 +308,12 @@ class _Landscape(eqx.Module):
                 xtol=1e-5,
             )
         except (ValueError, np.linalg.LinAlgError):  # forces that are not finite
-            return _Fit(hills, np.inf, -np.inf)
+            return _Fit(hills, -np.inf)
         scaled = search.jac * _deviations(hills).ravel()
         volume = float(np.linalg.slogdet(scaled.T @ scaled).logabsdet)
         price = len(hills) * self.price
-        misfit = float(search.cost)
-        value = -misfit - 0.5 * volume - price
-        return _Fit(search.x.reshape(-1, NUMBERS), misfit, value)
+        value = -float(search.cost) - 0.5 * volume - price - self.kernel_volume
+        return _Fit(search.x.reshape(-1, NUMBERS), value)
 
     def fit_each(self, trials: Sequence[Hills]) -> list[_Fit]:
         """Short fits from several starts."""

@@ -241,7 +241,8 @@ class Search(eqx.Module):
         ):
             return None
         survey = Survey.of(specification, self.free(), rough)
-        hills = propose_hills(survey.response, survey.noise, potential)
+        chosen = rough.hyperparameters
+        hills = propose_hills(survey.response, survey.noise, potential, chosen)
         if hills is None:
             return None
         try:
