@@ -160,3 +160,17 @@ def test_the_unit_of_length_decides_nothing_between_parts_of_a_force(second):
         covariance = by_weight @ prior.covariance(prior.start) @ by_weight.T
         covariances.append(covariance)
     np.testing.assert_allclose(covariances[1], covariances[0], rtol=1e-5)
+
+
+@pytest.mark.parametrize("remainder", [STILL, FORCES[KernelMixture]], ids=["U", "U, ψ"])
+def test_free_kernels_beside_terms_are_no_hill(remainder):
+    """Their envelope reaches over half of their extent at least, in the same place."""
+    alone, beside = (
+        remainder.prior(),
+        StructuredForce(FORCES[StructuredForce].terms, remainder).prior().second,
+    )
+    low = np.log(0.5 * np.ptp(CENTERS, axis=0).max())
+    reaches = np.flatnonzero(alone.bounds[:, 0] != beside.bounds[:, 0])
+    np.testing.assert_allclose(beside.bounds[reaches, 0], low)
+    assert len(reaches) == len(alone.start) // len(STILL.prior().start)
+    np.testing.assert_array_equal(alone.start, beside.start)
