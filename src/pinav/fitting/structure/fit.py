@@ -151,7 +151,7 @@ def _weigh_rotation(
                 return _weigh_beside(search, free, None)
             if _explains(free.fit, survey):
                 search, survey = _about(search, free.fit)
-                kernels = free.force.kernels
+                kernels = free.fit.model.environment.kernels
                 asked = survey_rotation(survey.response, survey.noise, (), kernels)
                 is_plain = asked.is_plain
     turning, turned, rotation = None, None, asked.gain

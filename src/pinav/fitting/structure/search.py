@@ -136,7 +136,8 @@ class Search(eqx.Module):
 
     def about(self, fit: EvidenceFit) -> "Search":
         """The same from the states of a fit."""
-        return dataclasses.replace(self, states=on_device(fit.states))
+        states = None if fit.states is None else on_device(fit.states)
+        return dataclasses.replace(self, states=states)
 
     def report(self, progress: EvidenceProgress) -> None:
         """Pass a step on, with the name of the force."""
