@@ -116,11 +116,14 @@ def propose_hills(
     landscape = _Landscape.of(response, noise, first)
     free = landscape.evidence_of(potential, chosen, response)
     best = landscape.with_share(ROUGH).fit(first, SETTLED)
-    if best.log_evidence < free - CLEAR:
-        return None
+    reached = best.log_evidence  # the first fit may not have come to its end
     for share in SHARES:
         landscape = landscape.with_share(share)
-        best = landscape.without_needless(landscape.fit(best.hills, SETTLED))
+        best = landscape.fit(best.hills, SETTLED)
+        reached = max(reached, best.log_evidence)
+        if reached < free - CLEAR:
+            return None
+        best = landscape.without_needless(best)
         for _ in range(ROUNDS):
             tried = landscape.fit_each(list(landscape.longer(best)))
             better = max(tried, key=_log_evidence, default=best)
