@@ -339,8 +339,8 @@ class MixturePrior(AbstractPrior):
 
     @property
     def broad(self) -> "MixturePrior":
-        parts = self.first.broad, self.second.broad
-        return dataclasses.replace(self, first=parts[0], second=parts[1])
+        first, second = self.first.broad, self.second.broad
+        return dataclasses.replace(self, first=first, second=second)
 
     def _join(
         self,

@@ -108,8 +108,7 @@ def _survey(search: Search) -> tuple[Search, Survey, bool]:
     if is_bad or chosen.noise > EXPLAINED * survey.noise:
         kernels = search.kernels
         return search, survey, AS_FINE_AS_ASKED.is_needed(kernels, chosen.shape)
-    search = search.about(begun)
-    return search, Survey.of(specification, search.free(), begun), False
+    return *_about(search, begun), False
 
 
 def _explains(free: EvidenceFit, survey: Survey) -> bool:

@@ -221,20 +221,16 @@ class _Landscape(eqx.Module):
         shape[:2] = np.log(LENGTH), prior.bounds[1, 1]
         free = root(prior.covariance(shape))
 
-        def told(
-            data: Float[np.ndarray, "trajectory datum ..."],
-        ) -> Float[np.ndarray, "residual ..."]:
-            return data[:, first:].reshape(-1, *data.shape[2:]) / noise
-
+        kept = rows.shape[1] - first
         explained = columns(kernels, response) @ free
         return cls(
             points=response.points,
             noise=noise,
             rows=rows[:, first:] / noise,
-            offset=told(response.residuals_of_none.reshape(count, -1)),
+            offset=_told(response.residuals_of_none, count, kept) / noise,
             kernels=kernels,
             root=free,
-            columns=told(explained.reshape(count, -1, explained.shape[1])),
+            columns=_told(explained, count, kept) / noise,
             height=float(np.median(np.abs(hills[:, 0]))),
             price=_log_places(positions, hills),
             deviation=0.0,
@@ -257,15 +253,11 @@ class _Landscape(eqx.Module):
         """
         free = chosen.amplitude * root(potential.prior().covariance(chosen.shape))
         explained = columns(potential, response) @ free
-        explained = explained.reshape(len(self.rows), -1, free.shape[1])
-        told = explained[:, -self.rows.shape[1] :].reshape(-1, free.shape[1])
-        basis, square = np.linalg.qr(
-            np.vstack([told / self.noise, np.eye(free.shape[1])])
-        )
-        reached = basis[: len(self.offset)].T @ self.offset
-        left = float(self.offset @ self.offset - reached @ reached)
-        volume = np.log(np.abs(np.diagonal(square))).sum()
-        return float(-0.5 * left - volume)
+        told = _told(explained, *self.rows.shape[:2]) / self.noise
+        others = dataclasses.replace(self, kernels=potential, root=free, columns=told)
+        alone = others.with_deviation(1.0)
+        left = alone._project(self.offset)
+        return -0.5 * float(left @ left) - alone.kernel_volume
 
     def with_share(self, share: float) -> "_Landscape":
         """The same for another deviation of the coarse kernels.
@@ -273,7 +265,10 @@ class _Landscape(eqx.Module):
         Args:
             share: relative to the height of a typical hill.
         """
-        deviation = share * self.height
+        return self.with_deviation(share * self.height)
+
+    def with_deviation(self, deviation: float) -> "_Landscape":
+        """The same for a deviation of the coarse kernels [L² T⁻²]."""
         basis, square = np.linalg.qr(self._equations(deviation))
         volume = float(np.log(np.abs(np.diagonal(square))).sum())
         return dataclasses.replace(
@@ -378,6 +373,14 @@ class _Landscape(eqx.Module):
         values = np.linalg.lstsq(self._equations(self.deviation), wanted, rcond=None)[0]
         weights = on_device(self.deviation * (self.root @ values))
         return eqx.tree_at(lambda one: one.weights, self.kernels, weights)
+
+
+def _told(
+    values: Float[np.ndarray, " datum *all"], trajectories: int, kept: int
+) -> Float[np.ndarray, " residual *all"]:
+    """The last data of each trajectory, which say most."""
+    split = values.reshape(trajectories, -1, *values.shape[1:])
+    return split[:, -kept:].reshape(-1, *values.shape[1:])
 
 
 def _log_places(positions: Float[np.ndarray, "point 2"], hills: Hills) -> float:

@@ -131,7 +131,7 @@ def force_quadratic(parts: Sequence[Linear], response: ForceResponse) -> Quadrat
     """
     rows = np.concatenate([columns(part, response) for part in parts], axis=1)
     offset = response.residuals_of_none
-    return _about_none(rows.T @ rows, rows.T @ offset, response)
+    return _about_none(rows.T @ rows, rows.T @ offset, offset, response)
 
 
 def term_quadratics(
@@ -154,7 +154,8 @@ def term_quadratics(
     def beside_others(rows: Float[np.ndarray, "datum weight"]) -> Quadratic:
         cross = kept.T @ rows
         hessian = np.block([[among, cross], [cross.T, rows.T @ rows]])
-        return _about_none(hessian, np.append(along, rows.T @ offset), response)
+        gradient = np.append(along, rows.T @ offset)
+        return _about_none(hessian, gradient, offset, response)
 
     return [beside_others(rows) for rows in term_columns(terms, response)]
 
@@ -190,10 +191,10 @@ def _stack(*leaves: ArrayLike) -> Array:
 def _about_none(
     hessian: Float[np.ndarray, "weight weight"],
     gradient: Float[np.ndarray, " weight"],
+    offset: Float[np.ndarray, " datum"],
     response: ForceResponse,
 ) -> Quadratic:
     """Normal equations about no weights as a quadratic."""
-    offset = response.residuals_of_none
     return Quadratic(
         point=np.zeros(len(gradient)),
         hessian=hessian,
