@@ -91,7 +91,7 @@ class StructuredForce(AbstractLearnedForce):
     def prior(self) -> MixturePrior:
         unit = self.terms[0].force_per_weight / self.remainder.force_per_weight
         terms, rest = prior_of(self.terms), self.remainder.prior().broad
-        return MixturePrior(terms, rest, 2 * SMALL, LEAST, MOST, unit)
+        return MixturePrior(terms, rest, SMALL, LEAST, MOST, unit)
 
     def variance_beyond(
         self, shape: Shape, positions: Float[np.ndarray, "point dim"]

@@ -32,7 +32,7 @@ Places = Float[Array, " kernel"]
 """Places of the kernels of a profile [L]."""
 
 
-SMALL, LEAST, MOST = -3.0, -12.0, -1.5
+SMALL, LEAST, MOST = -6.0, -12.0, -1.5
 """Logarithm of the amplitude of what stands beside terms, or of kernels beside a law,
 relative to theirs: at the start of a search; the lowest, since it must be able to
 vanish; and the highest, since without a bound what is free may be all there is, and
@@ -184,7 +184,7 @@ class AbstractProfileTerm(AbstractTerm):
         if self.law is None:
             return kernels
         height, unit = IsotropicPrior(1), self.force_per_weight
-        return MixturePrior(height, kernels, 2 * SMALL, LEAST, MOST, unit)
+        return MixturePrior(height, kernels, SMALL, LEAST, MOST, unit)
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         def height(z: Scalar) -> Float[Array, ""]:
