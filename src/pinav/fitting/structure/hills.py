@@ -28,34 +28,12 @@ from jaxtyping import Array, Float
 from pinav.arguments import on_device
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.evidence.evidence import Hyperparameters, root
-from pinav.fitting.structure.patterns import PotentialMap
-from pinav.fitting.structure.response import (
-    ForceResponse,
-    columns,
-)
+from pinav.fitting.structure.response import ForceResponse, columns
 from pinav.fitting.structure.starts import Region, central_term, obstacles_at
+from pinav.fitting.structure.summits import NUMBERS, Hills, doubtful, halves, summits
 from pinav.forces import HillsTerm, KernelPotential, ObstaclesTerm, forces_at
 from pinav.forces.hills import MIDDLE, WIDTHS
 from pinav.threads import map_on_cores
-
-Hills = Float[np.ndarray, "hill 6"]
-"""Of each hill: height [L² T⁻²], centre [L], and shape as in `HillsTerm`."""
-
-NUMBERS = 6
-
-POINTS, REACH = 161, 1.5
-"""Points along each side of the map of a potential, and distance from the data, in
-widths of its kernels, up to which it counts."""
-
-APART, LEAST = 9, 0.3
-"""Points of the map within which a summit is the only one, and the height of a summit
-that counts, relative to the highest."""
-
-INSIDE = 1.2
-"""Distance from a higher summit, in its own sizes, within which one is a part of it."""
-
-SIZES = (0.4, 4.0)
-"""Smallest and largest size at which a hill begins, in widths of the kernels."""
 
 MOST_HILLS = 24
 """Summits above which the field is rough everywhere."""
@@ -77,9 +55,6 @@ PLACE, HEIGHT, SIZE, SHEAR = 0.7, 2.0, 0.3, 0.7
 """Deviations of the priors of hills: of a place from where its fit begins, in sizes of
 the hill; of the height, in typical heights; of the logarithm of the size from the
 typical one; and of the shear."""
-
-DOUBTFUL = 3
-"""Smallest hills that are left out where they may be, beside those within another."""
 
 PEAKS, SPLITS = 3, 2
 """Places at which a hill is added, and longest hills that are split, in a round."""
@@ -110,7 +85,7 @@ def propose_hills(
         potential: of that fit.
         chosen: its hyperparameters.
     """
-    first = _summits(potential, np.asarray(response.points).reshape(-1, 2))
+    first = summits(potential, np.asarray(response.points).reshape(-1, 2))
     if not 0 < len(first) <= MOST_HILLS:
         return None
     landscape = _Landscape.of(response, noise, first)
@@ -319,7 +294,7 @@ class _Landscape(eqx.Module):
 
     def without_needless(self, fit: _Fit) -> _Fit:
         """The fit without hills that explain less than they cost."""
-        shorter = [np.delete(fit.hills, i, axis=0) for i in _doubtful(fit.hills)]
+        shorter = [np.delete(fit.hills, i, axis=0) for i in doubtful(fit.hills)]
         best = max(self.fit_each(shorter), key=_log_evidence, default=fit)
         if best.log_evidence <= fit.log_evidence:
             return fit
@@ -331,13 +306,13 @@ class _Landscape(eqx.Module):
         if len(hills) >= MOST_HILLS:
             return
         positions = np.asarray(self.points).reshape(-1, 2)
-        peaks = _summits(self._remainder(hills), positions, SPURIOUS * self.height)
+        peaks = summits(self._remainder(hills), positions, SPURIOUS * self.height)
         typical = float(np.median(hills[:, 3]))
         for peak in peaks[:PEAKS]:
             yield np.vstack([hills, [*peak[:3], typical, 0.0, 0.0]])
         lengths = hills[:, 3] + np.hypot(hills[:, 4], hills[:, 5])
         for index in np.argsort(-lengths)[:SPLITS]:
-            yield np.vstack([np.delete(hills, index, axis=0), _halves(hills[index])])
+            yield np.vstack([np.delete(hills, index, axis=0), halves(hills[index])])
 
     def _residuals(self, hills: Hills) -> Float[np.ndarray, " residual"]:
         forces = sum(
@@ -446,98 +421,3 @@ def _term(hills: Hills) -> HillsTerm:
         centers=on_device(hills[:, 1:3]),
         shapes=on_device(hills[:, 3:]),
     )
-
-
-def _summits(
-    potential: KernelPotential,
-    positions: Float[np.ndarray, "point 2"],
-    least: float | None = None,
-) -> Hills:
-    """Hills and wells as curved as a potential at its summits, the highest first.
-
-    Args:
-        potential: of kernels.
-        positions: where there are data [L].
-        least: height that counts [L² T⁻²]; a share of the highest unless given.
-    """
-    seen = PotentialMap.of_potential(potential, positions, POINTS, REACH)
-    width = float(potential.width)
-    middle = float(np.median(seen.heights[seen.is_seen]))
-    heights = np.abs(seen.heights - middle)
-    highest = max(float(heights[seen.is_seen].max()), np.finfo(float).tiny)
-    places = seen.peaks(heights, APART, LEAST if least is None else least / highest)
-    hills: list[Float[np.ndarray, 6]] = []
-    for place in places:
-        height = float(potential.potential(0.0, on_device(place))) - middle
-        bend = -np.asarray(_bend(potential, on_device(place))) / height
-        values, vectors = np.linalg.eigh(bend)
-        lowest, largest = (1 / (size * width) ** 2 for size in reversed(SIZES))
-        hill = _hill(height, place, np.clip(values, lowest, largest), vectors)
-        if all(_distance(other, place) > INSIDE for other in hills):
-            hills.append(hill)
-    return np.array(hills).reshape(-1, NUMBERS)
-
-
-@eqx.filter_jit
-def _bend(potential: KernelPotential, x: Float[Array, "2"]) -> Float[Array, "2 2"]:
-    return jax.hessian(lambda place: potential.potential(0.0, place))(x)
-
-
-def _hill(
-    height: float,
-    place: Float[np.ndarray, "2"],
-    values: Float[np.ndarray, "2"],
-    vectors: Float[np.ndarray, "2 2"],
-) -> Float[np.ndarray, "6"]:
-    """The hill whose metric has these eigenvalues [L⁻²] and eigenvectors."""
-    logarithms = 0.5 * np.log(values)
-    size = -np.mean(logarithms)
-    shear = (vectors * (logarithms + size)) @ vectors.T
-    return np.array([height, *place, size, shear[0, 0], shear[0, 1]])
-
-
-def _axes(
-    hill: Float[np.ndarray, "6"],
-) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 2"]]:
-    """Semi-axes of a hill, the longer first [L], and their directions as columns."""
-    p, q = hill[4:]
-    # e^{S - s} shrinks most along the eigenvector of the larger eigenvalue of S
-    values, vectors = np.linalg.eigh(np.array([[p, q], [q, -p]]))
-    return np.exp(hill[3] - values), vectors
-
-
-def _distance(hill: Float[np.ndarray, "6"], place: Float[np.ndarray, "2"]) -> float:
-    """Distance of a place from a hill, in its own sizes."""
-    lengths, directions = _axes(hill)
-    return float(np.linalg.norm(directions.T @ (place - hill[1:3]) / lengths))
-
-
-def _doubtful(hills: Hills) -> list[int]:
-    """Which hills may be needless: the smallest, and those within another."""
-    if len(hills) == 1:
-        return []
-    volumes = np.abs(hills[:, 0]) * np.exp(2 * hills[:, 3])
-    smallest = np.argsort(volumes)[:DOUBTFUL].tolist()
-    within = [
-        index
-        for index, hill in enumerate(hills)
-        if any(_distance(one, hill[1:3]) < INSIDE for one in np.delete(hills, index, 0))
-    ]
-    return list(dict.fromkeys([*within, *smallest]))
-
-
-def _halves(hill: Float[np.ndarray, "6"]) -> Hills:
-    """Two hills in a row in place of a long one."""
-    lengths, directions = _axes(hill)
-    away = 0.6 * lengths[0] * directions[:, 0]
-    halved = lengths * np.array([HALF, 1.0])
-    return np.array(
-        [
-            _hill(hill[0], hill[1:3] + sign * away, halved**-2, directions)
-            for sign in (1.0, -1.0)
-        ]
-    )
-
-
-HALF = 0.6
-"""Length of each of two hills that take the place of one, relative to it."""
