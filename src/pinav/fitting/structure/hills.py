@@ -42,8 +42,10 @@ ROUGH, SHARES = 0.3, (0.1, 0.03, 0.01)
 """Deviation of the coarse kernels, relative to the height of a typical hill: the first
 fit leaves them much to carry, the last ones little."""
 
-CLEAR = 100.0
-"""Nats by which the first hills may be worse than free kernels: some may be missing."""
+CLEAR, FEW = 100.0, 4
+"""Nats by which the first hills may be worse than free kernels, since some may be
+missing, and so many hills at any stage: the data are linearised about the free kernels,
+whose errors count against all others, and a fit of few hills costs little."""
 
 COARSE = KernelGrid(across=12, margin=2.0)
 """Where those kernels are."""
@@ -106,7 +108,7 @@ def propose_hills(
                 break
             best = landscape.fit(better.hills, SETTLED)
             best = landscape.without_needless(best)
-        if best.log_evidence < free:
+        if best.log_evidence < free - (CLEAR if len(best.hills) <= FEW else 0.0):
             return None
     return _term(best.hills)
 

@@ -32,6 +32,8 @@ from pinav.fitting.structure.starts import (
     ellipses,
     linear_term,
     scanned_terms,
+    segments,
+    turned_shears,
 )
 from pinav.fitting.structure.trials import (
     Proposal,
@@ -284,7 +286,8 @@ class _Ground(eqx.Module):
         if self.seen is None or self.is_explained(proposals):
             return proposals
         beside = terms or (linear_term(self.region),)
-        for ellipse in self._ellipses(beside):
+        fitted = [one.terms[-1] for one in proposals]
+        for ellipse in self._ellipses(beside, fitted):
             proposals += self._polish_each([ellipse])
             if self.is_explained(proposals):
                 return proposals
@@ -328,16 +331,27 @@ class _Ground(eqx.Module):
         grown = [(linear, self._grow(one, linear)) for one in alike]
         return proposals + self._polish_each(grown, AGAIN)
 
-    def _ellipses(self, terms: Terms) -> Iterator[Terms]:
+    def _ellipses(
+        self, terms: Terms, fitted: Sequence[AbstractTerm]
+    ) -> Iterator[Terms]:
         """Structures with an ellipse more, about the most likely summits.
 
         The one that is scanned moves towards whatever its wrong axes explain best. So
-        those about single summits are polished from there, too.
+        those about single summits are polished from there, too. A long one explains
+        little unless its direction and place are right: it is a segment of a wall.
+
+        Args:
+            terms: beside the ellipse.
+            fitted: other terms beside them, among which there may be a wall.
         """
-        starts = [ellipses(self.region, place[None]) for place in self.summits]
-        scanned = [self._best(turned, terms) for turned in starts]
+        turned = turned_shears()
+        starts = [ellipses(self.region, place[None], turned) for place in self.summits]
+        scanned = [self._best(about, terms) for about in starts]
         scanned.sort(key=lambda one: one.log_evidence, reverse=True)
         yield self._scan([scanned[0].terms[-1]], terms).terms
+        for wall in fitted:
+            if isinstance(wall, WallTerm) and not wall.rotational:
+                yield self._scan(segments(self.region, wall), terms).terms
         yield from (one.terms for one in scanned[:PROMISING])
 
     def exchange(self, proposal: Proposal, *, rotational: bool) -> Proposal:
@@ -367,12 +381,16 @@ class _Ground(eqx.Module):
     def _with_twins(self, terms: Terms) -> "list[_Scanned]":
         """Structures in which a centre of force has another one of its kind."""
         made: list[_Scanned] = []
-        places = np.concatenate([self.region.places(), self.summits])
         for index, term in enumerate(terms):
             if isinstance(term, CentralTerm | ObstaclesTerm):
                 rest = terms[:index] + terms[index + 1 :]
-                made.append(self._scan(twins(term, places), rest))
+                made.append(self._scan(twins(term, self._places), rest))
         return made
+
+    @property
+    def _places(self) -> Float[np.ndarray, "place dim"]:
+        """Where further centres are scanned [L]."""
+        return np.concatenate([self.region.places(), self.summits])
 
     def is_explained(self, proposals: Sequence[Proposal]) -> bool:
         """Whether one of them leaves so little that nothing else is sought."""
@@ -411,10 +429,9 @@ class _Ground(eqx.Module):
 
     def _grow(self, term: ObstaclesTerm, linear: AbstractTerm) -> ObstaclesTerm:
         """Obstacles with as many more of their kind as explain more, then moved."""
-        places = np.concatenate([self.region.places(), self.summits])
         best, reached = term, self._best([term], (linear,)).log_evidence
         while len(best.centers) < MOST_GROWN:
-            scanned = self._scan(twins(best, places), (linear,))
+            scanned = self._scan(twins(best, self._places), (linear,))
             if scanned.log_evidence < reached + 2 * DECISIVE:
                 break
             moved = self._move_each(scanned.terms[-1], (linear,))

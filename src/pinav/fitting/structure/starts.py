@@ -6,6 +6,7 @@ Their kernels and their scanned places come from where the data are.
 from collections.abc import Iterator, Sequence
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -149,8 +150,7 @@ def scanned_terms(
         yield [linear_term(region, rotational=turn)]
         yield [central_term(region, place, rotational=turn) for place in centers]
         if region.is_planar:
-            angles = np.pi * np.arange(ANGLES) / ANGLES
-            yield [wall_term(region, angle, rotational=turn) for angle in angles]
+            yield walls(region, rotational=turn)
 
 
 def central_term(
@@ -165,6 +165,12 @@ def central_term(
         width=width,
         rotational=rotational,
     )
+
+
+def walls(region: Region, *, rotational: bool = False) -> list[WallTerm]:
+    """Walls in all directions that are scanned."""
+    angles = np.pi * np.arange(ANGLES) / ANGLES
+    return [wall_term(region, angle, rotational=rotational) for angle in angles]
 
 
 def wall_term(region: Region, angle: float, *, rotational: bool = False) -> WallTerm:
@@ -221,29 +227,80 @@ def obstacles_at(
 
 
 def ellipses(
-    region: Region, centers: Float[np.ndarray, "place 2"]
+    region: Region,
+    centers: Float[np.ndarray, "place 2"],
+    shears: Float[np.ndarray, "shear 2"],
 ) -> list[EllipticTerm]:
-    """Elliptic terms about several centres, in several directions.
+    """Elliptic terms about several centres, each of several axes.
 
     Args:
         region: of the data.
         centers: [L].
+        shears: $S$ of each.
     """
     places, width = region.distances()
-    turns = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     return [
         EllipticTerm(
             weights=on_device(np.zeros(places.shape)),
             center=on_device(center),
-            shear=on_device(SHEAR * np.array([np.cos(turn), np.sin(turn)])),
+            shear=on_device(shear),
             places=places,
             width=width,
         )
         for center in centers
-        for turn in turns
+        for shear in shears
     ]
+
+
+def turned_shears() -> Float[np.ndarray, "shear 2"]:
+    """Of ellipses in several directions."""
+    return SHEAR * _directions(2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
+
+
+def segments(region: Region, wall: WallTerm) -> list[EllipticTerm]:
+    """Long ellipses along the crests of a wall, over the ground of most of the data.
+
+    Args:
+        region: of the data.
+        wall: one that was fitted to them.
+    """
+    from scipy.signal import find_peaks
+
+    z = np.linspace(-0.5, 0.5, ACROSS) * region.crowded
+    angle = np.asarray(wall.angle)
+    normal, along = _directions(angle), _directions(angle + 0.5 * np.pi)
+    heights = np.asarray(
+        _potentials(wall, on_device(region.heart + z[:, None] * normal))
+    )
+    rest = np.abs(heights - np.polyval(np.polyfit(z, heights, 2), z))
+    crests = find_peaks(rest)[0]
+    highest = z[crests[np.argsort(-rest[crests])[:CRESTS]]]
+    offsets = np.add.outer(highest, np.array(ASIDE) * region.crowded)
+    steps = np.linspace(-0.5, 0.5, ALONG) * region.crowded
+    rows = offsets[..., None, None] * normal + steps[:, None] * along
+    shears = np.outer(LONG, _directions(2 * angle))
+    return ellipses(region, region.heart + rows.reshape(-1, 2), shears)
+
+
+@eqx.filter_jit
+def _potentials(
+    wall: WallTerm, places: Float[Array, "place 2"]
+) -> Float[Array, " place"]:
+    return jax.vmap(lambda x: wall.potential(0.0, x))(places)
+
+
+def _directions(angles: Float[np.ndarray, "*all"]) -> Float[np.ndarray, "*all 2"]:
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
 SHEAR, DIRECTIONS = 0.4, 8
 """Size of $S$ of the ellipses that are tried, axes in the ratio of 2.2; and how many
 directions."""
+
+LONG, ALONG = (0.5, 0.75, 1.0), 9
+"""Sizes of $S$ of long ellipses, axes in the ratios of 2.7 to 7.4; and how many places
+of them are tried along a crest."""
+
+ACROSS, CRESTS, ASIDE = 101, 3, (-0.015, 0.0, 0.015)
+"""Points across a wall among which its crests are sought; how many of them, the highest
+ones, count; and offsets from each that are tried, relative to the ground."""
