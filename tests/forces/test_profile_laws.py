@@ -10,6 +10,7 @@ from pinav.forces import (
     CentralTerm,
     CompactHill,
     GaussianBarrier,
+    PlaneWaves,
     PowerHill,
     RingBarrier,
     SoftWall,
@@ -23,6 +24,7 @@ from pinav.forces.profile_laws import (
     PlateauLaw,
     RingLaw,
     StepLaw,
+    WaveLaw,
     falling,
 )
 
@@ -52,6 +54,11 @@ def steps():
     )
 
 
+def stripes():
+    direction = np.array([[np.cos(0.7), np.sin(0.7)]])
+    return PlaneWaves([HEIGHT], direction / 0.7, [-0.5 / 0.7])
+
+
 SAME = {
     "Gaussian": (
         central(HillLaw(np.log(1.5), form(0.0))),
@@ -79,6 +86,7 @@ SAME = {
     ),
     "step": (wall(StepLaw(6.0, np.log(0.9))), SoftWall(HEIGHT, 0.7, 6.0, 0.9)),
     "channel": (wall(ChannelLaw(5.0, 3.0, np.log(0.8))), steps()),
+    "wave": (wall(WaveLaw(0.5, np.log(0.7))), stripes()),
 }
 
 

@@ -262,8 +262,44 @@ class ChannelLaw(AbstractProfileLaw):
         return jnp.sum(jax.nn.sigmoid(beyond / self.size))
 
 
+@final
+class WaveLaw(AbstractProfileLaw):
+    r"""A wave along a line, $U = \cos((z - b) / s)$: stripes.
+
+    Attributes:
+        place: $b$ of a crest [L].
+        log_size: $\log s$, the period being $2\pi s$, in [L].
+    """
+
+    place: Scalar
+    log_size: Scalar
+
+    @property
+    def kind(self) -> str:
+        return "wave"
+
+    @property
+    def latex(self) -> str:
+        return r"\cos((z - b) / s)"
+
+    @property
+    def numbers(self) -> PyTree:
+        return self.place, self.log_size
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        return 2 * float(self.size), SIZE
+
+    def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
+        return {"place": self.place + offset, "period": 2 * jnp.pi * self.size}
+
+    def potential(self, z: Scalar) -> Float[Array, ""]:
+        return jnp.cos((z - self.place) / self.size)
+
+
 LAWS: dict[str, type[AbstractProfileLaw]] = {
-    law.__name__: law for law in (HillLaw, PlateauLaw, RingLaw, StepLaw, ChannelLaw)
+    law.__name__: law
+    for law in (HillLaw, PlateauLaw, RingLaw, StepLaw, ChannelLaw, WaveLaw)
 }
 """Laws by the names of their classes."""
 

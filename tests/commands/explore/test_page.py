@@ -165,6 +165,7 @@ def structured():
         forces.WallTerm(
             alone[0], 0.6, center, alone[1], 0.6, law=laws.ChannelLaw(0.1, 0.9, -0.3)
         ),
+        forces.WallTerm(both[0], 0.9, center, places, 0.6, law=laws.WaveLaw(0.4, -0.3)),
         forces.LinearTerm(jnp.arange(5.0) / 9, center, 2.0),
     )
     free = forces.KernelPotential.with_zero_weights(CENTERS, 1.1)

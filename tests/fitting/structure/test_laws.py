@@ -8,12 +8,13 @@ from pinav.fitting.structure.trials import with_profiles
 from pinav.forces import (
     CompactHill,
     LinearForce,
+    PlaneWaves,
     PowerHill,
     RingBarrier,
     SoftWall,
     SumForce,
 )
-from pinav.forces.profile_laws import HillLaw, RingLaw, StepLaw
+from pinav.forces.profile_laws import HillLaw, RingLaw, StepLaw, WaveLaw
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
 REGION = Region.of(POINTS[0])
@@ -53,6 +54,14 @@ def test_a_ring_and_a_wall_follow_their_laws():
     wall = lawful(SoftWall(4.0, 0.7, 7.0, 0.8), wall_term(REGION, 0.7))
     assert isinstance(wall.law, StepLaw)
     np.testing.assert_allclose(wall.law.constants()["size"], 0.8, rtol=0.05)
+
+
+@pytest.mark.parametrize("period", [2.5, 4.0, 9.0])
+def test_stripes_follow_a_wave_of_their_period(period):
+    along = 2 * np.pi / period * np.array([[np.cos(0.7), np.sin(0.7)]])
+    wave = lawful(PlaneWaves([1.5], along, [0.4]), wall_term(REGION, 0.7))
+    assert isinstance(wave.law, WaveLaw)
+    np.testing.assert_allclose(wave.law.constants()["period"], period, rtol=0.01)
 
 
 def test_the_law_of_a_term_in_a_sum_is_found():

@@ -32,7 +32,7 @@ EVALUATED = frozenset(
         *("ChangingPotential", "NeuralForce", "NeuralPotential", "MLP", "Linear"),
         *("PositionFeatures", "PositionTimeFeatures", "LinearResponse"),
         *("StructuredForce", "CentralTerm", "EllipticTerm", "WallTerm", "LinearTerm"),
-        *("HillLaw", "PlateauLaw", "RingLaw", "StepLaw", "ChannelLaw"),
+        *("HillLaw", "PlateauLaw", "RingLaw", "StepLaw", "ChannelLaw", "WaveLaw"),
         *("SaturatingResponse", "SlippingResponse", "StepOutResponse", "ZeroFlow"),
         *("UniformFlow", "ShearFlow", "PoiseuilleFlow", "VortexFlow", "SampledFlow"),
         *("SumFlow", "IsotropicTensor", "UniaxialTensor", "CholeskyTensor"),

@@ -30,6 +30,7 @@ from pinav.forces.profile_laws import (
     PlateauLaw,
     RingLaw,
     StepLaw,
+    WaveLaw,
 )
 
 SIZES, PLACES = 10, 16
@@ -40,6 +41,9 @@ FORMS, STEEP = (-1.0, 0.0, 1.1, 1.6), (-0.5, 0.5, 1.0)
 
 HALVES = 8
 """Widths of a channel that are tried."""
+
+SHORTEST = 4.0
+"""Length of the shortest wave that is tried, in widths of the kernels."""
 
 POINTS, PROMISING = 200, 2
 """Data at whose coordinates laws are compared with a profile; and the kinds of laws
@@ -212,6 +216,10 @@ def _laws(
     if not term.is_odd:
         halves = np.linspace(0.0, 0.6, HALVES + 1)[1:] * extent
         yield jax.vmap(ChannelLaw)(*_mesh(places, halves, sizes))
+        # between neighbouring waves the phase at the rim of the data differs little
+        turns = np.arange(1.0, extent / (SHORTEST * width), 0.5)
+        waves = np.log(extent / (2 * np.pi * turns))
+        yield jax.vmap(WaveLaw)(*_mesh(places, waves))
 
 
 def _mesh(*axes: Float[np.ndarray, " ..."]) -> list[Float[Array, " law"]]:

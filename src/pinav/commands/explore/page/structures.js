@@ -36,6 +36,7 @@ const LAWS = {
     const [away, size] = [z - middle, Math.exp(log_size)];
     return stepForce(away - half, size) - stepForce(-away - half, size);
   },
+  WaveLaw: (z, { place, log_size }) => Math.sin((z - place) / Math.exp(log_size)) / Math.exp(log_size),
 };
 
 /** The force of the law of a term, zero where it has none. */
