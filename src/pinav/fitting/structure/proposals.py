@@ -82,7 +82,8 @@ PROMISING, PAIRS = 3, 2
 
 MOST_GROWN, ALIKE = 5, 1.5
 """Obstacles of one kind to which a pair of them grows; needless ones go later. And the
-misfit of that pair relative to the least of any, above which it does not grow."""
+misfit of a pair relative to the least of any, above which it does not grow, and its
+centres are not those of ellipses."""
 
 AGAIN = 3
 """Times that the polish of several terms is repeated at most."""
@@ -319,9 +320,15 @@ class _Ground(eqx.Module):
             alike += several
             made += [*((linear, one) for one in several), terms]
         proposals = self._polish_each(made, AGAIN)
+        if self.is_explained(proposals) or not proposals:
+            return proposals
+        least = min(one.noise for one in proposals)
+        near = [one.terms for one in proposals if one.noise < ALIKE * least]
+        stretched = [other for terms in near for other in self._stretched(terms)]
+        proposals += self._polish_each(stretched, AGAIN)
         if self.is_explained(proposals):
             return proposals
-        least = min((one.noise for one in proposals), default=0.0)
+        least = min(one.noise for one in proposals)
         if not any(
             isinstance(one.terms[-1], ObstaclesTerm) and one.noise < ALIKE * least
             for one in proposals
@@ -330,6 +337,14 @@ class _Ground(eqx.Module):
         # from where they were scanned: polished, two have moved to stand for the others
         grown = [(linear, self._grow(one, linear)) for one in alike]
         return proposals + self._polish_each(grown, AGAIN)
+
+    def _stretched(self, terms: Terms) -> Iterator[Terms]:
+        """Structures in which a centre of force is that of an ellipse."""
+        for index, term in enumerate(terms):
+            if isinstance(term, CentralTerm) and not term.rotational:
+                center = np.asarray(term.center)[None]
+                starts = ellipses(self.region, center, turned_shears())
+                yield self._scan(starts, terms[:index] + terms[index + 1 :]).terms
 
     def _ellipses(
         self, terms: Terms, fitted: Sequence[AbstractTerm]
