@@ -203,6 +203,19 @@ def _saddle(rng: np.random.Generator) -> AbstractForce:
     return LinearForce(_matrix(rng, turning=False), _place(rng))
 
 
+def _segment(rng: np.random.Generator) -> AbstractForce:
+    """A long obstacle, four to nine times as long as wide."""
+    length, width = float(rng.uniform(4.0, 6.0)), float(rng.uniform(0.7, 1.0))
+    height, angle = float(rng.uniform(2.0, 5.0)), float(rng.uniform(0.0, np.pi))
+    return GaussianRidge(height, _place(rng), length, width, angle)
+
+
+def _stripes(rng: np.random.Generator) -> AbstractForce:
+    period, angle = rng.uniform(3.0, 7.0), rng.uniform(0.0, np.pi)
+    along = np.array([[np.cos(angle), np.sin(angle)]]) * 2 * np.pi / period
+    return PlaneWaves(rng.uniform(0.6, 1.5, 1), along, rng.uniform(0.0, 2 * np.pi, 1))
+
+
 def _sum(*draws: Draw) -> Draw:
     return lambda rng: SumForce(tuple(draw(rng) for draw in draws))
 
@@ -230,5 +243,9 @@ FAMILIES: dict[str, Family] = {
         lambda rng: ConstantForce(rng.uniform(-0.3, 0.3, 2)), ("linear",)
     ),
     "none": Family(lambda rng: ZeroForce()),
+    # a draw depends on the place of its family: later ones stand at the end
+    "segment": Family(_segment, ("elliptic",)),
+    "stripes": Family(_stripes, ("wall",)),
+    "ridge-wall": Family(_sum(_ridge, _wall), ("elliptic", "wall")),
 }
 """Families by their names, with the structure that a search should name."""

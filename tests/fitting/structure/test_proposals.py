@@ -16,6 +16,7 @@ from pinav.fitting.structure.starts import (
     Region,
     central_term,
     linear_term,
+    segments,
     wall_term,
 )
 from pinav.fitting.structure.trials import (
@@ -27,6 +28,7 @@ from pinav.fitting.structure.trials import (
 )
 from pinav.forces import (
     GaussianBarrier,
+    GaussianRidge,
     KernelPotential,
     LinearForce,
     RingBarrier,
@@ -124,6 +126,23 @@ def test_what_no_force_explains_is_noise():
     assert data.least_noise == np.inf  # a force explains each datum
     more = dataclasses.replace(data, num_free=data.num_free + 50, squares=50 * 0.02**2)
     assert more.least_noise == pytest.approx(0.02)
+
+
+SEGMENT = GaussianRidge(3.0, [4.4, 6.4], 4.9, 0.7, 2.0)
+"""Seven times as long as wide: half the logarithm of that is 0.97."""
+
+
+def test_a_segment_is_a_long_ellipse_along_the_crest_of_a_wall():
+    data = response(SEGMENT)
+    normal = 2.0 - 0.5 * np.pi
+    (wall,) = polish((wall_term(REGION, normal + 0.05),), data).terms
+    starts = segments(REGION, wall)
+    best = starts[int(np.argmax(quick_evidences(starts, (), data)))]
+    made = polish((best,), data)
+    np.testing.assert_allclose(made.terms[0].center, SEGMENT.center, atol=0.1)
+    shear = 0.5 * np.log(7.0) * np.array([np.cos(2 * normal), np.sin(2 * normal)])
+    np.testing.assert_allclose(made.terms[0].shear, shear, atol=0.03)
+    assert made.noise == pytest.approx(0.01, rel=0.2)
 
 
 SPACE = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 3))
