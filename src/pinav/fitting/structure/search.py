@@ -322,10 +322,12 @@ class Search(eqx.Module):
         survey = Survey.of(self.specification, self.free(), begun)
         whole = polish(terms, survey.response)
         other = whole and prune(refine(whole, survey.response), survey.response)
-        if proposal.is_rough and not (other and survey.is_near_noise(other)):
+        if not (other and survey.is_explained(other)):
             # States that miss the path misplace terms; those of these steps do not.
-            other = survey.proposal(rotational=not self.kernels.is_conservative)
-            if other is None or other.is_rough:
+            again = survey.proposal(rotational=not self.kernels.is_conservative)
+            if again is not None and not again.is_rough:
+                other = again
+            elif proposal.is_rough and not (other and survey.is_near_noise(other)):
                 return None
         if other is not None and other is not whole:
             fit = self._fit_terms(other.terms, begun)

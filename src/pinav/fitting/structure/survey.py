@@ -11,6 +11,7 @@ from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.structure.proposals import (
+    ENOUGH,
     EXPLAINED,
     HOPELESS,
     is_hopeless,
@@ -119,6 +120,10 @@ class Survey(eqx.Module):
     def is_near_noise(self, proposal: Proposal) -> bool:
         """Whether terms leave little more of the data unexplained than the noise."""
         return proposal.noise <= EXPLAINED * self.noise
+
+    def is_explained(self, proposal: Proposal) -> bool:
+        """Whether terms leave so little of the data that no others are sought."""
+        return proposal.noise <= ENOUGH * self.noise
 
 
 LEAST_TRAJECTORIES, LEAST_SAMPLES = 6, 600
