@@ -145,6 +145,11 @@ def test_a_segment_is_a_long_ellipse_along_the_crest_of_a_wall():
     assert made.noise == pytest.approx(0.01, rel=0.2)
 
 
+@pytest.mark.parametrize("rotational", [False, True])
+def test_a_wall_without_crests_has_no_segments(rotational):
+    assert not segments(REGION, wall_term(REGION, 0.7, rotational=rotational))
+
+
 SPACE = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 3))
 
 

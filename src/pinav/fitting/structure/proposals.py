@@ -363,10 +363,12 @@ class _Ground(eqx.Module):
         starts = [ellipses(self.region, place[None], turned) for place in self.summits]
         scanned = [self._best(about, terms) for about in starts]
         scanned.sort(key=lambda one: one.log_evidence, reverse=True)
-        yield self._scan([scanned[0].terms[-1]], terms).terms
-        for wall in fitted:
-            if isinstance(wall, WallTerm) and not wall.rotational:
-                yield self._scan(segments(self.region, wall), terms).terms
+        likely = [one.terms[-1] for one in scanned[:1]]
+        walls = (one for one in fitted if isinstance(one, WallTerm))
+        long = [one for wall in walls for one in segments(self.region, wall)]
+        for starts in (likely, long):
+            if starts:
+                yield self._scan(starts, terms).terms
         yield from (one.terms for one in scanned[:PROMISING])
 
     def exchange(self, proposal: Proposal, *, rotational: bool) -> Proposal:

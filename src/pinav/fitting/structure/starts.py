@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from pinav.arguments import on_device
 from pinav.forces import (
@@ -150,7 +150,8 @@ def scanned_terms(
         yield [linear_term(region, rotational=turn)]
         yield [central_term(region, place, rotational=turn) for place in centers]
         if region.is_planar:
-            yield walls(region, rotational=turn)
+            angles = np.pi * np.arange(ANGLES) / ANGLES
+            yield [wall_term(region, angle, rotational=turn) for angle in angles]
 
 
 def central_term(
@@ -165,12 +166,6 @@ def central_term(
         width=width,
         rotational=rotational,
     )
-
-
-def walls(region: Region, *, rotational: bool = False) -> list[WallTerm]:
-    """Walls in all directions that are scanned."""
-    angles = np.pi * np.arange(ANGLES) / ANGLES
-    return [wall_term(region, angle, rotational=rotational) for angle in angles]
 
 
 def wall_term(region: Region, angle: float, *, rotational: bool = False) -> WallTerm:
@@ -262,10 +257,12 @@ def segments(region: Region, wall: WallTerm) -> list[EllipticTerm]:
 
     Args:
         region: of the data.
-        wall: one that was fitted to them.
+        wall: one that was fitted to them; one without a potential has no crests.
     """
     from scipy.signal import find_peaks
 
+    if wall.rotational:
+        return []
     z = np.linspace(-0.5, 0.5, ACROSS) * region.crowded
     angle = np.asarray(wall.angle)
     normal, along = _directions(angle), _directions(angle + 0.5 * np.pi)
@@ -289,7 +286,7 @@ def _potentials(
     return jax.vmap(lambda x: wall.potential(0.0, x))(places)
 
 
-def _directions(angles: Float[np.ndarray, "*all"]) -> Float[np.ndarray, "*all 2"]:
+def _directions(angles: Float[ArrayLike, "*all"]) -> Float[np.ndarray, "*all 2"]:
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
