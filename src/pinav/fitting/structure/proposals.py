@@ -99,7 +99,7 @@ def propose(
     noise: float,
     *,
     rotational: bool,
-    is_begun: bool = True,
+    enough: float = ENOUGH,
 ) -> Proposal | None:
     """The structure of highest evidence; None where no term explains anything.
 
@@ -112,11 +112,9 @@ def propose(
         region: where they are.
         noise: of the observations, roughly.
         rotational: whether the force may have no potential.
-        is_begun: whether the data are linearised about a fit that was begun. Smoothed
-            states miss the path of quick swimmers, and a term that is right may leave
-            a few times the noise: it is not worth a search for others.
+        enough: misfit relative to the noise at which nothing else is sought.
     """
-    ground = _Ground.of(response, region, noise, ENOUGH if is_begun else HOPELESS)
+    ground = _Ground.of(response, region, noise, enough)
     best: Proposal | None = None
     may_pair = region.is_planar
     for _ in range(MOST_ROUNDS):

@@ -38,7 +38,7 @@ from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.hills import obstacles_of, propose_hills
 from pinav.fitting.structure.laws import follow_laws
 from pinav.fitting.structure.proposals import Proposal, fallbacks, prune, refine
-from pinav.fitting.structure.survey import Survey, is_worth_a_search
+from pinav.fitting.structure.survey import WHOLE, Survey, is_worth_a_search
 from pinav.fitting.structure.trials import Terms, polish
 from pinav.forces import (
     AbstractForce,
@@ -324,7 +324,8 @@ class Search(eqx.Module):
         other = whole and prune(refine(whole, survey.response), survey.response)
         if not (other and survey.is_explained(other)):
             # States that miss the path misplace terms; those of these steps do not.
-            again = survey.proposal(rotational=not self.kernels.is_conservative)
+            turns = not self.kernels.is_conservative
+            again = survey.proposal(rotational=turns, enough=WHOLE)
             if again is not None and not again.is_rough:
                 other = again
             elif proposal.is_rough and not (other and survey.is_near_noise(other)):

@@ -84,20 +84,23 @@ class Survey(eqx.Module):
             is_begun=fit is not None,
         )
 
-    def proposal(self, *, rotational: bool) -> Proposal | None:
+    def proposal(self, *, rotational: bool, enough: float = ENOUGH) -> Proposal | None:
         """The structure that explains most of the data, if it comes near the noise.
 
         In space one that explains them but roughly is not worth the time of its fit.
+        Smoothed states miss the path of quick swimmers, and a term that is right may
+        leave a few times the noise: it is not worth a search for others.
 
         Args:
             rotational: whether the force may have no potential.
+            enough: misfit relative to the noise at which nothing else is sought.
         """
         best = propose(
             self.response,
             self.region,
             self.noise,
             rotational=rotational,
-            is_begun=self.is_begun,
+            enough=enough if self.is_begun else HOPELESS,
         )
         if best is None or best.noise > HOPELESS * self.noise:
             return None
@@ -122,9 +125,13 @@ class Survey(eqx.Module):
         return proposal.noise <= EXPLAINED * self.noise
 
     def is_explained(self, proposal: Proposal) -> bool:
-        """Whether terms leave so little of the data that no others are sought."""
-        return proposal.noise <= ENOUGH * self.noise
+        """Whether terms leave so little of the data that they are all there is."""
+        return proposal.noise <= WHOLE * self.noise
 
+
+WHOLE = 1.1
+"""Misfit of terms about their own fit, relative to the noise, above which there is more
+than these terms."""
 
 LEAST_TRAJECTORIES, LEAST_SAMPLES = 6, 600
 """Trajectories and observed numbers below which data are not worth a search."""
