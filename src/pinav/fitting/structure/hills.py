@@ -44,8 +44,9 @@ fit leaves them much to carry, the last ones little."""
 
 CLEAR, FEW = 100.0, 4
 """Nats by which the first hills may be worse than free kernels, since some may be
-missing, and so many hills at any stage: the data are linearised about the free kernels,
-whose errors count against all others, and a fit of few hills costs little."""
+missing, and so many at the end: the data are linearised about the free kernels, whose
+errors count against all others. So many hills are judged at the end alone: their fit
+costs little, and before it coarse kernels that need not be there count against them."""
 
 COARSE = KernelGrid(across=12, margin=2.0)
 """Where those kernels are."""
@@ -98,7 +99,7 @@ def propose_hills(
         landscape = landscape.with_share(share)
         best = landscape.fit(best.hills, SETTLED)
         reached = max(reached, best.log_evidence)
-        if reached < free - CLEAR:
+        if len(best.hills) > FEW and reached < free - CLEAR:
             return None
         best = landscape.without_needless(best)
         for _ in range(ROUNDS):
@@ -108,9 +109,9 @@ def propose_hills(
                 break
             best = landscape.fit(better.hills, SETTLED)
             best = landscape.without_needless(best)
-        if best.log_evidence < free - (CLEAR if len(best.hills) <= FEW else 0.0):
+        if len(best.hills) > FEW and best.log_evidence < free:
             return None
-    return _term(best.hills)
+    return None if best.log_evidence < free - CLEAR else _term(best.hills)
 
 
 def obstacles_of(hills: HillsTerm, region: Region) -> ObstaclesTerm | None:
