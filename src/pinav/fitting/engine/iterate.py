@@ -60,7 +60,7 @@ def iterate(
     move = Move(problem.theta, problem.states, problem.step_rule)
     chosen: Hyperparameters | None = None
     steps: list[Step] = []
-    is_settled = False
+    is_settled, is_moved = False, False
     while len(steps) < max_iterations:
         step = _attempt(problem, move, chosen)
         if step is None:
@@ -69,14 +69,17 @@ def iterate(
         steps.append(step)
         if on_step:
             on_step(_progress(steps, max_iterations))
-        outcome = _outcome(steps, problem.tolerance)
+        # A defect is that of the point from which a step goes: under another prior the
+        # step may be long, and only the next one tells whether it led anywhere.
+        outcome = Outcome.STALLED if is_moved else _outcome(steps, problem.tolerance)
+        is_moved = False
         if outcome is Outcome.CONVERGED and not is_settled:
             # Each search begins where the last one ended, so that the first
             # linearisations, which are rough, may have led to a lower maximum.
             is_settled = True
             likelier = step.weights.search_anew(step.quadratic, chosen, problem.noise)
             if likelier is not None:
-                chosen = likelier
+                chosen, is_moved = likelier, True
                 continue
         if outcome is not Outcome.STALLED:
             return outcome, steps
