@@ -50,8 +50,9 @@ POINTS, PROMISING = 200, 2
 nearest to it that are polished."""
 
 KINDS = 2.0
-"""Nats that a law must gain: the logarithm of the number of kinds, and a little more.
-A formula is no bolder a claim than kernels that explain as much."""
+"""Nats by which a law may lose, the logarithm of the number of kinds and a little more:
+where the evidence cannot tell, the formula is simpler than kernels that explain as
+much, and says more where no swimmer went."""
 
 BEYOND = 0.2
 """How far beyond the data a law may have its place at first, as a share of theirs."""
@@ -74,7 +75,7 @@ def follow_laws(terms: Terms, response: ForceResponse, noise: float) -> Proposal
         term = best.terms[index]
         if isinstance(term, AbstractProfileTerm) and term.law is None:
             lawful = _with_law_of(best, index, response)
-            if lawful and lawful.log_evidence > best.log_evidence + KINDS:
+            if lawful and lawful.log_evidence > best.log_evidence - KINDS:
                 best = prune(lawful, response)
         index += 1
     return None if best is first else best
