@@ -9,6 +9,7 @@ from tests.fitting.structure.observed_forces import observed_forces
 from pinav.errors import InputError
 from pinav.fitting.environments.terms import TermSummary, summarise_terms, with_terms
 from pinav.fitting.evidence.evidence import LinearisedObservations, at_shape
+from pinav.fitting.structure import proposals
 from pinav.fitting.structure.patterns import twins
 from pinav.fitting.structure.proposals import fallbacks, propose, prune, refine
 from pinav.fitting.structure.response import AT_ONCE, force_quadratic
@@ -143,6 +144,18 @@ def test_a_segment_is_a_long_ellipse_along_the_crest_of_a_wall():
     shear = 0.5 * np.log(7.0) * np.array([np.cos(2 * normal), np.sin(2 * normal)])
     np.testing.assert_allclose(made.terms[0].shear, shear, atol=0.03)
     assert made.noise == pytest.approx(0.01, rel=0.2)
+
+
+def test_a_centre_beside_a_wall_may_be_that_of_an_ellipse():
+    ridge = GaussianRidge(3.0, [4.0, 5.0], 3.0, 1.1, 0.6)
+    data = response(ridge + SoftWall(6.0, 0.7, 9.5, 0.8))
+    ground = proposals._Ground.of(data, REGION, 0.01, proposals.ENOUGH)
+    beside = central_term(REGION, np.array([4.1, 4.9])), wall_term(REGION, 0.7)
+    (stretched,) = ground._stretched(beside)
+    made = polish(stretched, data)
+    assert [term.kind for term in made.terms] == ["wall", "elliptic"]
+    np.testing.assert_allclose(made.terms[1].center, ridge.center, atol=0.05)
+    assert made.noise == pytest.approx(0.01, rel=0.3)
 
 
 @pytest.mark.parametrize("rotational", [False, True])

@@ -340,15 +340,6 @@ def proposed_terms(family, key):
 
 
 @pytest.mark.slow
-def test_a_ridge_and_a_wall_are_found_from_a_centre_and_a_wall():
-    system, terms = proposed_terms("ridge-wall", 4)
-    (ridge,) = [term for term in terms if term.kind == "elliptic"]
-    center = system.environment.terms[0].center
-    np.testing.assert_allclose(ridge.center, center, atol=0.1)
-    assert sorted(term.kind for term in terms) == ["elliptic", "wall"]
-
-
-@pytest.mark.slow
 def test_obstacles_that_no_peak_shows_grow_from_a_pair():
     """A draw for development, whose free potential has its peaks elsewhere."""
     system, (term,) = proposed_terms("obstacles", 12)
