@@ -151,7 +151,7 @@ def test_a_centre_beside_a_wall_may_be_that_of_an_ellipse():
     data = response(ridge + SoftWall(6.0, 0.7, 9.5, 0.8))
     ground = proposals._Ground.of(data, REGION, 0.01, proposals.ENOUGH)
     beside = central_term(REGION, np.array([4.1, 4.9])), wall_term(REGION, 0.7)
-    (stretched,) = ground._stretched(beside)
+    (stretched,) = ground._stretch(beside)
     made = polish(stretched, data)
     assert [term.kind for term in made.terms] == ["wall", "elliptic"]
     np.testing.assert_allclose(made.terms[1].center, ridge.center, atol=0.05)

@@ -322,7 +322,7 @@ class _Ground(eqx.Module):
             return proposals
         least = min(one.noise for one in proposals)
         near = [one.terms for one in proposals if one.noise < ALIKE * least]
-        stretched = [other for terms in near for other in self._stretched(terms)]
+        stretched = [other for terms in near for other in self._stretch(terms)]
         proposals += self._polish_each(stretched, AGAIN)
         if self.is_explained(proposals):
             return proposals
@@ -336,7 +336,7 @@ class _Ground(eqx.Module):
         grown = [(linear, self._grow(one, linear)) for one in alike]
         return proposals + self._polish_each(grown, AGAIN)
 
-    def _stretched(self, terms: Terms) -> Iterator[Terms]:
+    def _stretch(self, terms: Terms) -> Iterator[Terms]:
         """Structures in which a centre of force is that of an ellipse."""
         for index, term in enumerate(terms):
             if isinstance(term, CentralTerm) and not term.rotational:

@@ -15,6 +15,7 @@ from pinav.forces import (
     AbstractTerm,
     CentralTerm,
     EllipticTerm,
+    KernelPotential,
     LinearTerm,
     ObstaclesTerm,
     WallTerm,
@@ -267,7 +268,7 @@ def segments(region: Region, wall: WallTerm) -> list[EllipticTerm]:
     angle = np.asarray(wall.angle)
     normal, along = _directions(angle), _directions(angle + 0.5 * np.pi)
     heights = np.asarray(
-        _potentials(wall, on_device(region.heart + z[:, None] * normal))
+        potentials_at(wall, on_device(region.heart + z[:, None] * normal))
     )
     rest = np.abs(heights - np.polyval(np.polyfit(z, heights, 2), z))
     crests = find_peaks(rest)[0]
@@ -280,10 +281,11 @@ def segments(region: Region, wall: WallTerm) -> list[EllipticTerm]:
 
 
 @eqx.filter_jit
-def _potentials(
-    wall: WallTerm, places: Float[Array, "place 2"]
+def potentials_at(
+    force: WallTerm | KernelPotential, places: Float[Array, "place 2"]
 ) -> Float[Array, " place"]:
-    return jax.vmap(lambda x: wall.potential(0.0, x))(places)
+    """The potential of a force at several places [L² T⁻²]."""
+    return jax.vmap(lambda x: force.potential(0.0, x))(places)
 
 
 def _directions(angles: Float[ArrayLike, "*all"]) -> Float[np.ndarray, "*all 2"]:
