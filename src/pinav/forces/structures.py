@@ -41,9 +41,12 @@ then neither the geometry of a term nor the numbers of a law are determined."""
 FAR = 10.0
 """Reach of a law, in its own sizes."""
 
-ROUNDING = 1e-3
-"""Distance, in widths of a kernel, within which the distance to a point is rounded: its
-derivative at the point itself would not exist."""
+ROUNDING = 0.05
+"""Distance, in widths of a kernel, within which the distance to a point is rounded.
+
+At the point itself its derivative does not exist. Where the slope of a potential is not
+zero there, as about the centre of a wide ring, steps of a fit would go to and fro
+across the point. A hill that follows a `HillLaw` remains one when it is rounded."""
 
 
 class AbstractTerm(AbstractForce):

@@ -4,11 +4,11 @@ Of each kind of law the one next to the profile of a fit is polished, and kept w
 evidence gains more than its numbers cost; the kernels of the profile stay beside it.
 """
 
+import dataclasses
 from collections.abc import Iterator
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -21,6 +21,7 @@ from pinav.fitting.structure.trials import (
     coordinates,
     polish,
     with_places,
+    with_profiles,
 )
 from pinav.forces import AbstractProfileTerm
 from pinav.forces.profile_laws import (
@@ -81,33 +82,22 @@ def follow_laws(terms: Terms, response: ForceResponse, noise: float) -> Proposal
     return None if best is first else best
 
 
-def _is_lawful(alone: Proposal, index: int, noise: float) -> bool:
+def _is_lawful(alone: Proposal, noise: float) -> bool:
     """Whether a law alone explains nearly what the kernels of a profile did.
 
     Not where its numbers left the data: of their forces nothing but rounding is left,
-    and that explains data to any noise. About a centre the force must vanish, which
-    that of a ring over the centre does not.
+    and that explains data to any noise.
 
     Args:
         alone: the structure without these kernels.
-        index: of the term.
         noise: that the structure with them left.
     """
-    term = alone.terms[index]
-    assert isinstance(term, AbstractProfileTerm)
-    assert term.law is not None
-    at_centre = float(term.law.force(jnp.asarray(CENTRE * term.law.size)))
-    is_smooth = abs(at_centre) * float(term.law.size) < POINTED or not term.is_odd
-    return is_smooth and ROUNDED * noise < alone.noise < LAWFUL * noise
+    return ROUNDED * noise < alone.noise < LAWFUL * noise
 
 
-LAWFUL, ROUNDED = 1.1, 0.5
+LAWFUL, ROUNDED = 1.25, 0.5
 """Misfit of a law alone, relative to that of the kernels: above one, it is no law of
 the profile; below the other, it is rounding."""
-
-CENTRE, POINTED = 0.02, 0.45
-"""Distance from a centre at which a force must be small, in sizes of the law; and what
-is small, relative to the height over the size."""
 
 
 def _with_law_of(
@@ -115,8 +105,9 @@ def _with_law_of(
 ) -> Proposal | None:
     """The structure in which a profile follows the most likely law.
 
-    A law is polished alone first: beside kernels, which would carry what is wrong with
-    its numbers, they do not move.
+    A law is polished alone, and keeps those numbers: beside kernels they would not move
+    where kernels carry what is wrong with them, and where the states are wrong they
+    would move to explain that.
     """
     terms, noise = structure.terms, structure.noise
     before, (term, *after) = terms[:index], terms[index:]
@@ -126,14 +117,16 @@ def _with_law_of(
         for law in _laws_like(term, response)
     ]
     alone = [polish((*before, start, *after), response) for start in starts]
-    good = [one for one in alone if one and _is_lawful(one, index, noise)]
+    good = [one for one in alone if one and _is_lawful(one, noise)]
     best = max(good, key=lambda one: one.log_evidence, default=None)
     if best is None:
         return None
     before, (lawful, *after) = best.terms[:index], best.terms[index:]
     assert isinstance(lawful, AbstractProfileTerm)
     whole = with_places(lawful, np.asarray(term.places), term.width)
-    return polish((*before, whole, *after), response)
+    terms = (*before, whole, *after)
+    beside = polish(terms, response)
+    return beside and dataclasses.replace(beside, terms=with_profiles(terms, response))
 
 
 def _laws_like(

@@ -36,7 +36,7 @@ from pinav.fitting.evidence.model_evidence import (
 )
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.hills import obstacles_of, propose_hills
-from pinav.fitting.structure.laws import follow_laws
+from pinav.fitting.structure.laws import LAWFUL, follow_laws
 from pinav.fitting.structure.proposals import Proposal, fallbacks, prune, refine
 from pinav.fitting.structure.survey import WHOLE, Survey, is_worth_a_search
 from pinav.fitting.structure.trials import Terms, polish
@@ -322,6 +322,10 @@ class Search(eqx.Module):
         survey = Survey.of(self.specification, self.free(), begun)
         whole = polish(terms, survey.response)
         other = whole and prune(refine(whole, survey.response), survey.response)
+        if other and not survey.is_explained(other):
+            fit = self._fit_laws_early(other, survey, begun)
+            if fit is not None:
+                return self._without_absent(fit)
         if not (other and survey.is_explained(other)):
             # States that miss the path misplace terms; those of these steps do not.
             turns = not self.kernels.is_conservative
@@ -335,6 +339,22 @@ class Search(eqx.Module):
             if _is_as_good(fit, begun):
                 return self._without_absent(fit)
         return self._without_absent(self._fit_terms(terms, begun))
+
+    def _fit_laws_early(
+        self, proposal: Proposal, survey: Survey, begun: EvidenceFit
+    ) -> EvidenceFit | None:
+        """The fit of terms that follow laws, where those explain what kernels do not.
+
+        About a centre the force of kernels vanishes; that of a wide ring does not, and
+        other terms would be sought to make up for it.
+        """
+        lawful = follow_laws(proposal.terms, survey.response, proposal.noise)
+        if lawful is None:
+            return None
+        fit = self._fit_terms(lawful.terms, begun)
+        most = min(proposal.noise, LAWFUL * survey.noise)
+        is_good = fit.outcome is Outcome.CONVERGED and fit.hyperparameters.noise < most
+        return fit if is_good else None
 
     def _without_absent(self, fit: EvidenceFit) -> EvidenceFit:
         """The fit without terms that it left next to nothing to do.

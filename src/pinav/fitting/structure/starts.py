@@ -254,29 +254,23 @@ def turned_shears() -> Float[np.ndarray, "shear 2"]:
 
 
 def segments(region: Region, wall: WallTerm) -> list[EllipticTerm]:
-    """Long ellipses along the crests of a wall, over the ground of most of the data.
+    """Long ellipses along the layers of a wall, over the ground of most of the data.
+
+    A wall that is fitted to a segment has its direction. Its crests need not be where
+    the segment is: what is beyond the ends moves them.
 
     Args:
         region: of the data.
         wall: one that was fitted to them; one without a potential has no crests.
     """
-    from scipy.signal import find_peaks
-
     if wall.rotational:
         return []
-    z = np.linspace(-0.5, 0.5, ACROSS) * region.crowded
     angle = np.asarray(wall.angle)
     normal, along = _directions(angle), _directions(angle + 0.5 * np.pi)
-    heights = np.asarray(
-        potentials_at(wall, on_device(region.heart + z[:, None] * normal))
-    )
-    rest = np.abs(heights - np.polyval(np.polyfit(z, heights, 2), z))
-    crests = find_peaks(rest)[0]
-    highest = z[crests[np.argsort(-rest[crests])[:CRESTS]]]
-    offsets = np.add.outer(highest, np.array(ASIDE) * region.crowded)
+    across = np.linspace(-0.5, 0.5, ACROSS) * region.crowded
     steps = np.linspace(-0.5, 0.5, ALONG) * region.crowded
-    rows = offsets[..., None, None] * normal + steps[:, None] * along
-    shears = np.outer(LONG, _directions(2 * angle))
+    rows = across[:, None, None] * normal + steps[:, None] * along
+    shears = LONG * _directions(2 * angle)[None]
     return ellipses(region, region.heart + rows.reshape(-1, 2), shears)
 
 
@@ -296,10 +290,9 @@ SHEAR, DIRECTIONS = 0.4, 8
 """Size of $S$ of the ellipses that are tried, axes in the ratio of 2.2; and how many
 directions."""
 
-LONG, ALONG = (0.5, 0.75, 1.0), 9
-"""Sizes of $S$ of long ellipses, axes in the ratios of 2.7 to 7.4; and how many places
-of them are tried along a crest."""
+LONG = 0.9
+"""Size of $S$ of long ellipses, axes in the ratio of 6."""
 
-ACROSS, CRESTS, ASIDE = 101, 3, (-0.015, 0.0, 0.015)
-"""Points across a wall among which its crests are sought; how many of them, the highest
-ones, count; and offsets from each that are tried, relative to the ground."""
+ACROSS, ALONG = 51, 9
+"""Places of long ellipses across a wall, where they must be right to their width, and
+along it."""
