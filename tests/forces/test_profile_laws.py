@@ -27,6 +27,7 @@ from pinav.forces.profile_laws import (
     WaveLaw,
     falling,
 )
+from pinav.forces.structures import ROUNDING
 
 HEIGHT, CENTER, NO_PLACES = 2.5, jnp.array([4.0, 5.5]), jnp.zeros(0)
 TIME, STILL = jnp.zeros(()), jnp.zeros(2)
@@ -36,8 +37,10 @@ def form(tail):
     return jnp.asarray(np.log1p(2 * tail))
 
 
-def central(law):
-    return CentralTerm(jnp.array([HEIGHT]), CENTER, NO_PLACES, 0.5, law=law)
+def central(law, height=HEIGHT, rounding=1e-4):
+    """A term whose distances are rounded within a length."""
+    width = rounding / ROUNDING
+    return CentralTerm(jnp.array([height]), CENTER, NO_PLACES, width, law=law)
 
 
 def wall(law, angle=0.7):
@@ -114,6 +117,18 @@ def test_what_falls_lies_between_zero_and_one_and_has_finite_slopes(square, tail
         assert np.all(np.isfinite(jax.tree.leaves(slopes)))
 
 
+@given(st.floats(0.2, 3.0), st.floats(0.3, 3.0), st.floats(0.01, 0.5))
+def test_a_hill_whose_distance_is_rounded_is_a_hill(tail, size, rounding):
+    """(1 + κ (d² + ε²) / 2 s²) = a (1 + κ d² / 2 a s²), a = 1 + κ ε² / 2 s²."""
+    wider = 1 + 0.5 * tail * (rounding / size) ** 2
+    law = HillLaw(jnp.log(size), form(tail))
+    other = HillLaw(jnp.log(size * np.sqrt(wider)), form(tail))
+    place = CENTER + jnp.array([0.4, -0.3])
+    made = central(law, rounding=rounding)(TIME, place, STILL)
+    true = central(other, HEIGHT * wider ** (-1 / tail))(TIME, place, STILL)
+    np.testing.assert_allclose(made, true, rtol=1e-4)
+
+
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_the_series_about_the_gaussian_joins_the_power(sign):
     squares = jnp.linspace(0.0, 20.0, 50)
@@ -138,10 +153,11 @@ def test_kernels_beside_a_law_add_to_it():
         jnp.append(jnp.array([HEIGHT]), weights), CENTER, places, 0.5, law=law
     )
     kernels = CentralTerm(weights, CENTER, places, 0.5)
+    alone = central(law, rounding=0.5 * ROUNDING)
     x = jnp.array([5.1, 4.2])
     for part in ("__call__", "potential"):
         at = (TIME, x, STILL)[: 3 if part == "__call__" else 2]
-        parts = [getattr(one, part)(*at) for one in (central(law), kernels)]
+        parts = [getattr(one, part)(*at) for one in (alone, kernels)]
         np.testing.assert_allclose(getattr(both, part)(*at), sum(parts), rtol=1e-12)
 
 

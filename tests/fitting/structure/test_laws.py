@@ -56,6 +56,14 @@ def test_a_ring_and_a_wall_follow_their_laws():
     np.testing.assert_allclose(wall.law.constants()["size"], 0.8, rtol=0.05)
 
 
+def test_the_law_of_a_wide_ring_does_not_vanish_at_its_centre():
+    truth = RingBarrier(2.0, CENTER, 1.8, 1.0)
+    ring = lawful(truth, central_term(REGION, np.array([4.02, 5.98])))
+    assert isinstance(ring.law, RingLaw)
+    np.testing.assert_allclose(ring.law.constants()["radius"], 1.8, atol=0.02)
+    np.testing.assert_allclose(ring.law.constants()["size"], 1.0, rtol=0.02)
+
+
 @pytest.mark.parametrize("period", [2.5, 4.0, 9.0])
 def test_stripes_follow_a_wave_of_their_period(period):
     along = 2 * np.pi / period * np.array([[np.cos(0.7), np.sin(0.7)]])

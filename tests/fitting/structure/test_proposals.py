@@ -133,7 +133,7 @@ SEGMENT = GaussianRidge(3.0, [4.4, 6.4], 4.9, 0.7, 2.0)
 """Seven times as long as wide: half the logarithm of that is 0.97."""
 
 
-def test_a_segment_is_a_long_ellipse_along_the_crest_of_a_wall():
+def test_a_segment_is_a_long_ellipse_along_the_layers_of_a_wall():
     data = response(SEGMENT)
     normal = 2.0 - 0.5 * np.pi
     (wall,) = polish((wall_term(REGION, normal + 0.05),), data).terms
@@ -158,9 +158,8 @@ def test_a_centre_beside_a_wall_may_be_that_of_an_ellipse():
     assert made.noise == pytest.approx(0.01, rel=0.3)
 
 
-@pytest.mark.parametrize("rotational", [False, True])
-def test_a_wall_without_crests_has_no_segments(rotational):
-    assert not segments(REGION, wall_term(REGION, 0.7, rotational=rotational))
+def test_the_layers_of_a_shear_flow_hold_no_segments():
+    assert not segments(REGION, wall_term(REGION, 0.7, rotational=True))
 
 
 SPACE = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 3))

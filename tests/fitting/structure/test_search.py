@@ -28,7 +28,7 @@ from pinav.forces import (
     forces_at,
     split_structure,
 )
-from pinav.forces.profile_laws import HillLaw
+from pinav.forces.profile_laws import HillLaw, RingLaw
 from pinav.scenarios import fibres, many_barriers, random_system
 from pinav.scenarios.spaces import box
 from pinav.systems.files import parse_system
@@ -363,6 +363,23 @@ def test_a_hill_that_ends_follows_its_law_beyond_the_data():
     true = forces_at(truth.environment, times, places)
     learned = forces_at(result.force, times, places)
     assert jnp.linalg.norm(learned - true) < 0.01 * jnp.linalg.norm(true)
+
+
+@pytest.mark.slow
+def test_the_force_of_a_wide_ring_does_not_vanish_at_its_centre():
+    """Kernels miss it, and other terms had been sought to make up for that."""
+    truth, model, positions = drawn("ring", 79)
+    result = fit_structured(model, positions)
+    assert result.structure is not None
+    (term,) = result.structure.terms
+    assert isinstance(term, AbstractProfileTerm)
+    assert isinstance(term.law, RingLaw)
+    angles = jnp.linspace(0.0, 2 * jnp.pi, 8, endpoint=False)
+    around = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
+    places = jnp.asarray(truth.environment.center) + 0.3 * around
+    true = forces_at(truth.environment, jnp.zeros(8), places)
+    learned = forces_at(result.force, jnp.zeros(8), places)
+    assert jnp.linalg.norm(learned - true) < 0.02 * jnp.linalg.norm(true)
 
 
 @pytest.mark.slow
