@@ -136,7 +136,7 @@ def test_a_rough_proposal_must_explain_the_data_about_its_own_fit(monkeypatch, i
     monkeypatch.setattr(Survey, "proposal", propose_roughly)
     if not is_near:
         monkeypatch.setattr(Survey, "is_near_noise", lambda *_: False)
-        monkeypatch.setattr(Survey, "is_explained", lambda *_: False)
+        monkeypatch.setattr(Survey, "is_at_noise", lambda *_: False)
     fit = fit_structured(model, positions)
     terms = () if fit.structure is None else fit.structure.terms
     assert [term.kind for term in terms] == (["linear"] if is_near else [])

@@ -128,7 +128,7 @@ def propose(
             may_pair = False  # what pairs explain does not depend on the terms
             trials = ground.pair(rotational=rotational)
         least = min((one.noise for one in trials), default=0.0)
-        if not ground.is_explained(trials) and least < HOPELESS * noise:
+        if not ground.is_enough(trials) and least < HOPELESS * noise:
             trials += ground.extend(terms, rotational=rotational)
         if not trials:
             break
@@ -146,7 +146,7 @@ def propose(
             break
         if best.noise < EXPLAINED * noise or len(best.terms) == MOST_TERMS:
             best = prune(winner, response)
-        if ground.is_explained([best]):
+        if ground.is_enough([best]):
             break
     return best
 
@@ -282,13 +282,13 @@ class _Ground(eqx.Module):
     def extend(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
         """Structures with one term more than there are, of each kind, polished."""
         proposals = self.add_term(terms, rotational=rotational)
-        if self.seen is None or self.is_explained(proposals):
+        if self.seen is None or self.is_enough(proposals):
             return proposals
         beside = terms or (linear_term(self.region),)
         fitted = [one.terms[-1] for one in proposals]
         for ellipse in self._ellipses(beside, fitted):
             proposals += self._polish_each([ellipse])
-            if self.is_explained(proposals):
+            if self.is_enough(proposals):
                 return proposals
         if terms:
             return proposals
@@ -318,13 +318,13 @@ class _Ground(eqx.Module):
             alike += several
             made += [*((linear, one) for one in several), terms]
         proposals = self._polish_each(made, AGAIN)
-        if self.is_explained(proposals) or not proposals:
+        if self.is_enough(proposals) or not proposals:
             return proposals
         least = min(one.noise for one in proposals)
         near = [one.terms for one in proposals if one.noise < ALIKE * least]
         stretched = [other for terms in near for other in self._stretch(terms)]
         proposals += self._polish_each(stretched, AGAIN)
-        if self.is_explained(proposals):
+        if self.is_enough(proposals):
             return proposals
         least = min(one.noise for one in proposals)
         if not any(
@@ -375,10 +375,10 @@ class _Ground(eqx.Module):
         The first of several terms is found while the others are not there, and takes
         what it can of them: an ellipse stands for a hill and a wall.
         """
-        explained = self.is_explained([proposal])
+        is_enough = self.is_enough([proposal])
         for index, term in enumerate(proposal.terms[:-1]):
             simpler = isinstance(term, EllipticTerm)
-            if isinstance(term, LinearTerm) or (explained and not simpler):
+            if isinstance(term, LinearTerm) or (is_enough and not simpler):
                 continue
             rest = proposal.terms[:index] + proposal.terms[index + 1 :]
             _, *kinds = scanned_terms(self.region, self.summits, rotational=rotational)
@@ -407,7 +407,7 @@ class _Ground(eqx.Module):
         """Where further centres are scanned [L]."""
         return np.concatenate([self.region.places(), self.summits])
 
-    def is_explained(self, proposals: Sequence[Proposal]) -> bool:
+    def is_enough(self, proposals: Sequence[Proposal]) -> bool:
         """Whether one of them leaves so little that nothing else is sought."""
         return any(one.noise < self.enough * self.noise for one in proposals)
 

@@ -38,7 +38,7 @@ from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.hills import obstacles_of, propose_hills
 from pinav.fitting.structure.laws import LAWFUL, follow_laws
 from pinav.fitting.structure.proposals import Proposal, fallbacks, prune, refine
-from pinav.fitting.structure.survey import WHOLE, Survey, is_worth_a_search
+from pinav.fitting.structure.survey import AT_NOISE, Survey, is_worth_a_search
 from pinav.fitting.structure.trials import Terms, polish
 from pinav.forces import (
     AbstractForce,
@@ -322,14 +322,13 @@ class Search(eqx.Module):
         survey = Survey.of(self.specification, self.free(), begun)
         whole = polish(terms, survey.response)
         other = whole and prune(refine(whole, survey.response), survey.response)
-        if other and not survey.is_explained(other):
-            fit = self._fit_laws_early(other, survey, begun)
-            if fit is not None:
-                return self._without_absent(fit)
-        if not (other and survey.is_explained(other)):
+        if not (other and survey.is_at_noise(other)):
+            lawful = other and self._fit_laws_early(other, survey, begun)
+            if lawful is not None:
+                return self._without_absent(lawful)
             # States that miss the path misplace terms; those of these steps do not.
             turns = not self.kernels.is_conservative
-            again = survey.proposal(rotational=turns, enough=WHOLE)
+            again = survey.proposal(rotational=turns, enough=AT_NOISE)
             if again is not None and not again.is_rough:
                 other = again
             elif proposal.is_rough and not (other and survey.is_near_noise(other)):

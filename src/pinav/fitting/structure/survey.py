@@ -124,12 +124,12 @@ class Survey(eqx.Module):
         """Whether terms leave little more of the data unexplained than the noise."""
         return proposal.noise <= EXPLAINED * self.noise
 
-    def is_explained(self, proposal: Proposal) -> bool:
+    def is_at_noise(self, proposal: Proposal) -> bool:
         """Whether terms leave so little of the data that they are all there is."""
-        return proposal.noise <= WHOLE * self.noise
+        return proposal.noise <= AT_NOISE * self.noise
 
 
-WHOLE = 1.1
+AT_NOISE = 1.1
 """Misfit of terms about their own fit, relative to the noise, above which there is more
 than these terms."""
 
