@@ -342,7 +342,7 @@ class Search(eqx.Module):
     def _fit_laws_early(
         self, proposal: Proposal, survey: Survey, begun: EvidenceFit
     ) -> EvidenceFit | None:
-        """The fit of terms that follow laws, where those explain what kernels do not.
+        """The fit of terms that follow laws, where those are all that is needed.
 
         About a centre the force of kernels vanishes; that of a wide ring does not, and
         other terms would be sought to make up for it.
@@ -351,9 +351,9 @@ class Search(eqx.Module):
         if lawful is None:
             return None
         fit = self._fit_terms(lawful.terms, begun)
-        most = min(proposal.noise, LAWFUL * survey.noise)
-        is_good = fit.outcome is Outcome.CONVERGED and fit.hyperparameters.noise < most
-        return fit if is_good else None
+        is_good = fit.hyperparameters.noise <= LAWFUL * survey.noise
+        is_whole = fit.outcome is Outcome.CONVERGED and stands_alone(fit)
+        return fit if is_good and is_whole else None
 
     def _without_absent(self, fit: EvidenceFit) -> EvidenceFit:
         """The fit without terms that it left next to nothing to do.
