@@ -347,6 +347,8 @@ class Search(eqx.Module):
         About a centre the force of kernels vanishes; that of a wide ring does not, and
         other terms would be sought to make up for it.
         """
+        if not survey.is_near_noise(proposal):
+            return None
         lawful = follow_laws(proposal.terms, survey.response, proposal.noise)
         if lawful is None:
             return None
