@@ -82,16 +82,26 @@ def follow_laws(terms: Terms, response: ForceResponse, noise: float) -> Proposal
     return None if best is first else best
 
 
-def _is_lawful(alone: Proposal, noise: float) -> bool:
+def _is_lawful(alone: Proposal, index: int, noise: float) -> bool:
     """Whether a law alone explains nearly what the kernels of a profile did.
 
     Not where its numbers left the data: of their forces nothing but rounding is left,
-    and that explains data to any noise.
+    and that explains data to any noise. A ring narrower than its own flank is no ring
+    but a hill whose formula is another one.
 
     Args:
         alone: the structure without these kernels.
+        index: of the term.
         noise: that the structure with them left.
     """
+    term = alone.terms[index]
+    assert isinstance(term, AbstractProfileTerm)
+    if (
+        term.is_odd
+        and isinstance(term.law, RingLaw)
+        and term.law.radius < term.law.size
+    ):
+        return False
     return ROUNDED * noise < alone.noise < LAWFUL * noise
 
 
@@ -117,7 +127,7 @@ def _with_law_of(
         for law in _laws_like(term, response)
     ]
     alone = [polish((*before, start, *after), response) for start in starts]
-    good = [one for one in alone if one and _is_lawful(one, noise)]
+    good = [one for one in alone if one and _is_lawful(one, index, noise)]
     best = max(good, key=lambda one: one.log_evidence, default=None)
     if best is None:
         return None
