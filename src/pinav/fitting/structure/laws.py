@@ -96,11 +96,8 @@ def _is_lawful(alone: Proposal, index: int, noise: float) -> bool:
     """
     term = alone.terms[index]
     assert isinstance(term, AbstractProfileTerm)
-    if (
-        term.is_odd
-        and isinstance(term.law, RingLaw)
-        and term.law.radius < term.law.size
-    ):
+    is_ring = term.is_odd and isinstance(term.law, RingLaw)
+    if is_ring and term.law.radius < term.law.size:
         return False
     return ROUNDED * noise < alone.noise < LAWFUL * noise
 
