@@ -96,8 +96,8 @@ def _is_lawful(alone: Proposal, index: int, noise: float) -> bool:
     """
     term = alone.terms[index]
     assert isinstance(term, AbstractProfileTerm)
-    is_ring = term.is_odd and isinstance(term.law, RingLaw)
-    if is_ring and term.law.radius < term.law.size:
+    law = term.law
+    if term.is_odd and isinstance(law, RingLaw) and law.radius < law.size:
         return False
     return ROUNDED * noise < alone.noise < LAWFUL * noise
 
