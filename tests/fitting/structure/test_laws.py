@@ -64,6 +64,13 @@ def test_the_law_of_a_wide_ring_does_not_vanish_at_its_centre():
     np.testing.assert_allclose(ring.law.constants()["size"], 1.0, rtol=0.02)
 
 
+def test_a_ring_narrower_than_its_flank_is_no_law():
+    """It would be one of any hill whose formula is not among the laws."""
+    truth = RingBarrier(2.0, CENTER, 0.6, 1.0)
+    hill = lawful(truth, central_term(REGION, np.array([4.02, 5.98])))
+    assert hill is None or not isinstance(hill.law, RingLaw)
+
+
 @pytest.mark.parametrize("period", [2.5, 4.0, 9.0])
 def test_stripes_follow_a_wave_of_their_period(period):
     along = 2 * np.pi / period * np.array([[np.cos(0.7), np.sin(0.7)]])
