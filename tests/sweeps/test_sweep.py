@@ -1,5 +1,6 @@
 """Sweeps lose nothing and do nothing twice, whoever works and whatever dies."""
 
+import contextlib
 import json
 import os
 import random
@@ -366,7 +367,8 @@ def test_a_hundred_kills_change_no_byte_of_the_table(tmp_path):
             time.sleep(dice.uniform(0.0, 0.25))
             if pids := workers_of(os.getpid()):
                 kills.append(dice.choice(pids))
-                os.kill(kills[-1], signal.SIGKILL)
+                with contextlib.suppress(ProcessLookupError):  # it has just ended
+                    os.kill(kills[-1], signal.SIGKILL)
 
     killer = threading.Thread(target=kill)
     killer.start()

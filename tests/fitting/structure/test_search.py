@@ -376,7 +376,7 @@ def test_the_force_of_a_wide_ring_does_not_vanish_at_its_centre():
     assert isinstance(term.law, RingLaw)
     angles = jnp.linspace(0.0, 2 * jnp.pi, 8, endpoint=False)
     around = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
-    places = jnp.asarray(truth.environment.center) + 0.3 * around
+    places = jnp.asarray(truth.environment.center)[None] + 0.3 * around
     true = forces_at(truth.environment, jnp.zeros(8), places)
     learned = forces_at(result.force, jnp.zeros(8), places)
     assert jnp.linalg.norm(learned - true) < 0.02 * jnp.linalg.norm(true)

@@ -4,7 +4,7 @@ import { arrayOf } from "./numbers.js";
 
 const onlyNumber = (value) => arrayOf(value)[0];
 
-const NEAR_CENTRE = 1e-3; // of distances, in widths of a kernel: as in forces/structures.py
+const NEAR_CENTRE = 0.05; // of distances, in widths of a kernel: as in forces/structures.py
 
 /** Force of a hill of any tail at an offset from its top, for unit height. */
 function hillForce(offset, size, form) {
