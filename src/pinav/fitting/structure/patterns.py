@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 from scipy.ndimage import maximum_filter
 
 from pinav.arguments import on_device
@@ -28,7 +28,6 @@ from pinav.fitting.structure.starts import (
     central_term,
     circular,
     obstacles_at,
-    potentials_at,
 )
 from pinav.forces import (
     CentralTerm,
@@ -143,7 +142,7 @@ class PotentialMap(eqx.Module):
 
         axes = np.linspace(positions.min(axis=0), positions.max(axis=0), points).T
         places = np.stack(np.meshgrid(*axes), axis=-1)
-        heights = np.asarray(potentials_at(potential, on_device(places.reshape(-1, 2))))
+        heights = np.asarray(_heights(potential, on_device(places.reshape(-1, 2))))
         gaps = KDTree(positions).query(places)[0]
         return cls(
             places=places,
@@ -175,6 +174,13 @@ class PotentialMap(eqx.Module):
         seen = columns[self.is_seen], self.heights[self.is_seen]
         rest = self.heights - columns @ np.linalg.lstsq(*seen, rcond=None)[0]
         return self.peaks(np.abs(rest), NEARBY, SUMMIT)[:MOST_PEAKS]
+
+
+@eqx.filter_jit
+def _heights(
+    potential: KernelPotential, places: Float[Array, "place 2"]
+) -> Float[Array, " place"]:
+    return jax.vmap(lambda x: potential.potential(0.0, x))(places)
 
 
 NEARBY, SUMMIT = 9, 0.3

@@ -6,7 +6,6 @@ Their kernels and their scanned places come from where the data are.
 from collections.abc import Iterator, Sequence
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
@@ -15,7 +14,6 @@ from pinav.forces import (
     AbstractTerm,
     CentralTerm,
     EllipticTerm,
-    KernelPotential,
     LinearTerm,
     ObstaclesTerm,
     WallTerm,
@@ -272,14 +270,6 @@ def segments(region: Region, wall: WallTerm) -> list[EllipticTerm]:
     rows = across[:, None, None] * normal + steps[:, None] * along
     shears = LONG * _directions(2 * angle)[None]
     return ellipses(region, region.heart + rows.reshape(-1, 2), shears)
-
-
-@eqx.filter_jit
-def potentials_at(
-    force: WallTerm | KernelPotential, places: Float[Array, "place 2"]
-) -> Float[Array, " place"]:
-    """The potential of a force at several places [L² T⁻²]."""
-    return jax.vmap(lambda x: force.potential(0.0, x))(places)
 
 
 def _directions(angles: Float[ArrayLike, "*all"]) -> Float[np.ndarray, "*all 2"]:
