@@ -146,15 +146,16 @@ def test_a_segment_is_a_long_ellipse_along_the_layers_of_a_wall():
     assert made.noise == pytest.approx(0.01, rel=0.2)
 
 
-def test_a_centre_beside_a_wall_may_be_that_of_an_ellipse():
+def test_an_ellipse_is_found_beside_the_wall_of_a_pair():
     ridge = GaussianRidge(3.0, [4.0, 5.0], 3.0, 1.1, 0.6)
     data = response(ridge + SoftWall(6.0, 0.7, 9.5, 0.8))
     ground = proposals._Ground.of(data, REGION, 0.01, proposals.ENOUGH)
-    beside = central_term(REGION, np.array([4.1, 4.9])), wall_term(REGION, 0.7)
-    (stretched,) = ground._stretch(beside)
-    made = polish(stretched, data)
-    assert [term.kind for term in made.terms] == ["wall", "elliptic"]
-    np.testing.assert_allclose(made.terms[1].center, ridge.center, atol=0.05)
+    linear = linear_term(REGION)
+    circle, wall = central_term(REGION, np.array([6.0, 3.0])), wall_term(REGION, 0.72)
+    pair = polish((linear, circle, wall), data)
+    (terms,) = ground._beside_walls([pair, pair], linear)  # each wall once
+    made = polish(terms, data, again=proposals.AGAIN, between=(0.014, 0.05))
+    np.testing.assert_allclose(made.terms[2].center, ridge.center, atol=0.05)
     assert made.noise == pytest.approx(0.01, rel=0.3)
 
 

@@ -27,6 +27,7 @@ from pinav.fitting.structure.patterns import (
 from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.starts import (
     ANGLES,
+    GRID,
     Region,
     circular,
     ellipses,
@@ -77,13 +78,12 @@ MOST_ROUNDS = 4
 MOST_HALVINGS = 2
 """Times that the width of the kernels of a profile may be halved."""
 
-PROMISING, PAIRS = 3, 2
+PROMISING, PAIRS = 3, 6
 """Kinds, and pairs of kinds, that are polished, of those that were scanned."""
 
 MOST_GROWN, ALIKE = 5, 1.5
 """Obstacles of one kind to which a pair of them grows; needless ones go later. And the
-misfit of a pair relative to the least of any, above which it does not grow, and its
-centres are not those of ellipses."""
+misfit of a pair relative to the least of any, above which it does not grow."""
 
 AGAIN = 3
 """Times that the polish of several terms is repeated at most."""
@@ -306,9 +306,11 @@ class _Ground(eqx.Module):
             self.region, self.summits, rotational=rotational
         )
         profiles = [one for one in kinds if not isinstance(one[0], LinearTerm)]
+        if len(self.summits):
+            profiles.append(ellipses(self.region, self.summits, turned_shears()))
         shapes = [smooth_shape(one[0], self.response) for one in profiles]
         pairs = scan_pairs(profiles, shapes, linear, self.response)
-        made: list[Terms] = []
+        proposals: list[Proposal] = []
         alike: list[ObstaclesTerm] = []
         for pair in pairs[:PAIRS]:
             terms = (linear, *pair.terms)
@@ -316,33 +318,42 @@ class _Ground(eqx.Module):
                 terms = self._scan([terms[1]], (linear, *terms[2:])).terms
             several = _as_one_kind(*terms[1:])
             alike += several
-            made += [*((linear, one) for one in several), terms]
-        proposals = self._polish_each(made, AGAIN)
-        if self.is_enough(proposals) or not proposals:
-            return proposals
-        least = min(one.noise for one in proposals)
-        near = [one.terms for one in proposals if one.noise < ALIKE * least]
-        stretched = [other for terms in near for other in self._stretch(terms)]
-        proposals += self._polish_each(stretched, AGAIN)
-        if self.is_enough(proposals):
-            return proposals
-        least = min(one.noise for one in proposals)
-        if not any(
+            made = [*((linear, one) for one in several), terms]
+            proposals += self._polish_each(made, AGAIN)
+            if self.is_enough(proposals):
+                return proposals
+        least = min((one.noise for one in proposals), default=0.0)
+        if any(
             isinstance(one.terms[-1], ObstaclesTerm) and one.noise < ALIKE * least
             for one in proposals
         ):
-            return proposals
-        # from where they were scanned: polished, two have moved to stand for the others
-        grown = [(linear, self._grow(one, linear)) for one in alike]
-        return proposals + self._polish_each(grown, AGAIN)
+            # from where they were scanned: polished, two have moved to stand for others
+            grown = [(linear, self._grow(one, linear)) for one in alike]
+            proposals += self._polish_each(grown, AGAIN)
+        for terms in self._beside_walls(proposals, linear):
+            if self.is_enough(proposals):
+                break
+            proposals += self._polish_each([terms], AGAIN)
+        return proposals
 
-    def _stretch(self, terms: Terms) -> Iterator[Terms]:
-        """Structures in which a centre of force is that of an ellipse."""
-        for index, term in enumerate(terms):
-            if isinstance(term, CentralTerm) and not term.rotational:
-                center = np.asarray(term.center)[None]
-                starts = ellipses(self.region, center, turned_shears())
-                yield self._scan(starts, terms[:index] + terms[index + 1 :]).terms
+    def _beside_walls(
+        self, proposals: Sequence[Proposal], linear: AbstractTerm
+    ) -> Iterator[Terms]:
+        """Structures of an ellipse anywhere beside the wall of each of several pairs.
+
+        A pair of other terms may have the wall of the true one, and nothing else of it.
+        """
+        places = np.concatenate([self.region.grid(GRID[2]), self.summits])
+        starts = ellipses(self.region, places, turned_shears())
+        tried: list[float] = []
+        for wall in (one for proposal in proposals for one in proposal.terms):
+            if not isinstance(wall, WallTerm) or wall.rotational:
+                continue
+            angle = float(wall.angle)
+            turns = np.abs(np.sin(angle - np.asarray(tried)))
+            if (turns > np.sin(0.5 * np.pi / ANGLES)).all():
+                tried.append(angle)
+                yield self._scan(starts, (linear, wall)).terms
 
     def _ellipses(
         self, terms: Terms, fitted: Sequence[AbstractTerm]
