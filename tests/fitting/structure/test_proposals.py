@@ -9,7 +9,7 @@ from tests.fitting.structure.observed_forces import observed_forces
 from pinav.errors import InputError
 from pinav.fitting.environments.terms import TermSummary, summarise_terms, with_terms
 from pinav.fitting.evidence.evidence import LinearisedObservations, at_shape
-from pinav.fitting.structure import proposals
+from pinav.fitting.structure.candidates import AGAIN, ENOUGH, Candidates
 from pinav.fitting.structure.patterns import twins
 from pinav.fitting.structure.proposals import fallbacks, propose, prune, refine
 from pinav.fitting.structure.response import AT_ONCE, force_quadratic
@@ -149,12 +149,12 @@ def test_a_segment_is_a_long_ellipse_along_the_layers_of_a_wall():
 def test_an_ellipse_is_found_beside_the_wall_of_a_pair():
     ridge = GaussianRidge(3.0, [4.0, 5.0], 3.0, 1.1, 0.6)
     data = response(ridge + SoftWall(6.0, 0.7, 9.5, 0.8))
-    ground = proposals._Ground.of(data, REGION, 0.01, proposals.ENOUGH)
+    candidates = Candidates.of(data, REGION, 0.01, ENOUGH)
     linear = linear_term(REGION)
     circle, wall = central_term(REGION, np.array([6.0, 3.0])), wall_term(REGION, 0.72)
     pair = polish((linear, circle, wall), data)
-    (terms,) = ground._beside_walls([pair, pair], linear)  # each wall once
-    made = polish(terms, data, again=proposals.AGAIN, between=(0.014, 0.05))
+    (terms,) = candidates._beside_walls([pair, pair], linear)  # each wall once
+    made = polish(terms, data, again=AGAIN, between=(0.014, 0.05))
     np.testing.assert_allclose(made.terms[2].center, ridge.center, atol=0.05)
     assert made.noise == pytest.approx(0.01, rel=0.3)
 

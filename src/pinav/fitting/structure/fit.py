@@ -20,7 +20,7 @@ from pinav.fitting.engine.iterate import EvidenceProgress
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure.proposals import EXPLAINED, Proposal
+from pinav.fitting.structure.candidates import EXPLAINED
 from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
 from pinav.fitting.structure.search import (
     Search,
@@ -29,6 +29,7 @@ from pinav.fitting.structure.search import (
     needs_no_search,
 )
 from pinav.fitting.structure.survey import Survey, is_worth_a_search, may_turn
+from pinav.fitting.structure.trials import Proposal
 from pinav.forces import split_structure
 from pinav.numerics import free_programs
 from pinav.trajectories import Trajectories, with_velocities

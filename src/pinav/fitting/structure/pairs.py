@@ -67,10 +67,10 @@ def scan_pairs(
             for terms, s in zip(kinds, shapes, strict=True)
         ),
     ]
-    grounds = _Grounds.of(blocks, response)
+    products = _Products.of(blocks, response)
     made = []
     for first, second in itertools.combinations_with_replacement(range(len(kinds)), 2):
-        values = grounds.evidences(first, second)
+        values = products.evidences(first, second)
         if second == first:  # each pair once, and no term beside itself
             values[np.tri(len(values), dtype=bool)] = -np.inf
         best = int(np.argmax(values))
@@ -88,7 +88,7 @@ def _directions(
     return np.stack([rows @ chosen for rows in term_columns(terms, response)])
 
 
-class _Grounds(eqx.Module):
+class _Products(eqx.Module):
     """Products of all directions of all terms with each other.
 
     Attributes:
@@ -111,7 +111,7 @@ class _Grounds(eqx.Module):
         cls,
         blocks: Sequence[Float[np.ndarray, "_ datum _"]],
         response: ForceResponse,
-    ) -> "_Grounds":
+    ) -> "_Products":
         stacked = np.concatenate([side for block in blocks for side in block], axis=1)
         sizes = [block.shape[0] * block.shape[2] for block in blocks]
         places = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])

@@ -24,8 +24,9 @@ from pinav.fitting.evidence.model_evidence import (
 )
 from pinav.fitting.evidence.quadratic import restrict
 from pinav.fitting.evidence.weights import GaussianWeights
-from pinav.fitting.structure.proposals import EXPLAINED, Terms
+from pinav.fitting.structure.candidates import EXPLAINED
 from pinav.fitting.structure.response import ForceResponse, force_quadratic
+from pinav.fitting.structure.trials import Terms
 from pinav.forces import (
     AbstractLearnedForce,
     KernelMixture,

@@ -37,9 +37,9 @@ from pinav.fitting.evidence.model_evidence import (
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.hills import obstacles_of, propose_hills
 from pinav.fitting.structure.laws import LAWFUL, follow_laws
-from pinav.fitting.structure.proposals import Proposal, fallbacks, prune, refine
+from pinav.fitting.structure.proposals import fallbacks, prune, refine
 from pinav.fitting.structure.survey import AT_NOISE, Survey, is_worth_a_search
-from pinav.fitting.structure.trials import Terms, polish
+from pinav.fitting.structure.trials import Proposal, Terms, polish
 from pinav.forces import (
     AbstractForce,
     HillsTerm,

@@ -10,14 +10,8 @@ import jax.numpy as jnp
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.evidence_fit import EvidenceFit
-from pinav.fitting.structure.proposals import (
-    ENOUGH,
-    EXPLAINED,
-    HOPELESS,
-    is_hopeless,
-    propose,
-    refine,
-)
+from pinav.fitting.structure.candidates import ENOUGH, EXPLAINED, HOPELESS
+from pinav.fitting.structure.proposals import is_hopeless, propose, refine
 from pinav.fitting.structure.response import ForceResponse, force_response
 from pinav.fitting.structure.starts import GRID, Region
 from pinav.fitting.structure.trials import Proposal
