@@ -9,7 +9,12 @@ from tests.fitting.structure.observed_forces import observed_forces
 from pinav.errors import InputError
 from pinav.fitting.environments.terms import TermSummary, summarise_terms, with_terms
 from pinav.fitting.evidence.evidence import LinearisedObservations, at_shape
-from pinav.fitting.structure.candidates import AGAIN, ENOUGH, Candidates
+from pinav.fitting.structure.candidates import (
+    AGAIN,
+    ENOUGH,
+    FIRST_PAIRS,
+    Candidates,
+)
 from pinav.fitting.structure.patterns import twins
 from pinav.fitting.structure.proposals import fallbacks, propose, prune, refine
 from pinav.fitting.structure.response import AT_ONCE, force_quadratic
@@ -20,6 +25,7 @@ from pinav.fitting.structure.starts import (
     segments,
     wall_term,
 )
+from pinav.fitting.structure.survey import Survey
 from pinav.fitting.structure.trials import (
     Proposal,
     cost,
@@ -32,6 +38,7 @@ from pinav.forces import (
     GaussianRidge,
     KernelPotential,
     LinearForce,
+    ObstaclesTerm,
     RingBarrier,
     SoftWall,
     StructuredForce,
@@ -157,6 +164,29 @@ def test_an_ellipse_is_found_beside_the_wall_of_a_pair():
     made = polish(terms, data, again=AGAIN, between=(0.014, 0.05))
     np.testing.assert_allclose(made.terms[2].center, ridge.center, atol=0.05)
     assert made.noise == pytest.approx(0.01, rel=0.3)
+
+
+@pytest.mark.slow
+def test_where_the_first_pairs_are_hopeless_no_others_are_polished():
+    data = response(HILL + SADDLE)
+    candidates = Candidates.of(data, REGION, 1e-4, ENOUGH)  # so is all that is left
+    made = candidates.pair(rotational=False)
+    pairs = [one for one in made if not isinstance(one.terms[-1], ObstaclesTerm)]
+    assert 0 < len(pairs) <= FIRST_PAIRS
+
+
+@pytest.mark.parametrize(
+    ("noise", "again", "is_exhausted"),
+    [(0.03, 0.031, True), (0.03, 0.04, False), (0.025, 0.025, False)],
+)
+def test_a_search_is_not_repeated_where_data_tell_the_same(noise, again, is_exhausted):
+    """Unless it had ended early, because terms left little more than the noise."""
+    survey = Survey(response(HILL), REGION, 0.02, is_begun=True)
+    first, second = (
+        Proposal((linear_term(REGION),), 0.0, one) for one in (noise, again)
+    )
+    assert survey.is_exhausted(first, second) is is_exhausted
+    assert not survey.is_exhausted(first, None)
 
 
 def test_the_layers_of_a_shear_flow_hold_no_segments():

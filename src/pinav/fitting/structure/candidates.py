@@ -57,12 +57,16 @@ HOPELESS = 5.0
 """Misfit of as many terms as there may be, relative to the noise, at which the search
 ends: none of them is worth leaving out for another."""
 
-PROMISING, PAIRS = 3, 6
-"""Kinds, and pairs of kinds, that are polished, of those that were scanned."""
+PROMISING, PAIRS, FIRST_PAIRS = 3, 6, 2
+"""Kinds, and pairs of kinds, that are polished, of those that were scanned; and pairs
+after which the others are not, where those are hopeless."""
 
 MOST_GROWN, ALIKE = 5, 1.5
 """Obstacles of one kind to which a pair of them grows; needless ones go later. And the
 misfit of a pair relative to the least of any, above which it does not grow."""
+
+MOST_WALLS = 2
+"""Walls of pairs beside which an ellipse is sought anywhere, which takes long."""
 
 AGAIN = 3
 """Times that the polish of several terms is repeated at most."""
@@ -151,7 +155,9 @@ class Candidates(eqx.Module):
         pairs = scan_pairs(profiles, shapes, linear, self.response)
         proposals: list[Proposal] = []
         alike: list[ObstaclesTerm] = []
-        for pair in pairs[:PAIRS]:
+        for rank, pair in enumerate(pairs[:PAIRS]):
+            if rank >= FIRST_PAIRS and self._is_hopeless(proposals):
+                break
             terms = (linear, *pair.terms)
             for _ in pair.terms:  # each beside the other, on finer grids
                 terms = self._scan([terms[1]], (linear, *terms[2:])).terms
@@ -171,6 +177,8 @@ class Candidates(eqx.Module):
             proposals += self._polish_each(grown, AGAIN)
             if self.is_enough(proposals):
                 return proposals
+        if self._is_hopeless(proposals):
+            return proposals
         for terms in self._beside_walls(proposals, linear):
             proposals += self._polish_each([terms], AGAIN)
             if self.is_enough(proposals):
@@ -180,14 +188,15 @@ class Candidates(eqx.Module):
     def _beside_walls(
         self, proposals: Sequence[Proposal], linear: AbstractTerm
     ) -> Iterator[Terms]:
-        """Structures of an ellipse anywhere beside the wall of each of several pairs.
+        """Structures of an ellipse anywhere beside the walls of the best pairs.
 
         A pair of other terms may have the wall of the true one, and nothing else of it.
         """
         places = np.concatenate([self.region.grid(GRID[2]), self.summits])
         starts = ellipses(self.region, places, turned_shears())
+        best = sorted(proposals, key=lambda one: one.noise)
         tried: list[float] = []
-        for wall in (one for proposal in proposals for one in proposal.terms):
+        for wall in (term for proposal in best for term in proposal.terms):
             if not isinstance(wall, WallTerm) or wall.rotational:
                 continue
             angle = float(wall.angle)
@@ -195,6 +204,8 @@ class Candidates(eqx.Module):
             if (turns > np.sin(0.5 * np.pi / ANGLES)).all():
                 tried.append(angle)
                 yield self._scan(starts, (linear, wall)).terms
+            if len(tried) == MOST_WALLS:
+                return
 
     def _ellipses(
         self, terms: Terms, fitted: Sequence[AbstractTerm]
@@ -262,6 +273,10 @@ class Candidates(eqx.Module):
     def is_enough(self, proposals: Sequence[Proposal]) -> bool:
         """Whether one of them leaves so little that nothing else is sought."""
         return any(one.noise < self.enough * self.noise for one in proposals)
+
+    def _is_hopeless(self, proposals: Sequence[Proposal]) -> bool:
+        """Whether each of them leaves so much that none like them is sought."""
+        return all(one.noise > HOPELESS * self.noise for one in proposals)
 
     def _polish_each(
         self, structures: Sequence[Terms], again: int = 1

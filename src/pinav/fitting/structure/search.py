@@ -327,8 +327,10 @@ class Search(eqx.Module):
             if lawful is not None:
                 return self._without_absent(lawful)
             # States that miss the path misplace terms; those of these steps do not.
-            turns = not self.kernels.is_conservative
-            again = survey.proposal(rotational=turns, enough=AT_NOISE)
+            again = None
+            if not survey.is_exhausted(proposal, whole):
+                turns = not self.kernels.is_conservative
+                again = survey.proposal(rotational=turns, enough=AT_NOISE)
             if again is not None and not again.is_rough:
                 other = again
             elif proposal.is_rough and not (other and survey.is_near_noise(other)):

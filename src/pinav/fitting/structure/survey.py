@@ -122,6 +122,23 @@ class Survey(eqx.Module):
         """Whether terms leave so little of the data that they are all there is."""
         return proposal.noise <= AT_NOISE * self.noise
 
+    def is_exhausted(self, proposal: Proposal, again: Proposal | None) -> bool:
+        """Whether the search that ended with terms would end with them here, too.
+
+        It did where it left nothing untried, and these data tell of the terms what
+        those told.
+
+        Args:
+            proposal: the terms as they were found.
+            again: their polish with these data.
+        """
+        is_whole = proposal.noise > ENOUGH * self.noise
+        is_same = again is not None and abs(again.noise / proposal.noise - 1) < ALIKE
+        return is_whole and is_same
+
+
+ALIKE = 0.1
+"""Change of the misfit of terms, relative to it, that is none."""
 
 AT_NOISE = 1.1
 """Misfit of terms about their own fit, relative to the noise, above which there is more
