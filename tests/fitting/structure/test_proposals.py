@@ -177,7 +177,7 @@ def test_where_the_first_pairs_are_hopeless_no_others_are_polished():
 
 @pytest.mark.parametrize(
     ("noise", "again", "is_exhausted"),
-    [(0.03, 0.031, True), (0.03, 0.04, False), (0.025, 0.025, False)],
+    [(0.04, 0.041, True), (0.04, 0.05, False), (0.03, 0.03, False)],
 )
 def test_a_search_is_not_repeated_where_data_tell_the_same(noise, again, is_exhausted):
     """Unless it had ended early, because terms left little more than the noise."""

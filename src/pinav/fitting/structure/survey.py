@@ -125,16 +125,15 @@ class Survey(eqx.Module):
     def is_exhausted(self, proposal: Proposal, again: Proposal | None) -> bool:
         """Whether the search that ended with terms would end with them here, too.
 
-        It did where it left nothing untried, and these data tell of the terms what
-        those told.
+        It did where its terms were far from enough, so that it left nothing untried,
+        and these data tell of them what those told.
 
         Args:
             proposal: the terms as they were found.
             again: their polish with these data.
         """
-        is_whole = proposal.noise > ENOUGH * self.noise
         is_same = again is not None and abs(again.noise / proposal.noise - 1) < ALIKE
-        return is_whole and is_same
+        return is_same and not self.is_near_noise(proposal)
 
 
 ALIKE = 0.1
