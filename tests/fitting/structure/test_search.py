@@ -14,8 +14,8 @@ from pinav.fitting.environments.kernels import KernelGrid, kernel_environment
 from pinav.fitting.environments.refinement import Refinement
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.outcome import Outcome
+from pinav.fitting.structure import candidates, search
 from pinav.fitting.structure import fit as structure_fit
-from pinav.fitting.structure import proposals, search
 from pinav.fitting.structure.search import Search, needs_no_search
 from pinav.fitting.structure.starts import Region, central_term, linear_term
 from pinav.fitting.structure.survey import Survey
@@ -393,7 +393,7 @@ def test_a_well_that_swimmers_circle_is_fitted_before_other_terms_are_sought(
     def pairs_are_sought(*_, **__):
         pytest.fail("pairs of terms were sought")
 
-    monkeypatch.setattr(proposals, "scan_pairs", pairs_are_sought)
+    monkeypatch.setattr(candidates, "scan_pairs", pairs_are_sought)
     _, model, positions = drawn("lorentzian", 59)
     result = fit_structured(model, positions)
     assert result.structure is not None
