@@ -176,17 +176,17 @@ def test_where_the_first_pairs_are_hopeless_no_others_are_polished():
 
 
 @pytest.mark.parametrize(
-    ("noise", "again", "is_exhausted"),
+    ("noise", "again", "would_repeat"),
     [(0.04, 0.041, True), (0.04, 0.05, False), (0.03, 0.03, False)],
 )
-def test_a_search_is_not_repeated_where_data_tell_the_same(noise, again, is_exhausted):
+def test_a_search_is_not_repeated_where_data_tell_the_same(noise, again, would_repeat):
     """Unless it had ended early, because terms left little more than the noise."""
     survey = Survey(response(HILL), REGION, 0.02, is_begun=True)
     first, second = (
         Proposal((linear_term(REGION),), 0.0, one) for one in (noise, again)
     )
-    assert survey.is_exhausted(first, second) is is_exhausted
-    assert not survey.is_exhausted(first, None)
+    assert survey.would_repeat(first, second) is would_repeat
+    assert not survey.would_repeat(first, None)
 
 
 def test_the_layers_of_a_shear_flow_hold_no_segments():

@@ -156,7 +156,7 @@ class Candidates(eqx.Module):
         proposals: list[Proposal] = []
         alike: list[ObstaclesTerm] = []
         for rank, pair in enumerate(pairs[:PAIRS]):
-            if rank >= FIRST_PAIRS and self._is_hopeless(proposals):
+            if rank >= FIRST_PAIRS and self.is_hopeless(proposals):
                 break
             terms = (linear, *pair.terms)
             for _ in pair.terms:  # each beside the other, on finer grids
@@ -177,7 +177,7 @@ class Candidates(eqx.Module):
             proposals += self._polish_each(grown, AGAIN)
             if self.is_enough(proposals):
                 return proposals
-        if self._is_hopeless(proposals):
+        if self.is_hopeless(proposals):
             return proposals
         for terms in self._beside_walls(proposals, linear):
             proposals += self._polish_each([terms], AGAIN)
@@ -274,7 +274,7 @@ class Candidates(eqx.Module):
         """Whether one of them leaves so little that nothing else is sought."""
         return any(one.noise < self.enough * self.noise for one in proposals)
 
-    def _is_hopeless(self, proposals: Sequence[Proposal]) -> bool:
+    def is_hopeless(self, proposals: Sequence[Proposal]) -> bool:
         """Whether each of them leaves so much that none like them is sought."""
         return all(one.noise > HOPELESS * self.noise for one in proposals)
 
@@ -302,7 +302,7 @@ class Candidates(eqx.Module):
         side, fractions = CLOSER[len(self.region.middle)]
         for fraction in fractions:
             chosen = best.terms[-1]
-            if not isinstance(chosen, CentralTerm | EllipticTerm | ObstaclesTerm):
+            if not isinstance(chosen, Centered):
                 break
             places = self.region.grid(side, _last_center(chosen), fraction)
             closer = [_move(chosen, place) for place in places]

@@ -111,8 +111,7 @@ def is_hopeless(
         rotational: whether the force may have no potential.
     """
     candidates = Candidates.of(response, region, noise, HOPELESS)
-    tried = candidates.add_term((), rotational=rotational)
-    return all(one.noise > HOPELESS * noise for one in tried)
+    return candidates.is_hopeless(candidates.add_term((), rotational=rotational))
 
 
 def refine(

@@ -328,7 +328,7 @@ class Search(eqx.Module):
                 return self._without_absent(lawful)
             # States that miss the path misplace terms; those of these steps do not.
             again = None
-            if not survey.is_exhausted(proposal, whole):
+            if not survey.would_repeat(proposal, whole):
                 turns = not self.kernels.is_conservative
                 again = survey.proposal(rotational=turns, enough=AT_NOISE)
             if again is not None and not again.is_rough:

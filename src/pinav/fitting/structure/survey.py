@@ -122,7 +122,7 @@ class Survey(eqx.Module):
         """Whether terms leave so little of the data that they are all there is."""
         return proposal.noise <= AT_NOISE * self.noise
 
-    def is_exhausted(self, proposal: Proposal, again: Proposal | None) -> bool:
+    def would_repeat(self, proposal: Proposal, again: Proposal | None) -> bool:
         """Whether the search that ended with terms would end with them here, too.
 
         It did where its terms were far from enough, so that it left nothing untried,
@@ -132,11 +132,11 @@ class Survey(eqx.Module):
             proposal: the terms as they were found.
             again: their polish with these data.
         """
-        is_same = again is not None and abs(again.noise / proposal.noise - 1) < ALIKE
+        is_same = again is not None and abs(again.noise / proposal.noise - 1) < SAME
         return is_same and not self.is_near_noise(proposal)
 
 
-ALIKE = 0.1
+SAME = 0.1
 """Change of the misfit of terms, relative to it, that is none."""
 
 AT_NOISE = 1.1
