@@ -91,7 +91,7 @@ def cases():
 def little_work(monkeypatch):
     """Few laws, few starts of a map, blank figures: other tests have them all."""
     few = functools.partial(
-        analysis.discover, potentials=POTENTIALS[:2], rotations=ROTATIONS[:1]
+        analysis.discover, laws=(*POTENTIALS[:2], *ROTATIONS[:1])
     )
     monkeypatch.setattr(discover_job, "discover_law", few)
     monkeypatch.setattr(rollouts, "LYAPUNOV_POINTS", 5)

@@ -10,12 +10,9 @@ from pinav.analysis import Verdict, discover
 from pinav.analysis.discovery.discovery import estimates
 from pinav.analysis.discovery.laws import LawForce
 from pinav.analysis.discovery.learned_fit import laplace_posterior
-from pinav.analysis.discovery.potentials import (
-    GAUSSIAN,
-    ConstantForce,
-    Harmonic,
-    Lorentzian,
-)
+from pinav.analysis.discovery.geometries import Center, ProfileLaw
+from pinav.analysis.discovery.potentials import CONSTANT_FORCE, GAUSSIAN, HARMONIC
+from pinav.analysis.discovery.profiles import Lorentzian
 from pinav.analysis.discovery.refit import Refit, RefitProblem, refit
 from pinav.dynamics import Adaptive, FixedStep, NeuralDynamics, rollout
 from pinav.errors import FitError, InputError
@@ -27,7 +24,7 @@ from pinav.systems import Observation
 from pinav.trajectories import Trajectories, simulate, smooth_states
 
 TRUTH = np.array([5.25, 5.0, 5.0, 2.9])
-LORENTZIAN = Lorentzian()
+LORENTZIAN = ProfileLaw(Lorentzian(), Center())
 
 
 def environment(model):
@@ -55,8 +52,8 @@ def crossings():
 def found(crossings):
     truth, data = crossings
     posterior = laplace_posterior(truth, data, environment)
-    candidates = (GAUSSIAN, LORENTZIAN, Harmonic())
-    return discover(posterior, data, potentials=candidates, rotations=(), refits=2)
+    candidates = (GAUSSIAN, LORENTZIAN, HARMONIC)
+    return discover(posterior, data, laws=candidates, refits=2)
 
 
 def test_the_true_law_comes_first_with_intervals(found):
@@ -87,7 +84,7 @@ def test_ranking_is_sorted(found):
 def test_no_law_fits_where_none_can(crossings):
     truth, data = crossings
     posterior = laplace_posterior(truth, data, environment)
-    found = discover(posterior, data, potentials=(ConstantForce(),), rotations=())
+    found = discover(posterior, data, laws=(CONSTANT_FORCE,))
     assert found.verdict is Verdict.NO_LAW_FITS
 
 

@@ -15,16 +15,20 @@ from pinav.analysis.discovery.law_regression import (
     fit_two_gaussians,
     law_force,
 )
+from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.potentials import (
+    CHANNEL,
+    CONSTANT_FORCE,
+    ELLIPTIC_GAUSSIAN,
     GAUSSIAN,
-    AnisotropicGaussian,
-    ConstantForce,
-    Harmonic,
-    Lorentzian,
-    PlaneWave,
-    Wall,
+    HARMONIC,
+    LATTICES,
+    PLANE_WAVE,
+    RING,
+    WALL,
 )
-from pinav.analysis.discovery.rotations import ROTATIONS
+from pinav.analysis.discovery.profiles import CompactHill, Lorentzian
+from pinav.analysis.discovery.rotations import GAUSSIAN_SWIRL
 from pinav.errors import InputError
 
 POSITIONS = np.random.default_rng(0).uniform(0.0, 8.0, (60, 2))
@@ -39,12 +43,25 @@ def sample_of(force, sd=1e-3, noise=None):
 
 CASES = {
     "Gaussian": (GAUSSIAN, BARRIER),
-    "trap": (Harmonic(), np.array([0.8, 3.0, 5.0])),
-    "Lorentzian": (Lorentzian(), np.array([-3.0, 4.0, 4.5, 1.5])),
-    "ellipse": (AnisotropicGaussian(), np.array([4.0, 5.0, 4.0, 1.2, 2.9, 0.4])),
-    "wall": (Wall(), np.array([3.0, 0.4, 4.5, 0.8])),
-    "wave": (PlaneWave(), np.array([0.7, -0.4, 1.5, 0.6])),
-    "swirl": (ROTATIONS[0], np.array([0.5, 4.0, 5.0, 2.0])),
+    "trap": (HARMONIC, np.array([0.8, 3.0, 5.0])),
+    "Lorentzian": (
+        ProfileLaw(Lorentzian(), Center()),
+        np.array([-3.0, 4.0, 4.5, 1.5]),
+    ),
+    "compact hill": (
+        ProfileLaw(CompactHill(), Center()),
+        np.array([3.0, 4.0, 4.5, 3.5, 3.0]),
+    ),
+    "ring": (RING, np.array([2.0, 4.0, 4.5, 2.5, 0.8])),
+    "ellipse": (ELLIPTIC_GAUSSIAN, np.array([4.0, 5.0, 4.0, 0.4, 0.4, 1.9])),
+    "wall": (WALL, np.array([3.0, 0.4, 4.5, 0.8])),
+    "channel": (CHANNEL, np.array([3.0, 0.4, 4.5, 2.5, 0.8])),
+    "wave": (PLANE_WAVE, np.array([0.7, -0.4, 1.5, 0.6])),
+    "lattice": (
+        LATTICES[0],
+        np.array([0.7, -0.4, 0.2, 0.6, 1.5, 0.6, -0.6, 1.5]),
+    ),
+    "swirl": (GAUSSIAN_SWIRL, np.array([2.0, 4.0, 5.0, 2.0])),
 }
 
 
@@ -62,15 +79,15 @@ def test_exact_forces_give_back_their_law(case):
 
 
 def test_sum_is_found_from_what_the_first_term_leaves():
-    swirl = np.array([0.4, 4.5, 4.0, 2.0])
+    swirl = np.array([1.6, 4.5, 4.0, 2.0])
     force = law_force(
-        GAUSSIAN + ROTATIONS[0], np.concatenate([BARRIER, swirl]), POSITIONS
+        GAUSSIAN + GAUSSIAN_SWIRL, np.concatenate([BARRIER, swirl]), POSITIONS
     )
     sample = sample_of(force)
     alone = fit_law(GAUSSIAN, sample)
-    both = fit_sum(alone, ROTATIONS[0], sample)
+    both = fit_sum(alone, GAUSSIAN_SWIRL, sample)
     assert both.squares < 1e-6 * alone.squares
-    np.testing.assert_allclose(both.constants[4], 0.4, rtol=1e-4)
+    np.testing.assert_allclose(both.constants[4], 1.6, rtol=1e-4)
 
 
 def test_two_gaussians_are_told_apart():
@@ -107,7 +124,7 @@ def test_central_force_has_a_centre():
 
 def test_swirl_is_not_central():
     force = law_force(GAUSSIAN, BARRIER, POSITIONS)
-    force = force + law_force(ROTATIONS[0], np.array([0.2, 5.0, 4.0, 2.0]), POSITIONS)
+    force = force + law_force(GAUSSIAN_SWIRL, np.array([0.8, 5.0, 4.0, 2.0]), POSITIONS)
     found = central_test(sample_of(force, 0.01))
     assert found.verdict is Centrality.NOT_CENTRAL
     assert found.ratio > 10 * found.noise_ratio
@@ -121,7 +138,7 @@ def test_noise_hides_whether_a_force_is_central():
 
 
 def test_constant_force_has_no_centre():
-    force = law_force(ConstantForce(), np.array([1.0, 0.5]), POSITIONS)
+    force = law_force(CONSTANT_FORCE, np.array([1.0, 0.5]), POSITIONS)
     noise = np.random.default_rng(4).normal(0.0, 0.05, force.shape)
     found = central_test(sample_of(force, 0.05, noise))
     assert np.all(np.isfinite(found.center))

@@ -12,13 +12,42 @@ from pinav.analysis.discovery.laws import (
     latex,
     sympy_text,
 )
-from pinav.analysis.discovery.potentials import GAUSSIAN, POTENTIALS, TWO_GAUSSIANS
-from pinav.analysis.discovery.rotations import ROTATIONS
+from pinav.analysis.discovery.geometries import Centers, Ellipse, Line, ProfileLaw
+from pinav.analysis.discovery.potentials import (
+    ANISOTROPIC_TRAP,
+    CHANNEL,
+    GAUSSIAN,
+    HARMONIC,
+    LATTICES,
+    PLANE_WAVE,
+    POTENTIALS,
+    RING,
+    SADDLE,
+    TWO_GAUSSIANS,
+    WALL,
+    profile_laws,
+)
+from pinav.analysis.discovery.profiles import Gaussian, InversePower, Lorentzian
+from pinav.analysis.discovery.rotations import (
+    GAUSSIAN_SWIRL,
+    ROTATIONS,
+    SHEAR_LAYERS,
+    SOLID_ROTATION,
+    SWIRLS,
+)
 from pinav.errors import InputError
 from pinav.forces import GaussianBarrier
 
-SWIRL = ROTATIONS[0]
-LAWS = (*POTENTIALS, *ROTATIONS, TWO_GAUSSIANS, GAUSSIAN + SWIRL)
+SWIRL = GAUSSIAN_SWIRL
+STRUCTURED = (
+    *profile_laws(Line()),
+    ProfileLaw(InversePower(), Ellipse()),
+    ProfileLaw(Lorentzian(), Centers(3)),
+    *LATTICES[1:],
+    ANISOTROPIC_TRAP,
+)
+TURNING = (*SWIRLS, *SHEAR_LAYERS)
+LAWS = (*POTENTIALS, *STRUCTURED, *TURNING, TWO_GAUSSIANS, GAUSSIAN + SWIRL)
 IDS = [law.name for law in LAWS]
 POINTS = jnp.array([[0.3, -0.7], [1.9, 2.2], [-1.1, 0.4]])
 
@@ -54,13 +83,15 @@ def test_latex_names_every_constant(law):
         assert sympy.latex(formulas.symbols[own.name]) in text
 
 
-@pytest.mark.parametrize("law", POTENTIALS, ids=lambda law: law.name)
+@pytest.mark.parametrize(
+    "law", (*POTENTIALS, *STRUCTURED), ids=lambda law: law.name
+)
 def test_potentials_have_no_curl(law):
     jacobian = jax.jacfwd(lambda x: force_at(law, constants_of(law), x))(POINTS[1])
     np.testing.assert_allclose(jacobian[0, 1], jacobian[1, 0], atol=1e-12)
 
 
-@pytest.mark.parametrize("law", ROTATIONS, ids=lambda law: law.name)
+@pytest.mark.parametrize("law", TURNING, ids=lambda law: law.name)
 def test_rotations_have_curl_and_no_divergence_of_their_own_centre(law):
     jacobian = jax.jacfwd(lambda x: force_at(law, constants_of(law), x))(POINTS[1])
     assert abs(jacobian[1, 0] - jacobian[0, 1]) > 1e-3
@@ -96,7 +127,7 @@ def test_sum_adds_forces_and_numbers_shared_names():
     )
     names = [own.name for own in law.constants]
     assert names[:3] == ["height", "center_x_1", "center_y_1"]
-    assert "rate" in names
+    assert "strength" in names
     assert len(set(names)) == len(names)
     assert law == SumLaw((GAUSSIAN, SWIRL))
 

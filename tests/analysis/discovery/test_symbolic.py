@@ -7,7 +7,7 @@ import sympy
 from pinav.analysis.discovery.force_sample import ForceSample
 from pinav.analysis.discovery.law_regression import law_force
 from pinav.analysis.discovery.potentials import GAUSSIAN
-from pinav.analysis.discovery.rotations import ROTATIONS
+from pinav.analysis.discovery.rotations import GAUSSIAN_SWIRL
 from pinav.analysis.discovery.symbolic import search_radial_law
 from pinav.errors import InputError
 
@@ -35,7 +35,7 @@ def test_the_radial_law_of_a_barrier_is_found():
 def test_messages(monkeypatch):
     with pytest.raises(InputError, match="one or more seconds and symbols"):
         search_radial_law(barrier_sample(), seconds=0)
-    swirl = law_force(ROTATIONS[0], np.array([0.5, 5.0, 4.0, 2.0]), POSITIONS)
+    swirl = law_force(GAUSSIAN_SWIRL, np.array([0.5, 5.0, 4.0, 2.0]), POSITIONS)
     turned = ForceSample(POSITIONS, swirl, 1e-6 * np.eye(120), 40.0)
     with pytest.raises(InputError, match="only a central force has a radial law"):
         search_radial_law(turned)

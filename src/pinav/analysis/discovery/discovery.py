@@ -14,15 +14,10 @@ import numpy as np
 from pinav.analysis.discovery.force_sample import (
     CentralTest,
     ForceSample,
+    Sampling,
     central_test,
-    force_sample,
 )
-from pinav.analysis.discovery.law_regression import (
-    FieldFit,
-    fit_law,
-    fit_sum,
-    fit_two_gaussians,
-)
+from pinav.analysis.discovery.law_regression import FieldFit
 from pinav.analysis.discovery.laws import (
     AbstractLaw,
     LawForce,
@@ -32,13 +27,15 @@ from pinav.analysis.discovery.laws import (
     sympy_text,
 )
 from pinav.analysis.discovery.learned_fit import Learned
-from pinav.analysis.discovery.potentials import GAUSSIAN, POTENTIALS
 from pinav.analysis.discovery.refit import Refit, refit
-from pinav.analysis.discovery.rotations import ROTATIONS
+from pinav.analysis.discovery.rotations import LIBRARY
+from pinav.analysis.discovery.screening import screen, screen_terms
+from pinav.analysis.discovery.term_laws import term_laws
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
 from pinav.fitting import Outcome, Posterior
+from pinav.forces import split_structure
 from pinav.threads import map_on_cores
 from pinav.trajectories import Trajectories
 
@@ -85,6 +82,8 @@ class Candidate(eqx.Module):
         noise: standard deviation of the observations that the law needs.
         outcome: how the refit ended.
         fits: whether the law explains the data as well as the learned force does.
+        extends_best: whether the best law is a special case of this one, which then
+            explains as much with more constants, and is no rival of it.
         latex: the formula in LaTeX.
         sympy: both components of the force as SymPy prints and parses them.
     """
@@ -99,6 +98,7 @@ class Candidate(eqx.Module):
     noise: float
     outcome: Outcome = eqx.field(static=True)
     fits: bool
+    extends_best: bool
     latex: str
     sympy: str
 
@@ -118,7 +118,7 @@ class Discovery(eqx.Module):
         candidates: laws refitted on the trajectories, the best one first.
         screened: all laws by their criterion on the learned force, the best one first;
             pairs of a name and that criterion.
-        verdict: identified, not identifiable (several laws are within `CLOSE` of the
+        verdict: identified, not identifiable (other laws are within `CLOSE` of the
             best one, or one of its constants is not determined), or no law fits.
         central: whether the force is central at all.
         learned_noise: standard deviation of the observations about the learned force.
@@ -141,30 +141,29 @@ class Discovery(eqx.Module):
 
     @property
     def close(self) -> tuple[Candidate, ...]:
-        """The laws within `CLOSE` of the best one, itself included."""
-        return tuple(c for c in self.candidates if c.delta_bic < CLOSE)
+        """The laws not told apart from the best one, itself included."""
+        return rivals(self.candidates)
 
 
 def discover(
     posterior: Posterior,
     trajectories: Trajectories,
     *,
-    potentials: Sequence[AbstractLaw] = POTENTIALS,
-    rotations: Sequence[AbstractLaw] = ROTATIONS,
+    laws: Sequence[AbstractLaw] | None = None,
     refits: int = 5,
     solver: FixedStep | None = None,
 ) -> Discovery:
     """Rank candidate laws of a learned force, with intervals for their constants.
 
-    A learned potential cannot show a rotational force: where there may be one, learn
-    a free force.
+    Where the fit has found a structure, each of its terms is asked for its law, and the
+    laws of the terms are combined; else laws and sums of up to three are tried on the
+    whole force. A learned potential cannot show a rotational force: where there may be
+    one, learn a free force.
 
     Args:
         posterior: of a fit, as `fit_bayes` returns it.
         trajectories: those that the model was fitted to; planar.
-        potentials: conservative candidates.
-        rotations: candidates without a potential, tried alone and beside the best
-            potentials.
+        laws: candidates for the whole force in place of those of the library.
         refits: number of laws refitted through the equations of motion.
         solver: steps between samples; `FixedStep()` unless given.
 
@@ -173,10 +172,11 @@ def discover(
             trajectories are not planar or too short.
         FitError: the learned force does not explain the trajectories.
     """
-    if refits < 1 or not (potentials or rotations):
+    if refits < 1 or (laws is not None and not laws):
         raise InputError(
             "discover: expected one or more candidates and refits, got "
-            f"{len(potentials) + len(rotations)} and {refits}"
+            f"{'no' if laws is not None and not laws else 'some'} candidates and "
+            f"{refits} refits"
         )
     solver = FixedStep() if solver is None else solver
     model = posterior.model
@@ -186,8 +186,9 @@ def discover(
             f"environment, got {type(model).__name__}"
         )
     learned = Learned.of(posterior, trajectories, solver)
-    sample = force_sample(posterior, trajectories, learned.num_effective)
-    screened = screen(sample, potentials, rotations)
+    sampling = Sampling.of(posterior, trajectories, learned.num_effective)
+    sample = sampling.of_force()
+    screened = _screen(sampling, sample, laws)
     refitted = _refit_best(screened, model, learned, refits)
     candidates = _rank(refitted, learned, inertia=isinstance(model, Swimmer))
     return Discovery(
@@ -201,28 +202,17 @@ def discover(
     )
 
 
-def screen(
-    sample: ForceSample,
-    potentials: Sequence[AbstractLaw] = POTENTIALS,
-    rotations: Sequence[AbstractLaw] = ROTATIONS,
+def _screen(
+    sampling: Sampling, sample: ForceSample, laws: Sequence[AbstractLaw] | None
 ) -> list[FieldFit]:
-    """All candidates fitted to a sampled force, the lowest criterion first.
-
-    Args:
-        sample: the force, with the covariance of its errors.
-        potentials: conservative candidates; where a Gaussian is among them, the sum of
-            two is one as well.
-        rotations: tried alone and beside the best three potentials.
-    """
-    laws = [*potentials, *rotations]
-    single = map_on_cores(lambda law: fit_law(law, sample), laws)
-    conservative, alone = single[: len(potentials)], single[len(potentials) :]
-    gaussian = [fit for fit in conservative if fit.law is GAUSSIAN]
-    pairs = [fit_two_gaussians(fit, sample) for fit in gaussian]
-    leaders = sorted(conservative, key=lambda fit: fit.bic)[:3]
-    both = [(fit, law) for fit in leaders for law in rotations]
-    sums = map_on_cores(lambda pair: fit_sum(*pair, sample), both)
-    return sorted([*conservative, *pairs, *alone, *sums], key=lambda fit: fit.bic)
+    """The laws that the force is asked for, the lowest criterion first."""
+    if laws is not None:
+        return screen(sample, laws)
+    terms, _ = split_structure(sampling.posterior.model.environment)
+    structured = term_laws(terms, sampling)
+    if structured is None:
+        return screen(sample, LIBRARY)
+    return screen_terms(structured, sample)
 
 
 def _refit_best(
@@ -260,7 +250,7 @@ def _rank(
 ) -> tuple[Candidate, ...]:
     """Candidates in the order of their criterion on the trajectories."""
     pairs = sorted(refitted, key=lambda pair: pair[1].bic)
-    least = pairs[0][1].bic
+    best, least = pairs[0][1].law, pairs[0][1].bic
     return tuple(
         Candidate(
             name=result.law.name,
@@ -273,6 +263,7 @@ def _rank(
             noise=result.noise,
             outcome=result.outcome,
             fits=learned.is_explained_by(result),
+            extends_best=result.law.contains(best),
             latex=latex(result.law),
             sympy=sympy_text(result.law, result.constants),
         )
@@ -280,12 +271,16 @@ def _rank(
     )
 
 
+def rivals(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Laws within `CLOSE` of the best one that are not extensions of it."""
+    return tuple(c for c in candidates if c.delta_bic < CLOSE and not c.extends_best)
+
+
 def _verdict(candidates: tuple[Candidate, ...]) -> Verdict:
     best = candidates[0]
-    rivals = sum(candidate.delta_bic < CLOSE for candidate in candidates)
     if not best.fits:
         return Verdict.NO_LAW_FITS
-    if rivals > 1 or not all(constant.identifiable for constant in best.constants):
+    if len(rivals(candidates)) > 1 or not all(constant.identifiable for constant in best.constants):
         return Verdict.NOT_IDENTIFIABLE
     return Verdict.IDENTIFIED
 

@@ -5,6 +5,8 @@ as independent: everything is weighted by the joint covariance of the force.
 """
 
 import enum
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,6 +20,12 @@ from pinav.analysis.discovery.laws import Landscape
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.fitting import ParametricModel, Posterior
+from pinav.forces import (
+    AbstractForce,
+    AbstractProfileTerm,
+    ObstaclesTerm,
+    split_structure,
+)
 from pinav.trajectories import Trajectories
 
 FLOOR = 0.01
@@ -84,40 +92,140 @@ class ForceSample(eqx.Module):
         """Longest side of the box around the points [L]."""
         return float(np.ptp(self.positions, axis=0).max())
 
+    @property
+    def landscape(self) -> Landscape:
+        """Centre, lengths and main direction, for the starts of fits."""
+        positions, force = self.positions, self.force
+        low, high = positions.min(axis=0), positions.max(axis=0)
+        margin = 0.5 * self.extent
+        size = np.linalg.norm(force, axis=1)
+        central = np.clip(_linear_center(self), low - margin, high + margin)
+        weighted = (size @ positions) / max(size.sum(), np.finfo(float).tiny)
+        strong = size >= np.quantile(size, 0.9)
+        reach = np.median(np.linalg.norm(positions[strong] - central, axis=1))
+        reach = max(float(reach), 0.05 * self.extent)
+        axis = np.linalg.eigh(force.T @ force)[1][:, -1]
+        return Landscape(
+            centers=tuple((float(c[0]), float(c[1])) for c in (central, weighted)),
+            lengths=(0.5 * reach, reach, 2 * reach),
+            direction=float(np.arctan2(axis[1], axis[0])),
+            extent=self.extent,
+        )
+
     def less(self, force: Float[np.ndarray, "point dim"]) -> "ForceSample":
         """What remains when a known force is taken off."""
         return eqx.tree_at(lambda s: s.force, self, self.force - force)
 
 
-def force_sample(
-    posterior: Posterior, trajectories: Trajectories, num_effective: float
-) -> ForceSample:
-    """The learned force at points spread over visited ground, at their times.
+class Sampling(eqx.Module):
+    """Where a learned force is sampled: at points spread over visited ground.
 
-    Args:
+    Attributes:
         posterior: of a fit.
-        trajectories: their observed positions are the visited ground.
+        positions: of the points [L].
+        times: when trajectories were there [T].
         num_effective: independent numbers that the data tell about the force.
-
-    Raises:
-        InputError: the trajectories are not planar, or visit fewer than four points.
     """
-    positions, times = _visited_positions(trajectories)
-    chosen = spread_points(positions, MAX_POINTS)
-    with jax.enable_x64(new_val=True):
-        force, jacobians = _force_and_jacobian(
-            posterior.free,
-            jnp.asarray(posterior.mean),
-            jnp.asarray(positions[chosen]),
-            jnp.asarray(times[chosen]),
+
+    posterior: Posterior
+    positions: Float[np.ndarray, "point dim"]
+    times: Float[np.ndarray, " point"]
+    num_effective: float
+
+    @classmethod
+    def of(
+        cls, posterior: Posterior, trajectories: Trajectories, num_effective: float
+    ) -> "Sampling":
+        """Points among the observed positions, each far from the others.
+
+        Args:
+            posterior: of a fit.
+            trajectories: their observed positions are the visited ground.
+            num_effective: independent numbers that the data tell about the force.
+
+        Raises:
+            InputError: the trajectories are not planar.
+        """
+        positions, times = _visited_positions(trajectories)
+        chosen = spread_points(positions, MAX_POINTS)
+        return cls(posterior, positions[chosen], times[chosen], num_effective)
+
+    def of_force(self) -> "ForceSample":
+        """The learned force."""
+        return self._sample(lambda force: force)
+
+    def of_term(self, index: int) -> "ForceSample":
+        """One term of a structured force, from the first, 0."""
+        return self._sample(lambda force: force.terms[index])
+
+    def of_profile(self, index: int) -> "ProfileSample":
+        """The profile of one term of a structured force, along its coordinate.
+
+        Args:
+            index: of a term with a profile of a single coordinate.
+
+        Raises:
+            InputError: the term has no such profile.
+        """
+        term = split_structure(self.posterior.model.environment)[0][index]
+        one = isinstance(term, AbstractProfileTerm) and not isinstance(
+            term, ObstaclesTerm
         )
-    rows = np.asarray(jacobians).reshape(-1, len(posterior.mean))
-    return ForceSample(
-        positions=positions[chosen],
-        force=np.asarray(force),
-        covariance=rows @ posterior.covariance @ rows.T,
-        num_effective=num_effective,
-    )
+        if not one:
+            raise InputError(
+                f"term {index} of the structure ({term.kind}) has no profile of a "
+                "single coordinate; choose another one"
+            )
+        with jax.enable_x64(new_val=True):
+            z = jax.vmap(lambda x: term.coordinates(x)[0])(jnp.asarray(self.positions))
+            z = jnp.sort(z)
+            theta = jnp.asarray(self.posterior.mean)
+            values, rows = _profile_and_jacobian(self.posterior.free, theta, z, index)
+        rows = np.asarray(rows)
+        covariance = rows @ self.posterior.covariance @ rows.T
+        return ProfileSample(
+            np.asarray(z), np.asarray(values), covariance, self.num_effective
+        )
+
+    def _sample(self, part: Callable[[Any], AbstractForce]) -> "ForceSample":
+        with jax.enable_x64(new_val=True):
+            force, jacobians = _force_and_jacobian(
+                self.posterior.free,
+                jnp.asarray(self.posterior.mean),
+                jnp.asarray(self.positions),
+                jnp.asarray(self.times),
+                part,
+            )
+        rows = np.asarray(jacobians).reshape(-1, len(self.posterior.mean))
+        return ForceSample(
+            positions=self.positions,
+            force=np.asarray(force),
+            covariance=rows @ self.posterior.covariance @ rows.T,
+            num_effective=self.num_effective,
+        )
+
+
+class ProfileSample(eqx.Module):
+    """A force along one coordinate, with the joint covariance of its errors.
+
+    Attributes:
+        z: values of the coordinate [L].
+        force: along it [L T⁻²].
+        covariance: of the force.
+        num_effective: number of independent numbers that the data tell about it.
+    """
+
+    z: Float[np.ndarray, " point"]
+    force: Float[np.ndarray, " point"]
+    covariance: Float[np.ndarray, "point point"]
+    num_effective: float
+
+    @property
+    def total_covariance(self) -> Float[np.ndarray, "point point"]:
+        """The covariance with the error of `FLOOR` at every point."""
+        floor = FLOOR * float(np.sqrt(np.mean(self.force**2)))
+        floor = max(floor, np.finfo(float).tiny ** 0.25)
+        return self.covariance + floor**2 * np.eye(len(self.force))
 
 
 @eqx.filter_jit
@@ -126,13 +234,28 @@ def _force_and_jacobian(
     theta: Float[Array, " parameter"],
     points: Float[Array, "point dim"],
     times: Float[Array, " point"],
+    part: Callable[[Any], AbstractForce],
 ) -> tuple[Float[Array, "point dim"], Float[Array, "point dim parameter"]]:
     def force(theta: Float[Array, " parameter"], x: Vector, t: Scalar) -> Vector:
-        return free(theta).environment(t, x, jnp.zeros_like(x))
+        return part(free(theta).environment)(t, x, jnp.zeros_like(x))
 
     axes = (None, 0, 0)
     values = jax.vmap(force, axes)(theta, points, times)
     return values, jax.vmap(jax.jacrev(force), axes)(theta, points, times)
+
+
+@eqx.filter_jit
+def _profile_and_jacobian(
+    free: ParametricModel,
+    theta: Float[Array, " parameter"],
+    z: Float[Array, " point"],
+    index: int,
+) -> tuple[Float[Array, " point"], Float[Array, "point parameter"]]:
+    def force(theta: Float[Array, " parameter"], z: Scalar) -> Float[Array, ""]:
+        return free(theta).environment.terms[index].profile(z)
+
+    values = jax.vmap(force, (None, 0))(theta, z)
+    return values, jax.vmap(jax.jacrev(force), (None, 0))(theta, z)
 
 
 def _visited_positions(
@@ -285,23 +408,3 @@ def project_covariance(
     points = len(directions)
     blocks = covariance.reshape(points, 2, points, 2)
     return np.einsum("id,idje,je->ij", directions, blocks, directions)
-
-
-def landscape(sample: ForceSample) -> Landscape:
-    """Centre, lengths and main direction of a sampled force."""
-    positions, force = sample.positions, sample.force
-    low, high = positions.min(axis=0), positions.max(axis=0)
-    margin = 0.5 * sample.extent
-    size = np.linalg.norm(force, axis=1)
-    central = np.clip(_linear_center(sample), low - margin, high + margin)
-    weighted = (size @ positions) / max(size.sum(), np.finfo(float).tiny)
-    strong = size >= np.quantile(size, 0.9)
-    reach = np.median(np.linalg.norm(positions[strong] - central, axis=1))
-    reach = max(float(reach), 0.05 * sample.extent)
-    axis = np.linalg.eigh(force.T @ force)[1][:, -1]
-    return Landscape(
-        centers=tuple((float(c[0]), float(c[1])) for c in (central, weighted)),
-        lengths=(0.5 * reach, reach, 2 * reach),
-        direction=float(np.arctan2(axis[1], axis[0])),
-        extent=sample.extent,
-    )

@@ -9,8 +9,8 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Array, ArrayLike, Float
 
-from pinav.analysis.discovery.force_sample import ForceSample, landscape
-from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role
+from pinav.analysis.discovery.force_sample import ForceSample
+from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role, SumLaw
 from pinav.analysis.discovery.potentials import GAUSSIAN, TWO_GAUSSIANS
 
 STARTS = 3
@@ -50,7 +50,7 @@ def fit_law(
             force itself suggests unless given.
     """
     if starts is None:
-        starts = np.array(law.shapes(landscape(sample)), float)
+        starts = np.array(law.shapes(sample.landscape), float)
     with jax.enable_x64(new_val=True):
         problem = _Regression(law, sample.positions, sample.force, sample.whitener)
         low, high = _bounds(law, sample)
@@ -136,14 +136,27 @@ class _Regression(eqx.Module):
     def residuals(
         self, constants: Float[np.ndarray, " constant"]
     ) -> Float[np.ndarray, " component"]:
-        values, _ = _force_and_slopes(self.law, constants, self.positions)
-        return self.whitener @ (np.asarray(values) - self.force).reshape(-1)
+        values, _ = self._evaluate(constants)
+        return self.whitener @ (values - self.force).reshape(-1)
 
     def jacobian(
         self, constants: Float[np.ndarray, " constant"]
     ) -> Float[np.ndarray, "component constant"]:
-        _, slopes = _force_and_slopes(self.law, constants, self.positions)
-        return self.whitener @ np.asarray(slopes).reshape(-1, len(constants))
+        _, slopes = self._evaluate(constants)
+        return self.whitener @ slopes.reshape(-1, len(constants))
+
+    def _evaluate(
+        self, constants: Float[np.ndarray, " constant"]
+    ) -> tuple[
+        Float[np.ndarray, "point dim"], Float[np.ndarray, "point dim constant"]
+    ]:
+        """Force and slopes; of a sum term by term, whose programs are there already."""
+        law = self.law
+        parts = law.split(constants) if isinstance(law, SumLaw) else [(law, constants)]
+        both = [_force_and_slopes(*part, self.positions) for part in parts]
+        values = sum(np.asarray(force) for force, _ in both)
+        slopes = [np.asarray(slope) for _, slope in both]
+        return np.asarray(values), np.concatenate(slopes, axis=-1)
 
     def with_best_amplitudes(
         self, constants: Float[np.ndarray, " constant"]

@@ -1,16 +1,14 @@
 r"""Laws: formulas of a force in the plane, with named constants.
 
-A law is written once, for numbers and for symbols alike: its formulas take the module
-that supplies `exp` and the like, `jax.numpy` or `sympy`. So the force that is fitted
-and the formula that is printed cannot disagree.
+The force is that of a potential and of a stream function, whose part turns.
 """
 
 import abc
 import dataclasses
 import enum
+import itertools
 from collections.abc import Iterator, Sequence
-from types import ModuleType
-from typing import Any
+from typing import final
 
 import equinox as eqx
 import jax
@@ -18,12 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from pinav.analysis.discovery.functions import NUMERIC, Expr, Functions, symbolic
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.forces import AbstractForce
-
-Expr = Any
-"""What formulas are made of: JAX arrays without axes, numbers, or those of SymPy."""
 
 Constants = Sequence[Expr] | Float[Array, " constant"]
 """Values or symbols of the constants of a law, in their order."""
@@ -67,19 +63,23 @@ class Landscape:
         lengths: from short to long, at which the force may change [L].
         direction: angle of the axis along which the force is strongest.
         extent: longest side of the box around the points [L].
+        aspect: of the ellipses that its contours may be, along the axis over across.
+        wave_vectors: two of a lattice [rad L⁻¹], where they are known.
     """
 
     centers: tuple[tuple[float, float], ...]
     lengths: tuple[float, ...]
     direction: float
     extent: float
+    aspect: float = 1.0
+    wave_vectors: tuple[tuple[float, float], ...] = ()
 
 
 class AbstractLaw(abc.ABC):
-    r"""A family of forces $F = -\nabla U + R$ in the plane.
+    r"""A family of forces $F = -\nabla U + (\partial_y\psi, -\partial_x\psi)$.
 
-    $c$ stands for the constants, in their order. Wherever `ops` appears, it is the
-    module of the elementary functions: `jax.numpy`, or `sympy`.
+    $c$ stands for the constants, in their order, and `f` for the elementary functions,
+    of JAX or of SymPy.
 
     Attributes:
         name: what tables call it.
@@ -90,12 +90,12 @@ class AbstractLaw(abc.ABC):
     constants: tuple[Constant, ...]
 
     @abc.abstractmethod
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
+    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
         """Potential energy per mass U [L² T⁻²] of the conservative part."""
 
     @abc.abstractmethod
-    def rotation(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Components:
-        """Components of the part R [L T⁻²] that has no potential."""
+    def stream(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+        """Stream function ψ [L² T⁻²] of the part that has no potential."""
 
     @abc.abstractmethod
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
@@ -105,6 +105,13 @@ class AbstractLaw(abc.ABC):
         """The law of the sum of two forces."""
         return SumLaw((*_terms(self), *_terms(other)))
 
+    def contains(self, other: "AbstractLaw") -> bool:
+        """Whether the other law is this one with special values of its constants.
+
+        Such a law explains data as well, whatever they are, with more constants.
+        """
+        return False
+
     def indices(self, role: Role) -> list[int]:
         """Where the constants of that role stand."""
         return [i for i, constant in enumerate(self.constants) if constant.role is role]
@@ -113,15 +120,43 @@ class AbstractLaw(abc.ABC):
 class AbstractPotential(AbstractLaw):
     """A conservative law: all of it has a potential."""
 
-    def rotation(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Components:
-        return 0, 0
+    def stream(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+        return 0
 
 
 class AbstractRotation(AbstractLaw):
     """A law without any potential."""
 
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
+    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
         return 0
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Turned(AbstractRotation):
+    """A law whose potential is taken as a stream function: its force is turned.
+
+    Attributes:
+        law: a potential.
+        name: what tables call it.
+    """
+
+    law: AbstractPotential
+    name: str
+    constants: tuple[Constant, ...] = dataclasses.field(init=False)
+
+    def __post_init__(self) -> None:
+        constants = tuple(map(_of_rotation, self.law.constants))
+        object.__setattr__(self, "constants", constants)
+
+    def stream(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+        return self.law.potential(c, x, y, f)
+
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
+        return self.law.shapes(landscape)
+
+    def contains(self, other: AbstractLaw) -> bool:
+        return isinstance(other, Turned) and self.law.contains(other.law)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,18 +180,33 @@ class SumLaw(AbstractLaw):
         object.__setattr__(self, "name", " + ".join(t.name for t in self.terms))
         object.__setattr__(self, "constants", numbered)
 
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
-        return sum(t.potential(values, x, y, ops) for t, values in self._split(c))
+    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+        return sum(t.potential(values, x, y, f) for t, values in self.split(c))
 
-    def rotation(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Components:
-        parts = [t.rotation(values, x, y, ops) for t, values in self._split(c)]
-        return sum(part[0] for part in parts), sum(part[1] for part in parts)
+    def stream(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+        return sum(t.stream(values, x, y, f) for t, values in self.split(c))
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         """The first shape of every term; sums start from fits of their terms."""
         return [sum((term.shapes(landscape)[0] for term in self.terms), ())]
 
-    def _split(self, c: Constants) -> Iterator[tuple[AbstractLaw, Constants]]:
+    def contains(self, other: AbstractLaw) -> bool:
+        """Whether each term of the other law is one of this sum, or contained in one.
+
+        Args:
+            other: a law, or a sum of no more terms.
+        """
+        theirs = _terms(other)
+        return self != other and any(
+            all(
+                mine == term or mine.contains(term)
+                for mine, term in zip(chosen, theirs, strict=True)
+            )
+            for chosen in itertools.permutations(self.terms, len(theirs))
+        )
+
+    def split(self, c: Constants) -> Iterator[tuple[AbstractLaw, Constants]]:
+        """Each term with its constants."""
         start = 0
         for term in self.terms:
             end = start + len(term.constants)
@@ -188,14 +238,18 @@ class LawForce(AbstractForce):
 
     def potential(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
         """Potential energy per mass [L² T⁻²] of the conservative part."""
-        value = self.law.potential(self.constants, x[0], x[1], jnp)
+        value = self.law.potential(self.constants, x[0], x[1], NUMERIC)
+        return jnp.zeros((), x.dtype) + value
+
+    def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        """Stream function [L² T⁻²] of the part without a potential."""
+        value = self.law.stream(self.constants, x[0], x[1], NUMERIC)
         return jnp.zeros((), x.dtype) + value
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        rotation = self.law.rotation(self.constants, x[0], x[1], jnp)
-        return -jax.grad(self.potential, argnums=1)(t, x) + jnp.stack(
-            [jnp.zeros((), x.dtype) + part for part in rotation]
-        )
+        along, across = jax.grad(self.stream)(x)
+        turned = jnp.stack([across, -along])
+        return turned - jax.grad(self.potential, argnums=1)(t, x)
 
 
 class LawExpressions(eqx.Module):
@@ -204,13 +258,13 @@ class LawExpressions(eqx.Module):
     Attributes:
         symbols: x, y and the constants, by name.
         potential: of the conservative part.
-        rotation: the two components of the rest.
+        stream: stream function of the rest.
         force: the two components of the whole force.
     """
 
     symbols: dict[str, Expr]
     potential: Expr
-    rotation: Components
+    stream: Expr
     force: Components
 
 
@@ -228,11 +282,14 @@ def expressions(law: AbstractLaw) -> LawExpressions:
         for constant in law.constants
     }
     values = tuple(constants.values())
-    potential = sympy.sympify(law.potential(values, x, y, sympy))
-    first, second = map(sympy.sympify, law.rotation(values, x, y, sympy))
-    force = (first - sympy.diff(potential, x), second - sympy.diff(potential, y))
+    potential = sympy.sympify(law.potential(values, x, y, symbolic()))
+    stream = sympy.sympify(law.stream(values, x, y, symbolic()))
+    force = (
+        sympy.diff(stream, y) - sympy.diff(potential, x),
+        -sympy.diff(stream, x) - sympy.diff(potential, y),
+    )
     symbols = {"x": x, "y": y} | constants
-    return LawExpressions(symbols, potential, (first, second), force)
+    return LawExpressions(symbols, potential, stream, force)
 
 
 def latex(law: AbstractLaw) -> str:
@@ -243,9 +300,8 @@ def latex(law: AbstractLaw) -> str:
     lines = []
     if formulas.potential != 0:
         lines.append(f"U = {sympy.latex(formulas.potential)}")
-    if formulas.rotation != (0, 0):
-        column = sympy.latex(sympy.Matrix(formulas.rotation))
-        lines.append(f"R = {column}")
+    if formulas.stream != 0:
+        lines.append(rf"\psi = {sympy.latex(formulas.stream)}")
     return r",\quad ".join(lines) or "F = 0"
 
 
@@ -260,6 +316,13 @@ def sympy_text(law: AbstractLaw, constants: Float[np.ndarray, " constant"]) -> s
         for name, value in zip(names, constants, strict=True)
     }
     return str(tuple(part.subs(values) for part in formulas.force))
+
+
+def _of_rotation(constant: Constant) -> Constant:
+    """The constant of a potential, as that of a stream function is called."""
+    words = {"height": ("strength", "S"), "stiffness": ("rate", r"\gamma")}
+    name, symbol = words.get(constant.name, (constant.name, constant.symbol))
+    return dataclasses.replace(constant, name=name, symbol=symbol)
 
 
 def _terms(law: AbstractLaw) -> tuple[AbstractLaw, ...]:

@@ -1,34 +1,41 @@
-r"""The library of candidate laws: potentials, and their starts.
+r"""The library of candidate laws: potentials, and their starts."""
 
-$r$ is the distance from the centre $(c_x, c_y)$.
-"""
-
+import dataclasses
 import itertools
 import math
-from types import ModuleType
+from typing import final
 
+from pinav.analysis.discovery.functions import Expr, Functions
+from pinav.analysis.discovery.geometries import (
+    ANGLE,
+    CENTER,
+    Center,
+    Ellipse,
+    Line,
+    ProfileLaw,
+    rotate_axes,
+)
 from pinav.analysis.discovery.laws import (
     AbstractLaw,
     AbstractPotential,
-    Components,
     Constant,
     Constants,
-    Expr,
     Landscape,
     Role,
     SumLaw,
 )
-
-CENTER = (
-    Constant("center_x", "c_x", Role.POSITION),
-    Constant("center_y", "c_y", Role.POSITION),
+from pinav.analysis.discovery.profiles import (
+    EVEN_PROFILES,
+    HEIGHT,
+    Channel,
+    Gaussian,
+    Harmonic,
+    Ring,
+    Step,
 )
-HEIGHT = Constant("height", "U_0", Role.AMPLITUDE, "L² T⁻²")
-WIDTH = Constant("width", r"\sigma", Role.SCALE)
-ANGLE = Constant("angle", r"\phi", Role.ANGLE, "1")
-OFFSET = Constant("offset", "d", Role.POSITION)
 
 
+@final
 class ConstantForce(AbstractPotential):
     r"""$U = -a x - b y$: a slope, the same force everywhere."""
 
@@ -38,158 +45,56 @@ class ConstantForce(AbstractPotential):
         Constant("force_y", "b", Role.AMPLITUDE, "L T⁻²"),
     )
 
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
+    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
         return -c[0] * x - c[1] * y
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         return [(1.0, 1.0)]
 
 
-class Harmonic(AbstractPotential):
-    r"""$U = \tfrac12 k r^2$: a trap, or with k < 0 a hill without end."""
+@final
+class Saddle(AbstractPotential):
+    r"""$U = -\tfrac12 a (u^2 - w^2) - b\, u w$ about a centre: a linear force."""
 
-    name = "harmonic"
-    constants = (Constant("stiffness", "k", Role.AMPLITUDE, "T⁻²"), *CENTER)
-
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
-        return c[0] * square(x - c[1], y - c[2]) / 2
-
-    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        return [(1.0, *center) for center in landscape.centers]
-
-
-class Gaussian(AbstractPotential):
-    r"""$U = U_0 \exp(-r^2 / 2\sigma^2)$: the paper's barrier, eq. (1)."""
-
-    name = "Gaussian"
-    constants = (HEIGHT, *CENTER, WIDTH)
-
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
-        return c[0] * ops.exp(-square(x - c[1], y - c[2]) / (2 * c[3] ** 2))
-
-    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        return central_shapes(landscape)
-
-
-class AnisotropicGaussian(AbstractPotential):
-    r"""$U = U_0 \exp(-u^2/2\sigma_u^2 - w^2/2\sigma_w^2)$ with axes turned by φ."""
-
-    name = "anisotropic Gaussian"
+    name = "saddle"
     constants = (
-        HEIGHT,
+        Constant("stretch", "a", Role.AMPLITUDE, "T⁻²"),
+        Constant("shear", "b", Role.AMPLITUDE, "T⁻²"),
         *CENTER,
-        Constant("width_u", r"\sigma_u", Role.SCALE),
-        Constant("width_w", r"\sigma_w", Role.SCALE),
-        ANGLE,
     )
 
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
-        u, w = rotate_axes(x - c[1], y - c[2], c[5], ops)
-        return c[0] * ops.exp(-(u**2) / (2 * c[3] ** 2) - w**2 / (2 * c[4] ** 2))
+    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+        u, w = x - c[2], y - c[3]
+        return -c[0] * (u**2 - w**2) / 2 - c[1] * u * w
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        angles = [landscape.direction + turn for turn in (0.0, math.pi / 4)]
-        return [
-            (1.0, *center, ratio * length, length / ratio, angle)
-            for center, length, ratio, angle in itertools.product(
-                landscape.centers, landscape.lengths, (0.7, 1.4), angles
-            )
-        ]
+        return [(1.0, 1.0, *center) for center in landscape.centers]
 
 
-class Lorentzian(AbstractPotential):
-    r"""$U = U_0 / (1 + r^2/s^2)$."""
+@final
+class AnisotropicTrap(AbstractPotential):
+    r"""$U = \tfrac12 (k_x u^2 + k_y w^2) - b\, u w$ about a centre: any linear force."""
 
-    name = "Lorentzian"
-    constants = (HEIGHT, *CENTER, Constant("core", "s", Role.SCALE))
-
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
-        return c[0] / (1 + square(x - c[1], y - c[2]) / c[3] ** 2)
-
-    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        return central_shapes(landscape)
-
-
-class InversePower(AbstractPotential):
-    r"""$U = U_0 (1 + r^2/s^2)^{-n/2}$: $1/r^n$ beyond a soft core."""
-
-    name = "inverse power"
-    constants = (*Lorentzian.constants, Constant("exponent", "n", Role.SCALE, "1"))
-
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
-        base = 1 + square(x - c[1], y - c[2]) / c[3] ** 2
-        return c[0] * ops.exp(-c[4] * ops.log(base) / 2)
-
-    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        return [(*start, n) for start in central_shapes(landscape) for n in (1.0, 3.0)]
-
-
-class Yukawa(AbstractPotential):
-    r"""$U = U_0\, s\, e^{-(\rho - s)/\lambda}/\rho$, $\rho = \sqrt{r^2 + s^2}$."""
-
-    name = "Yukawa"
-    constants = (*Lorentzian.constants, Constant("range", r"\lambda", Role.SCALE))
-
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
-        distance = ops.sqrt(square(x - c[1], y - c[2]) + c[3] ** 2)
-        return c[0] * c[3] * ops.exp(-(distance - c[3]) / c[4]) / distance
-
-    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        return [
-            (*start, times * start[3])
-            for start in central_shapes(landscape)
-            for times in (0.5, 2.0)
-        ]
-
-
-class SoftDisc(AbstractPotential):
-    r"""$U = U_0 / (1 + e^{(\rho - R)/w})$: a disc with a soft edge.
-
-    $\rho = \sqrt{r^2 + w^2}$ keeps the force smooth at the centre.
-    """
-
-    name = "soft disc"
+    name = "anisotropic trap"
     constants = (
-        HEIGHT,
+        Constant("stiffness_x", "k_x", Role.AMPLITUDE, "T⁻²"),
+        Constant("stiffness_y", "k_y", Role.AMPLITUDE, "T⁻²"),
+        Constant("shear", "b", Role.AMPLITUDE, "T⁻²"),
         *CENTER,
-        Constant("radius", "R", Role.SCALE),
-        Constant("edge", "w", Role.SCALE),
     )
 
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
-        distance = ops.sqrt(square(x - c[1], y - c[2]) + c[4] ** 2)
-        return c[0] * _logistic((c[3] - distance) / c[4], ops)
+    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+        u, w = x - c[3], y - c[4]
+        return (c[0] * u**2 + c[1] * w**2) / 2 - c[2] * u * w
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        return [(*start, 0.4 * start[3]) for start in central_shapes(landscape)]
+        return [(1.0, 1.0, 1.0, *center) for center in landscape.centers]
+
+    def contains(self, other: AbstractLaw) -> bool:
+        return other in (HARMONIC, SADDLE)
 
 
-class Wall(AbstractPotential):
-    r"""$U = U_0 / (1 + e^{-(u - d)/w})$, $u = x\cos\phi + y\sin\phi$: a wall."""
-
-    name = "logistic wall"
-    constants = (HEIGHT, ANGLE, OFFSET, Constant("edge", "w", Role.SCALE))
-
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
-        u, _ = rotate_axes(x, y, c[1], ops)
-        return c[0] * _logistic((u - c[2]) / c[3], ops)
-
-    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        angles = [landscape.direction + turn for turn in (0.0, math.pi / 2)]
-        places = [
-            (x * math.cos(angle) + y * math.sin(angle), angle)
-            for angle in angles
-            for x, y in landscape.centers
-        ]
-        shifts = (-0.25 * landscape.extent, 0.0, 0.25 * landscape.extent)
-        return [
-            (1.0, angle, place + shift, 0.5 * length)
-            for (place, angle), shift, length in itertools.product(
-                places, shifts, landscape.lengths
-            )
-        ]
-
-
+@final
 class PlaneWave(AbstractPotential):
     r"""$U = U_0\cos(k_x x + k_y y) + U_1\sin(k_x x + k_y y)$: a washboard."""
 
@@ -201,21 +106,72 @@ class PlaneWave(AbstractPotential):
         Constant("wavenumber_y", "k_y", Role.ANGLE, "L⁻¹"),
     )
 
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
+    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
         phase = c[2] * x + c[3] * y
-        return c[0] * ops.cos(phase) + c[1] * ops.sin(phase)
+        return c[0] * f.cos(phase) + c[1] * f.sin(phase)
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        numbers = [math.pi * waves / landscape.extent for waves in (1, 2, 3, 4, 6, 8)]
-        turns = [math.pi * i / 8 for i in range(8)]
+        turns = [landscape.direction + math.pi * i / 8 for i in range(8)]
         return [
             (1.0, 1.0, k * math.cos(turn), k * math.sin(turn))
-            for k, turn in itertools.product(
-                numbers, [landscape.direction + turn for turn in turns]
-            )
+            for k, turn in itertools.product(wavenumbers(landscape), turns)
         ]
 
 
+@final
+@dataclasses.dataclass(frozen=True)
+class Lattice(AbstractPotential):
+    r"""$U = \sum_m a_m \cos(m \cdot \phi) + b_m \sin(m \cdot \phi)$.
+
+    $\phi_i = k_i \cdot x$ with two wave vectors $k_1, k_2$.
+
+    Attributes:
+        orders: $m$ of the waves.
+        name: what tables call it.
+        constants: $a_m$ and $b_m$ of each wave, then the wave vectors.
+    """
+
+    orders: tuple[tuple[int, int], ...]
+    name: str
+    constants: tuple[Constant, ...] = dataclasses.field(init=False)
+
+    def __post_init__(self) -> None:
+        amplitudes = [
+            Constant(f"{word}_{i}", f"{symbol}_{i}", Role.AMPLITUDE, "L² T⁻²")
+            for i in range(1, len(self.orders) + 1)
+            for word, symbol in (("cosine", "a"), ("sine", "b"))
+        ]
+        vectors = [
+            Constant(f"wavenumber_{axis}_{i}", f"k_{{{axis},{i}}}", Role.ANGLE, "L⁻¹")
+            for i in (1, 2)
+            for axis in "xy"
+        ]
+        object.__setattr__(self, "constants", (*amplitudes, *vectors))
+
+    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+        first = 2 * len(self.orders)
+        one, two = c[first] * x + c[first + 1] * y, c[first + 2] * x + c[first + 3] * y
+        phases = [m * one + n * two for m, n in self.orders]
+        return sum(
+            c[2 * i] * f.cos(phase) + c[2 * i + 1] * f.sin(phase)
+            for i, phase in enumerate(phases)
+        )
+
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
+        amplitudes = (1.0,) * (2 * len(self.orders))
+        return [
+            (*amplitudes, *one, *(sign * part for part in two))
+            for one, two in _wave_vectors(landscape)
+            for sign in (1.0, -1.0)
+        ]
+
+    def contains(self, other: AbstractLaw) -> bool:
+        if isinstance(other, Lattice):
+            return set(self.orders) > set(other.orders)
+        return other == PLANE_WAVE
+
+
+@final
 class DoubleWell(AbstractPotential):
     r"""$U = U_0 (u^2/a^2 - 1)^2 + \tfrac12 k w^2$ with axes turned by φ."""
 
@@ -228,8 +184,8 @@ class DoubleWell(AbstractPotential):
         ANGLE,
     )
 
-    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
-        u, w = rotate_axes(x - c[2], y - c[3], c[5], ops)
+    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+        u, w = rotate_axes(x - c[2], y - c[3], c[5], f)
         return c[0] * (u**2 / c[4] ** 2 - 1) ** 2 + c[1] * w**2 / 2
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
@@ -242,45 +198,61 @@ class DoubleWell(AbstractPotential):
         ]
 
 
-GAUSSIAN = Gaussian()
+def profile_laws(geometry: Center | Ellipse | Line) -> tuple[AbstractPotential, ...]:
+    """The laws of every even profile in a geometry."""
+    return tuple(ProfileLaw(profile, geometry) for profile in EVEN_PROFILES)
 
-POTENTIALS: tuple[AbstractLaw, ...] = (
-    ConstantForce(),
-    Harmonic(),
-    GAUSSIAN,
-    AnisotropicGaussian(),
-    Lorentzian(),
-    InversePower(),
-    Yukawa(),
-    SoftDisc(),
-    Wall(),
-    PlaneWave(),
+
+CONSTANT_FORCE, SADDLE, PLANE_WAVE = ConstantForce(), Saddle(), PlaneWave()
+GAUSSIAN = ProfileLaw(Gaussian(), Center())
+HARMONIC = ProfileLaw(Harmonic(), Center())
+RING = ProfileLaw(Ring(), Center())
+ANISOTROPIC_TRAP = AnisotropicTrap()
+ELLIPTIC_GAUSSIAN = ProfileLaw(Gaussian(), Ellipse())
+WALL, CHANNEL = ProfileLaw(Step(), Line()), ProfileLaw(Channel(), Line())
+LATTICES = (
+    Lattice(((1, 0), (0, 1)), "lattice of two waves"),
+    Lattice(((1, 0), (0, 1), (1, 1)), "lattice of three waves"),
+    Lattice(((1, 0), (0, 1), (1, 1), (1, -1)), "lattice of four waves"),
+)
+
+POTENTIALS: tuple[AbstractPotential, ...] = (
+    CONSTANT_FORCE,
+    *profile_laws(Center()),
+    RING,
+    ELLIPTIC_GAUSSIAN,
+    SADDLE,
+    WALL,
+    CHANNEL,
+    PLANE_WAVE,
+    LATTICES[0],
     DoubleWell(),
 )
-"""Conservative candidates; `TWO_GAUSSIANS` starts from the fit of one."""
+"""Conservative candidates of a force of unknown structure."""
 
 TWO_GAUSSIANS = SumLaw((GAUSSIAN, GAUSSIAN))
 
 
-def central_shapes(landscape: Landscape) -> list[tuple[float, ...]]:
-    """Unit amplitude, a centre and a length."""
+def wavenumbers(landscape: Landscape) -> list[float]:
+    """Of waves of which one half to six are within the data [rad L⁻¹]."""
+    numbers = (1, 2, 3, 4, 6, 8, 10, 12)
+    return [math.pi * waves / landscape.extent for waves in numbers]
+
+
+Pair = tuple[tuple[float, float], tuple[float, float]]
+"""Two vectors in the plane."""
+
+
+def _wave_vectors(landscape: Landscape) -> list[Pair]:
+    """Those that are known, or squares of many sizes and directions."""
+    if landscape.wave_vectors:
+        one, two = landscape.wave_vectors
+        return [(one, two)]
+    turns = [landscape.direction + math.pi * i / 8 for i in range(4)]
     return [
-        (1.0, *center, length)
-        for center, length in itertools.product(landscape.centers, landscape.lengths)
+        (
+            (k * math.cos(turn), k * math.sin(turn)),
+            (-k * math.sin(turn), k * math.cos(turn)),
+        )
+        for k, turn in itertools.product(wavenumbers(landscape), turns)
     ]
-
-
-def square(dx: Expr, dy: Expr) -> Expr:
-    """Squared length of a vector."""
-    return dx**2 + dy**2
-
-
-def rotate_axes(x: Expr, y: Expr, angle: Expr, ops: ModuleType) -> Components:
-    """Coordinates along axes turned by `angle`."""
-    cos, sin = ops.cos(angle), ops.sin(angle)
-    return x * cos + y * sin, y * cos - x * sin
-
-
-def _logistic(z: Expr, ops: ModuleType) -> Expr:
-    """1/(1 + exp(-z)), which no z overflows."""
-    return (1 + ops.tanh(z / 2)) / 2

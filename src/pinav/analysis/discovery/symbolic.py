@@ -1,7 +1,8 @@
-"""Open-form search for the radial law of a central force (extra `symbolic`).
+"""Open-form search for the law of a profile (extra `symbolic`).
 
 Where no candidate of the library fits, a formula may still be found from nothing: the
-force along the radius is a function of one variable, and genetic programming finds it.
+force along the coordinate of a structured term, or along the radius of a central force,
+is a function of one variable, and genetic programming finds it.
 The front of short and exact formulas is ranked again by the covariance of the force.
 """
 
@@ -16,6 +17,7 @@ from pinav.analysis.discovery.force_sample import (
     Centrality,
     CentralTest,
     ForceSample,
+    ProfileSample,
     central_test,
     project_covariance,
 )
@@ -28,11 +30,10 @@ _NUMBER = re.compile(r"\d+\.\d+")
 
 
 class OpenForm(eqx.Module):
-    """A formula of the radial force.
+    """A formula of a force along one coordinate.
 
     Attributes:
-        formula: of the force along the radius [L T⁻²], `r` [L] the distance from the
-            centre.
+        formula: of the force [L T⁻²].
         length: number of its symbols.
         squares: sum of squared, independent residuals of unit variance.
         bic: the squares, plus log of the effective sample size for each number in it.
@@ -56,20 +57,12 @@ def search_radial_law(
         seed: of the search.
 
     Returns:
-        The test for a centre, and the formulas.
+        The test for a centre, and the formulas in `r`, the distance from it.
 
     Raises:
         InputError: the force is not central, pyoperon is not installed, or a setting
             is not positive.
-
-    References:
-        Burlacu, Kronberger and Kommenda, Operon C++, GECCO 2020 companion, 1562.
     """
-    if seconds < 1 or max_length < 1:
-        raise InputError(
-            "search_radial_law: expected one or more seconds and symbols, got "
-            f"{seconds} and {max_length}"
-        )
     central = central_test(sample)
     if central.verdict is not Centrality.CENTRAL:
         raise InputError(
@@ -79,23 +72,63 @@ def search_radial_law(
     offsets = sample.positions - np.array(central.center)
     radius = np.linalg.norm(offsets, axis=1)
     outward = offsets / np.maximum(radius, 1e-12)[:, None]
-    force = np.sum(outward * sample.force, axis=1)
-    inverse = np.linalg.inv(project_covariance(sample.total_covariance, outward))
-    regressor = _regressor(seconds, max_length, seed).fit(radius[:, None], force)
+    profile = ProfileSample(
+        radius,
+        np.sum(outward * sample.force, axis=1),
+        project_covariance(sample.total_covariance, outward),
+        sample.num_effective,
+    )
+    forms = search_profile_law(
+        profile, name="r", seconds=seconds, max_length=max_length, seed=seed
+    )
+    return central, forms
+
+
+def search_profile_law(
+    sample: ProfileSample,
+    *,
+    name: str = "z",
+    seconds: int = 5,
+    max_length: int = 20,
+    seed: int = 0,
+) -> tuple[OpenForm, ...]:
+    """Formulas of the force along one coordinate, the best one first.
+
+    Args:
+        sample: the force, with the covariance of its errors.
+        name: of the coordinate in the formulas.
+        seconds: how long to search at most.
+        max_length: number of symbols of a formula at most.
+        seed: of the search.
+
+    Raises:
+        InputError: pyoperon is not installed, or a setting is not positive.
+
+    References:
+        Burlacu, Kronberger and Kommenda, Operon C++, GECCO 2020 companion, 1562.
+    """
+    if seconds < 1 or max_length < 1:
+        raise InputError(
+            "search_profile_law: expected one or more seconds and symbols, got "
+            f"{seconds} and {max_length}"
+        )
+    column, force = sample.z[:, None], sample.force
+    inverse = np.linalg.inv(sample.total_covariance)
+    regressor = _regressor(seconds, max_length, seed).fit(column, force)
     forms = {}
     for member in regressor.pareto_front_:
-        predicted = regressor.evaluate_model(member["tree"], radius[:, None])
+        predicted = regressor.evaluate_model(member["tree"], column)
         text = regressor.get_model_string(member["tree"], 6)
         residual = np.asarray(predicted, float).reshape(-1) - force
         if np.all(np.isfinite(residual)):
             squares = float(residual @ inverse @ residual)
             count = len(_NUMBER.findall(text))
             penalty = count * np.log(max(sample.num_effective, np.e))
-            formula = text.replace("X1", "r")
+            formula = text.replace("X1", name)
             forms[formula] = OpenForm(
                 formula, int(member["length"]), squares, squares + float(penalty)
             )
-    return central, tuple(sorted(forms.values(), key=lambda form: form.bic))
+    return tuple(sorted(forms.values(), key=lambda form: form.bic))
 
 
 def _regressor(seconds: int, max_length: int, seed: int) -> Any:
@@ -103,7 +136,7 @@ def _regressor(seconds: int, max_length: int, seed: int) -> Any:
         regression = importlib.import_module("pyoperon.sklearn")
     except ImportError as error:
         raise InputError(
-            "search_radial_law needs pyoperon: install pinav[symbolic] "
+            "the search for a formula needs pyoperon: install pinav[symbolic] "
             f"(Linux x86-64 and macOS arm64 only): {error}"
         ) from error
     return regression.SymbolicRegressor(

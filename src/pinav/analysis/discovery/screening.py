@@ -1,0 +1,86 @@
+"""Candidate laws by how well they explain a learned force: which ones to refit.
+
+Where the force has a structure, each of its terms is asked for its law, and the best
+laws of the terms are combined. Where it has none, laws are added one after the other
+as long as the sum leaves more than the errors of the force.
+"""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.special
+
+from pinav.analysis.discovery.force_sample import ForceSample
+from pinav.analysis.discovery.law_regression import (
+    FieldFit,
+    fit_law,
+    fit_sum,
+    fit_two_gaussians,
+)
+from pinav.analysis.discovery.laws import AbstractLaw
+from pinav.analysis.discovery.potentials import GAUSSIAN
+from pinav.analysis.discovery.term_laws import MOST_TERMS, TermLaws
+from pinav.threads import map_on_cores
+
+COMBINED = {1: 20, 2: 5, 3: 3}
+"""Laws of each term that are combined, by the number of terms."""
+
+LEADERS = 2
+"""Laws, or sums, to which a term is added."""
+
+MISFIT_PROBABILITY = 1e-3
+"""A law explains a sampled force if chance leaves more as often as this."""
+
+
+def screen(sample: ForceSample, laws: Sequence[AbstractLaw]) -> list[FieldFit]:
+    """Laws and sums of up to three fitted to a force, the lowest criterion first.
+
+    Args:
+        sample: the force, with the covariance of its errors.
+        laws: candidates; where a Gaussian is among them, the sum of two that begins
+            with a split of it is one as well.
+    """
+    fits = map_on_cores(lambda law: fit_law(law, sample), list(laws))
+    gaussian = [fit for fit in fits if fit.law is GAUSSIAN]
+    everything = [*fits, *(fit_two_gaussians(fit, sample) for fit in gaussian)]
+    for _ in range(MOST_TERMS - 1):
+        fits = sorted(fits, key=lambda fit: fit.bic)[:LEADERS]
+        if any(is_explained(fit, sample) for fit in everything):
+            break
+        both = [(fit, law) for fit in fits for law in laws]
+        fits = map_on_cores(lambda pair: fit_sum(*pair, sample), both)
+        everything += fits
+    return sorted(everything, key=lambda fit: fit.bic)
+
+
+def screen_terms(terms: Sequence[TermLaws], sample: ForceSample) -> list[FieldFit]:
+    """Sums of a law for each term, fitted to a force; the lowest criterion first.
+
+    Args:
+        terms: of the force, each with its candidates.
+        sample: the whole force, with the covariance of its errors.
+    """
+
+    def rank(term: TermLaws) -> list[FieldFit]:
+        def fit(law: AbstractLaw) -> FieldFit:
+            starts = np.array(law.shapes(term.landscape), float)
+            return fit_law(law, term.sample, starts)
+
+        fits = map_on_cores(fit, list(term.laws))
+        return sorted(fits, key=lambda fit: fit.bic)[: COMBINED[len(terms)]]
+
+    def combine(fits: Sequence[FieldFit]) -> FieldFit:
+        first, *others = (fit.law for fit in fits)
+        law = sum(others, first)
+        start = np.concatenate([fit.constants for fit in fits])
+        return fit_law(law, sample, start[None])
+
+    chosen = itertools.product(*(rank(term) for term in terms))
+    return sorted(map_on_cores(combine, list(chosen)), key=lambda fit: fit.bic)
+
+
+def is_explained(fit: FieldFit, sample: ForceSample) -> bool:
+    """Whether a law leaves no more of a force than its errors are."""
+    free = max(sample.force.size - len(fit.constants), 1)
+    return bool(scipy.special.chdtrc(free, fit.squares) > MISFIT_PROBABILITY)

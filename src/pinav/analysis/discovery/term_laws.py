@@ -1,0 +1,190 @@
+"""Candidate laws for the terms of a structured force, and where their fits begin.
+
+A search for structure has found the coordinates of which a force is a function, so that
+only the formula of each profile is open.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from pinav.analysis.discovery.force_sample import ForceSample, Sampling
+from pinav.analysis.discovery.geometries import (
+    Center,
+    Centers,
+    Ellipse,
+    Line,
+    ProfileLaw,
+)
+from pinav.analysis.discovery.laws import AbstractLaw, Landscape, SumLaw, Turned
+from pinav.analysis.discovery.potentials import (
+    ANISOTROPIC_TRAP,
+    CHANNEL,
+    CONSTANT_FORCE,
+    GAUSSIAN,
+    HARMONIC,
+    LATTICES,
+    PLANE_WAVE,
+    RING,
+    SADDLE,
+    WALL,
+    profile_laws,
+)
+from pinav.analysis.discovery.profiles import EVEN_PROFILES, Ring
+from pinav.analysis.discovery.rotations import SHEAR_LAYERS, SOLID_ROTATION, SWIRLS
+from pinav.forces import (
+    AbstractProfileTerm,
+    AbstractTerm,
+    CentralTerm,
+    EllipticTerm,
+    HillsTerm,
+    LatticeTerm,
+    LinearTerm,
+    ObstaclesTerm,
+    WallTerm,
+)
+from pinav.forces.field_terms import HARMONICS
+
+MOST_TERMS = 3
+"""Terms of a sum of laws at most."""
+
+
+class TermLaws(eqx.Module):
+    """A term of a learned force, and the laws that it may follow.
+
+    Attributes:
+        sample: its force, with the covariance of its errors.
+        laws: candidates.
+        landscape: what the starts of their fits need to know.
+    """
+
+    sample: ForceSample
+    laws: tuple[AbstractLaw, ...] = eqx.field(static=True)
+    landscape: Landscape = eqx.field(static=True)
+
+
+def term_laws(
+    terms: Sequence[AbstractTerm], sampling: Sampling
+) -> tuple[TermLaws, ...] | None:
+    """The laws that each term may follow.
+
+    Args:
+        terms: of a structured force.
+        sampling: where the force is known.
+
+    Returns:
+        Nothing known where there are no terms, more than `MOST_TERMS`, or one of a
+        kind for which there are no laws.
+    """
+    kinds = [laws_of(term) for term in terms]
+    if not 0 < len(terms) <= MOST_TERMS or not all(kinds):
+        return None
+    samples = [sampling.of_term(index) for index in range(len(terms))]
+    return tuple(
+        TermLaws(sample, laws, term_landscape(term, sample))
+        for term, laws, sample in zip(terms, kinds, samples, strict=True)
+    )
+
+
+def laws_of(term: AbstractTerm) -> tuple[AbstractLaw, ...]:
+    """The laws that have the structure of a term; none where there are none."""
+    turned = term.rotational
+    match term:
+        case CentralTerm():
+            return SWIRLS if turned else (*profile_laws(Center()), RING)
+        case EllipticTerm():
+            laws = (*profile_laws(Ellipse()), ProfileLaw(Ring(), Ellipse()))
+            return _turned(laws) if turned else laws
+        case WallTerm():
+            straight = (*profile_laws(Line()), WALL, CHANNEL, PLANE_WAVE)
+            return SHEAR_LAYERS if turned else straight
+        case ObstaclesTerm():
+            places = Centers(len(term.centers))
+            laws = tuple(ProfileLaw(profile, places) for profile in EVEN_PROFILES)
+            return _turned(laws) if turned else laws
+        case LatticeTerm():
+            return _turned(LATTICES) if turned else LATTICES
+        case LinearTerm():
+            potentials = (CONSTANT_FORCE, HARMONIC, SADDLE, ANISOTROPIC_TRAP)
+            return (SOLID_ROTATION,) if turned else potentials
+        case HillsTerm() if len(term.centers) <= MOST_TERMS and not turned:
+            return (SumLaw((GAUSSIAN,) * len(term.centers)),)
+        case _:
+            return ()
+
+
+def _turned(laws: Sequence) -> tuple[AbstractLaw, ...]:
+    return tuple(Turned(law, f"{law.name} swirl") for law in laws)
+
+
+def term_landscape(term: AbstractTerm, sample: ForceSample) -> Landscape:
+    """What the geometry of a term tells the starts of fits."""
+    plain = sample.landscape
+    if isinstance(term, AbstractProfileTerm):
+        plain = dataclasses.replace(plain, lengths=_lengths(term, sample))
+    match term:
+        case CentralTerm():
+            return dataclasses.replace(plain, centers=_points(term.center[None]))
+        case EllipticTerm():
+            p, q = (float(part) for part in term.shear)
+            return dataclasses.replace(
+                plain,
+                centers=_points(term.center[None]),
+                direction=0.5 * float(np.arctan2(q, p)),
+                aspect=float(np.exp(-2 * np.hypot(p, q))),
+            )
+        case WallTerm():
+            return dataclasses.replace(
+                plain, centers=plain.centers[1:], direction=float(term.angle)
+            )
+        case ObstaclesTerm() | HillsTerm():
+            return dataclasses.replace(plain, centers=_points(term.centers))
+        case LatticeTerm():
+            return dataclasses.replace(plain, wave_vectors=_strongest_waves(term))
+        case _:
+            return plain
+
+
+def _points(places: Float[np.ndarray, "place 2"]) -> tuple[tuple[float, float], ...]:
+    return tuple((float(x), float(y)) for x, y in np.asarray(places))
+
+
+def _lengths(term: AbstractProfileTerm, sample: ForceSample) -> tuple[float, ...]:
+    """Lengths about that over which a profile changes.
+
+    A force about a centre is strongest at about that distance; one along a line is
+    felt over about that width.
+    """
+    z = np.array([np.asarray(term.coordinates(x)) for x in sample.positions])
+    size = np.linalg.norm(sample.force, axis=1)
+    if term.is_odd:
+        strong = size >= np.quantile(size, 0.9)
+        length = np.median(z.min(axis=1)[strong])
+    else:
+        weights = size / max(size.sum(), np.finfo(float).tiny)
+        middle = weights @ z[:, 0]
+        length = np.sqrt(weights @ (z[:, 0] - middle) ** 2)
+    length = max(float(length), 0.02 * sample.extent)
+    return tuple(factor * length for factor in (0.5, 1.0, 2.0))
+
+
+def _strongest_waves(term: LatticeTerm) -> tuple[tuple[float, float], ...]:
+    """The wave vectors of the two strongest harmonics of a lattice [rad L⁻¹]."""
+    orders = np.array(HARMONICS, float)
+    vectors = orders @ np.asarray(term.wave_vectors)
+    weights = np.asarray(term.weights).reshape(2, -1)
+    strength = np.hypot(*weights) * np.linalg.norm(vectors, axis=1)
+    ranking = np.argsort(strength)[::-1]
+    first = vectors[ranking[0]]
+    across = [i for i in ranking[1:] if _are_independent(first, vectors[i])]
+    return _points(np.stack([first, vectors[across[0]]]))
+
+
+def _are_independent(
+    one: Float[np.ndarray, "2"], two: Float[np.ndarray, "2"]
+) -> bool:
+    area = abs(one[0] * two[1] - one[1] * two[0])
+    return bool(area > 0.1 * np.linalg.norm(one) * np.linalg.norm(two))
