@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from benchmarks._sweep import write_measurement
+from pinav.analysis import Discovery, Verdict, discover
 from pinav.commands.study.stochastic_force_inference import infer_force
 from pinav.evaluation import field_map, force_coverage
 from pinav.evaluation.force_fields import force_agreement
@@ -40,6 +41,8 @@ class Measurement(msgspec.Struct, frozen=True):
         coverage: of the band of 95 %, by region; none without a band.
         structure: kinds of the terms that were claimed, sorted.
         gain: log evidence of the structure over free kernels [nats].
+        laws: names of the laws of a discovery that identified them, sorted.
+        verdict: the word for what the discovery says; empty without one.
     """
 
     family: str
@@ -51,6 +54,13 @@ class Measurement(msgspec.Struct, frozen=True):
     coverage: dict[str, float | None] = {}
     structure: tuple[str, ...] = ()
     gain: float | None = None
+    laws: tuple[str, ...] = ()
+    verdict: str = ""
+
+    @property
+    def has_right_laws(self) -> bool:
+        """Whether the laws that were identified are those of the family."""
+        return self.laws == FAMILIES[self.family].laws
 
     @property
     def is_named_rightly(self) -> bool:
@@ -66,12 +76,14 @@ class Fitted(NamedTuple):
         outcome: how the fit ended.
         posterior: of its parameters, if there is one.
         gain: of a structure over free kernels [nats].
+        discovery: of its laws, if they were asked for.
     """
 
     model: Any
     outcome: str
     posterior: Posterior | None = None
     gain: float = float("nan")
+    discovery: Discovery | None = None
 
 
 def _untrained(system: System, data: Trajectories) -> Any:
@@ -91,6 +103,12 @@ def _structured(system: System, data: Trajectories) -> Fitted:
     return Fitted(fit.model, str(fit.outcome), fit.posterior, result.gain)
 
 
+def _laws(system: System, data: Trajectories) -> Fitted:
+    fitted = _structured(system, data)
+    assert fitted.posterior is not None
+    return fitted._replace(discovery=discover(fitted.posterior, data))
+
+
 def _law_known(system: System, data: Trajectories) -> Fitted:
     truth = system.true_swimmer
     fit = fit_bayes(truth, data, learn=lambda m: m.environment, throw=False)
@@ -106,9 +124,11 @@ COLUMNS: dict[str, Callable[[System, Trajectories], Fitted]] = {
     "structured": _structured,
     "sfi": _other_tool,
     "law": _law_known,
+    "discover": _laws,
 }
 """Ways to fit by name: kernels alone; with a search for structure, as `pinav fit` does;
-StochasticForceInference; the numbers of the true law, for comparison."""
+StochasticForceInference; the numbers of the true law, for comparison; with a search for
+structure and for its laws, as `pinav fit` and `pinav discover` do."""
 
 
 class FieldCell(msgspec.Struct, frozen=True):
@@ -176,6 +196,9 @@ def _scored(
         masks = true.regions.masks(true.distance)
         coverage = dict(force_coverage(learned, true, sd, masks))
     terms = force.terms if isinstance(force, StructuredForce) else ()
+    discovery, laws = fitted.discovery, ()
+    if discovery is not None and discovery.verdict is Verdict.IDENTIFIED:
+        laws = tuple(sorted(discovery.best.terms))
     return Measurement(
         family=family,
         key=key,
@@ -186,6 +209,8 @@ def _scored(
         coverage={name: _finite(value) for name, value in coverage.items()},
         structure=tuple(sorted({term.kind for term in terms})),
         gain=_finite(fitted.gain),
+        laws=laws,
+        verdict="" if discovery is None else discovery.verdict.value,
     )
 
 

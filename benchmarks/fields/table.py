@@ -1,6 +1,6 @@
 """Runs the cells of the benchmark, prints their table and draws one figure."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -88,6 +88,8 @@ def line(one: Measurement) -> str:
     errors = " ".join(_percent(one.error.get(region)) for region in REGIONS)
     bands = " ".join(_percent(one.coverage.get(region)) for region in REGIONS)
     named = ", ".join(one.structure) or "-"
+    if one.verdict:
+        named += f": {' + '.join(one.laws) or one.verdict}"
     gain = "" if one.gain is None else f" ({one.gain:.0f} nats)"
     name = f"{one.family:<18}{one.key:>3} {one.column:<11}"
     return f"{name}{errors} |{bands} {one.seconds:>6.1f} s {one.outcome} {named}{gain}"
@@ -106,13 +108,20 @@ def summary(measurements: Sequence[Measurement]) -> str:
         worst = max((m.error.get("visited") or np.nan for m in group), default=np.nan)
         bands = [_percent(_median(group, "coverage", region)) for region in REGIONS]
         seconds = float(np.median([m.seconds for m in group]))
-        named = sum(m.is_named_rightly for m in group)
+        right = sum(map(COUNTS[column], group)) if column in COUNTS else 0
         lines.append(
             f"{family:<18}{column:<12}{len(group):>5} {' '.join(errors)};"
             f"{_percent(float(worst))}; {' '.join(bands)}; {seconds:>6.1f} s"
-            + (f"; {named} of {len(group)}" if column == "structured" else "")
+            + (f"; {right} of {len(group)}" if column in COUNTS else "")
         )
     return "\n".join(lines)
+
+
+COUNTS: dict[str, Callable[[Measurement], bool]] = {
+    "structured": lambda one: one.is_named_rightly,
+    "discover": lambda one: one.has_right_laws,
+}
+"""What counts as named rightly, by column."""
 
 
 def draw(measurements: Sequence[Measurement], folder: Path) -> None:

@@ -90,9 +90,7 @@ def cases():
 @pytest.fixture(autouse=True)
 def little_work(monkeypatch):
     """Few laws, few starts of a map, blank figures: other tests have them all."""
-    few = functools.partial(
-        analysis.discover, laws=(*POTENTIALS[:2], *ROTATIONS[:1])
-    )
+    few = functools.partial(analysis.discover, laws=(*POTENTIALS[:2], *ROTATIONS[:1]))
     monkeypatch.setattr(discover_job, "discover_law", few)
     monkeypatch.setattr(rollouts, "LYAPUNOV_POINTS", 5)
     with blank_figures():

@@ -46,10 +46,12 @@ class Family(NamedTuple):
     Attributes:
         draw: the field by random numbers.
         structure: names of the terms that make it, sorted; none where it has none.
+        laws: names of the laws of these terms, as `pinav discover` calls them, sorted.
     """
 
     draw: Draw
     structure: tuple[str, ...] = ()
+    laws: tuple[str, ...] = ()
 
 
 def random_system(family: str, key: int) -> System:
@@ -221,31 +223,45 @@ def _sum(*draws: Draw) -> Draw:
 
 
 FAMILIES: dict[str, Family] = {
-    "gaussian": Family(_gaussian, ("central",)),
-    "screened": Family(_screened_force, ("central",)),
-    "lorentzian": Family(_lorentzian, ("central",)),
-    "compact": Family(_compact, ("central",)),
-    "ring": Family(_ring, ("central",)),
-    "elliptic": Family(_ridge, ("elliptic",)),
-    "wall": Family(_wall, ("wall",)),
-    "channel": Family(_channel, ("wall",)),
-    "lattice": Family(_lattice, ("lattice",)),
-    "obstacles": Family(_obstacles, ("obstacles",)),
+    "gaussian": Family(_gaussian, ("central",), ("Gaussian",)),
+    "screened": Family(_screened_force, ("central",), ("soft Coulomb",)),
+    "lorentzian": Family(_lorentzian, ("central",), ("Lorentzian",)),
+    "compact": Family(_compact, ("central",), ("compact hill",)),
+    "ring": Family(_ring, ("central",), ("ring",)),
+    "elliptic": Family(_ridge, ("elliptic",), ("elliptic Gaussian",)),
+    "wall": Family(_wall, ("wall",), ("logistic wall",)),
+    "channel": Family(_channel, ("wall",), ("channel",)),
+    "lattice": Family(_lattice, ("lattice",), ("lattice of two waves",)),
+    "obstacles": Family(_obstacles, ("obstacles",), ("Gaussian at 3 places",)),
     "random-smooth": Family(_smooth(np.inf)),
     "random-matern-5/2": Family(_smooth(5.0)),
     "random-matern-3/2": Family(_smooth(3.0)),
-    "saddle": Family(_saddle, ("linear",)),
-    "vortex": Family(_vortex, ("central swirl",)),
-    "vortex-saddle": Family(_sum(_vortex, _saddle), ("central swirl", "linear")),
-    "hill-wall": Family(_sum(_gaussian, _wall), ("central", "wall")),
-    "hill-saddle": Family(_sum(_compact, _saddle), ("central", "linear")),
+    "saddle": Family(_saddle, ("linear",), ("saddle",)),
+    "vortex": Family(_vortex, ("central swirl",), ("Gaussian swirl",)),
+    "vortex-saddle": Family(
+        _sum(_vortex, _saddle),
+        ("central swirl", "linear"),
+        ("Gaussian swirl", "saddle"),
+    ),
+    "hill-wall": Family(
+        _sum(_gaussian, _wall), ("central", "wall"), ("Gaussian", "logistic wall")
+    ),
+    "hill-saddle": Family(
+        _sum(_compact, _saddle), ("central", "linear"), ("compact hill", "saddle")
+    ),
     "uniform": Family(
-        lambda rng: ConstantForce(rng.uniform(-0.3, 0.3, 2)), ("linear",)
+        lambda rng: ConstantForce(rng.uniform(-0.3, 0.3, 2)),
+        ("linear",),
+        ("constant force",),
     ),
     "none": Family(lambda rng: ZeroForce()),
     # a draw depends on the place of its family: later ones stand at the end
-    "segment": Family(_segment, ("elliptic",)),
-    "stripes": Family(_stripes, ("wall",)),
-    "ridge-wall": Family(_sum(_ridge, _wall), ("elliptic", "wall")),
+    "segment": Family(_segment, ("elliptic",), ("elliptic Gaussian",)),
+    "stripes": Family(_stripes, ("wall",), ("plane wave",)),
+    "ridge-wall": Family(
+        _sum(_ridge, _wall),
+        ("elliptic", "wall"),
+        ("elliptic Gaussian", "logistic wall"),
+    ),
 }
 """Families by their names, with the structure that a search should name."""

@@ -8,9 +8,9 @@ import pytest
 
 from pinav.analysis import Verdict, discover
 from pinav.analysis.discovery.discovery import estimates
+from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.laws import LawForce
 from pinav.analysis.discovery.learned_fit import laplace_posterior
-from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.potentials import CONSTANT_FORCE, GAUSSIAN, HARMONIC
 from pinav.analysis.discovery.profiles import Lorentzian
 from pinav.analysis.discovery.refit import Refit, RefitProblem, refit

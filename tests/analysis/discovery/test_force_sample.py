@@ -9,13 +9,13 @@ from pinav.analysis.discovery.force_sample import (
     central_test,
     spread_points,
 )
+from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.law_regression import (
     fit_law,
     fit_sum,
     fit_two_gaussians,
     law_force,
 )
-from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.potentials import (
     CHANNEL,
     CONSTANT_FORCE,

@@ -4,6 +4,13 @@ import numpy as np
 import pytest
 import sympy
 
+from pinav.analysis.discovery.geometries import (
+    Center,
+    Centers,
+    Ellipse,
+    Line,
+    ProfileLaw,
+)
 from pinav.analysis.discovery.laws import (
     LawForce,
     Role,
@@ -12,7 +19,6 @@ from pinav.analysis.discovery.laws import (
     latex,
     sympy_text,
 )
-from pinav.analysis.discovery.geometries import Centers, Ellipse, Line, ProfileLaw
 from pinav.analysis.discovery.potentials import (
     ANISOTROPIC_TRAP,
     CHANNEL,
@@ -27,12 +33,15 @@ from pinav.analysis.discovery.potentials import (
     WALL,
     profile_laws,
 )
-from pinav.analysis.discovery.profiles import Gaussian, InversePower, Lorentzian
+from pinav.analysis.discovery.profiles import (
+    CompactHill,
+    Gaussian,
+    InversePower,
+    Lorentzian,
+)
 from pinav.analysis.discovery.rotations import (
     GAUSSIAN_SWIRL,
-    ROTATIONS,
     SHEAR_LAYERS,
-    SOLID_ROTATION,
     SWIRLS,
 )
 from pinav.errors import InputError
@@ -83,9 +92,7 @@ def test_latex_names_every_constant(law):
         assert sympy.latex(formulas.symbols[own.name]) in text
 
 
-@pytest.mark.parametrize(
-    "law", (*POTENTIALS, *STRUCTURED), ids=lambda law: law.name
-)
+@pytest.mark.parametrize("law", [*POTENTIALS, *STRUCTURED], ids=lambda law: law.name)
 def test_potentials_have_no_curl(law):
     jacobian = jax.jacfwd(lambda x: force_at(law, constants_of(law), x))(POINTS[1])
     np.testing.assert_allclose(jacobian[0, 1], jacobian[1, 0], atol=1e-12)
@@ -130,6 +137,67 @@ def test_sum_adds_forces_and_numbers_shared_names():
     assert "strength" in names
     assert len(set(names)) == len(names)
     assert law == SumLaw((GAUSSIAN, SWIRL))
+
+
+@pytest.mark.parametrize(
+    ("law", "special"),
+    [
+        (ProfileLaw(InversePower(), Center()), ProfileLaw(Lorentzian(), Center())),
+        (ProfileLaw(Gaussian(), Ellipse()), GAUSSIAN),
+        (ProfileLaw(InversePower(), Ellipse()), ProfileLaw(Lorentzian(), Center())),
+        (RING, GAUSSIAN),
+        (CHANNEL, WALL),
+        (ANISOTROPIC_TRAP, SADDLE),
+        (LATTICES[1], LATTICES[0]),
+        (LATTICES[0], PLANE_WAVE),
+        (SWIRLS[5], SWIRLS[2]),
+        (GAUSSIAN + SWIRL, SWIRL),
+        (WALL + RING, GAUSSIAN + WALL),
+        (GAUSSIAN + WALL + SADDLE, SADDLE + GAUSSIAN),
+    ],
+    ids=lambda law: law.name,
+)
+def test_a_law_contains_its_special_cases(law, special):
+    assert law.contains(special)
+    assert not special.contains(law)
+    assert not law.contains(law)
+
+
+def test_laws_that_are_no_special_cases_are_not_contained():
+    assert not GAUSSIAN.contains(HARMONIC)
+    assert not RING.contains(WALL)
+    assert not (GAUSSIAN + WALL).contains(GAUSSIAN + SADDLE)
+    assert not (GAUSSIAN + SWIRL).contains(RING)
+    assert not SWIRL.contains(GAUSSIAN)
+
+
+def test_an_inverse_power_is_its_special_case_for_its_exponent():
+    constants = jnp.array([2.0, 1.0, 0.0, 1.5])
+    power = ProfileLaw(InversePower(), Center())
+    np.testing.assert_allclose(
+        force_at(power, jnp.append(constants, 2.0), POINTS[1]),
+        force_at(ProfileLaw(Lorentzian(), Center()), constants, POINTS[1]),
+        rtol=1e-12,
+    )
+
+
+@pytest.mark.parametrize(
+    "law", [*profile_laws(Center()), RING, *SWIRLS], ids=lambda law: law.name
+)
+def test_forces_are_finite_at_a_centre(law):
+    constants = constants_of(law)
+    names = [constant.name for constant in law.constants]
+    center = [constants[names.index(f"center_{axis}")] for axis in "xy"]
+    assert np.all(np.isfinite(force_at(law, constants, jnp.stack(center))))
+
+
+def test_a_compact_hill_ends():
+    law = ProfileLaw(CompactHill(), Center())
+    constants = jnp.array([2.0, 0.0, 0.0, 1.5, 3.0])
+    np.testing.assert_array_equal(force_at(law, constants, jnp.array([1.6, 0.0])), 0.0)
+    inside = force_at(law, constants, jnp.array([1.0, 0.0]))
+    expected = 2.0 * 3.0 * (1 - 1 / 2.25) ** 2 * 2 / 2.25
+    np.testing.assert_allclose(inside, [expected, 0.0], rtol=1e-12)
 
 
 def test_wrong_number_of_constants_is_refused():

@@ -30,14 +30,14 @@ from pinav.analysis.discovery.learned_fit import Learned
 from pinav.analysis.discovery.refit import Refit, refit
 from pinav.analysis.discovery.rotations import LIBRARY
 from pinav.analysis.discovery.screening import screen, screen_terms
-from pinav.analysis.discovery.term_laws import term_laws
+from pinav.analysis.discovery.term_laws import TermLaws, term_laws
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
 from pinav.fitting import Outcome, Posterior
 from pinav.forces import split_structure
 from pinav.threads import map_on_cores
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, with_velocities
 
 CLOSE = 6.0
 """Laws whose BIC is within this of the best are not told apart."""
@@ -102,6 +102,16 @@ class Candidate(eqx.Module):
     latex: str
     sympy: str
 
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the laws that it is the sum of."""
+        law = self.law
+        return (
+            tuple(term.name for term in law.terms)
+            if isinstance(law, SumLaw)
+            else (law.name,)
+        )
+
 
 class Verdict(enum.Enum):
     """What a discovery says of the law."""
@@ -124,6 +134,8 @@ class Discovery(eqx.Module):
         learned_noise: standard deviation of the observations about the learned force.
         num_effective: independent numbers that the data tell about the force.
         sample: the learned force that the candidates were fitted to first.
+        structure: kinds of the terms whose laws were sought; none where the laws are
+            those of the whole force.
     """
 
     candidates: tuple[Candidate, ...]
@@ -133,6 +145,7 @@ class Discovery(eqx.Module):
     learned_noise: float
     num_effective: float
     sample: ForceSample
+    structure: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def best(self) -> Candidate:
@@ -185,10 +198,16 @@ def discover(
             "discover posterior: expected that of a swimmer with a learned "
             f"environment, got {type(model).__name__}"
         )
+    if isinstance(model, Swimmer):
+        trajectories = with_velocities(trajectories)
     learned = Learned.of(posterior, trajectories, solver)
     sampling = Sampling.of(posterior, trajectories, learned.num_effective)
     sample = sampling.of_force()
-    screened = _screen(sampling, sample, laws)
+    terms = None if laws is not None else _terms_of(sampling)
+    if terms is None:
+        screened = screen(sample, LIBRARY if laws is None else laws)
+    else:
+        screened = screen_terms(terms, sample)
     refitted = _refit_best(screened, model, learned, refits)
     candidates = _rank(refitted, learned, inertia=isinstance(model, Swimmer))
     return Discovery(
@@ -199,20 +218,14 @@ def discover(
         learned_noise=learned.noise,
         num_effective=learned.num_effective,
         sample=sample,
+        structure=() if terms is None else tuple(term.kind for term in terms),
     )
 
 
-def _screen(
-    sampling: Sampling, sample: ForceSample, laws: Sequence[AbstractLaw] | None
-) -> list[FieldFit]:
-    """The laws that the force is asked for, the lowest criterion first."""
-    if laws is not None:
-        return screen(sample, laws)
+def _terms_of(sampling: Sampling) -> tuple[TermLaws, ...] | None:
+    """The terms of the learned force with their candidates, if it has a structure."""
     terms, _ = split_structure(sampling.posterior.model.environment)
-    structured = term_laws(terms, sampling)
-    if structured is None:
-        return screen(sample, LIBRARY)
-    return screen_terms(structured, sample)
+    return term_laws(terms, sampling)
 
 
 def _refit_best(
@@ -280,7 +293,9 @@ def _verdict(candidates: tuple[Candidate, ...]) -> Verdict:
     best = candidates[0]
     if not best.fits:
         return Verdict.NO_LAW_FITS
-    if len(rivals(candidates)) > 1 or not all(constant.identifiable for constant in best.constants):
+    if len(rivals(candidates)) > 1 or not all(
+        constant.identifiable for constant in best.constants
+    ):
         return Verdict.NOT_IDENTIFIABLE
     return Verdict.IDENTIFIED
 

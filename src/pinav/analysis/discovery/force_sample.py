@@ -168,10 +168,8 @@ class Sampling(eqx.Module):
             InputError: the term has no such profile.
         """
         term = split_structure(self.posterior.model.environment)[0][index]
-        one = isinstance(term, AbstractProfileTerm) and not isinstance(
-            term, ObstaclesTerm
-        )
-        if not one:
+        several = isinstance(term, ObstaclesTerm)
+        if several or not isinstance(term, AbstractProfileTerm):
             raise InputError(
                 f"term {index} of the structure ({term.kind}) has no profile of a "
                 "single coordinate; choose another one"

@@ -128,7 +128,9 @@ class Line(AbstractGeometry):
         ]
 
     def name(self, profile: str) -> str:
-        return profile if profile in ("logistic wall", "channel") else f"{profile} layer"
+        return (
+            profile if profile in ("logistic wall", "channel") else f"{profile} layer"
+        )
 
 
 @final

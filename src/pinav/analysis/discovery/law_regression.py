@@ -147,12 +147,11 @@ class _Regression(eqx.Module):
 
     def _evaluate(
         self, constants: Float[np.ndarray, " constant"]
-    ) -> tuple[
-        Float[np.ndarray, "point dim"], Float[np.ndarray, "point dim constant"]
-    ]:
+    ) -> tuple[Float[np.ndarray, "point dim"], Float[np.ndarray, "point dim constant"]]:
         """Force and slopes; of a sum term by term, whose programs are there already."""
-        law = self.law
-        parts = law.split(constants) if isinstance(law, SumLaw) else [(law, constants)]
+        law, parts = self.law, [(self.law, constants)]
+        if isinstance(law, SumLaw):
+            parts = [(one, np.asarray(c)) for one, c in law.split(tuple(constants))]
         both = [_force_and_slopes(*part, self.positions) for part in parts]
         values = sum(np.asarray(force) for force, _ in both)
         slopes = [np.asarray(slope) for _, slope in both]

@@ -13,7 +13,7 @@ from pinav.errors import FitError
 from pinav.fitting import Outcome, Posterior
 from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
 from pinav.fitting.matching.trainable import Trainable
-from pinav.trajectories import Trajectories, smooth_states
+from pinav.trajectories import Trajectories, smooth_states, with_velocities
 
 MISFIT_PROBABILITY = 1e-3
 """A law fits if it leaves a misfit that chance makes more often than this."""
@@ -89,6 +89,8 @@ def laplace_posterior(
         FitError: the learned force does not explain the trajectories.
     """
     solver = FixedStep() if solver is None else solver
+    if isinstance(model, Swimmer):
+        trajectories = with_velocities(trajectories)
     with jax.enable_x64(new_val=True):
         free, theta = ravel_model(with_dtype(model, jnp.float64), trainable)
     problem, local = _linearise(free, np.asarray(theta), trajectories, solver)

@@ -73,7 +73,7 @@ class Saddle(AbstractPotential):
 
 @final
 class AnisotropicTrap(AbstractPotential):
-    r"""$U = \tfrac12 (k_x u^2 + k_y w^2) - b\, u w$ about a centre: any linear force."""
+    r"""$U = \tfrac12 (k_x u^2 + k_y w^2) - b\, u w$ about a centre."""
 
     name = "anisotropic trap"
     constants = (

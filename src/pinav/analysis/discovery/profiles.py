@@ -204,7 +204,7 @@ class CompactHill(AbstractProfile):
 
 @final
 class SuperGaussian(AbstractProfile):
-    r"""$U = U_0 \exp(-(z^2 / 2\sigma^2)^m)$: a flat top, or with m < 1 a pointed one."""
+    r"""$U = U_0 \exp(-(z^2 / 2\sigma^2)^m)$: flat, or with m < 1 pointed."""
 
     name = "super-Gaussian"
     shapes = (WIDTH, Constant("steepness", "m", Role.SCALE, "1"))

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
 from pinav.analysis.discovery.force_sample import ForceSample, Sampling
 from pinav.analysis.discovery.geometries import (
@@ -56,11 +56,13 @@ class TermLaws(eqx.Module):
     """A term of a learned force, and the laws that it may follow.
 
     Attributes:
+        kind: the word for it in tables.
         sample: its force, with the covariance of its errors.
         laws: candidates.
         landscape: what the starts of their fits need to know.
     """
 
+    kind: str = eqx.field(static=True)
     sample: ForceSample
     laws: tuple[AbstractLaw, ...] = eqx.field(static=True)
     landscape: Landscape = eqx.field(static=True)
@@ -84,7 +86,7 @@ def term_laws(
         return None
     samples = [sampling.of_term(index) for index in range(len(terms))]
     return tuple(
-        TermLaws(sample, laws, term_landscape(term, sample))
+        TermLaws(term.kind, sample, laws, term_landscape(term, sample))
         for term, laws, sample in zip(terms, kinds, samples, strict=True)
     )
 
@@ -148,7 +150,7 @@ def term_landscape(term: AbstractTerm, sample: ForceSample) -> Landscape:
             return plain
 
 
-def _points(places: Float[np.ndarray, "place 2"]) -> tuple[tuple[float, float], ...]:
+def _points(places: Float[ArrayLike, "place 2"]) -> tuple[tuple[float, float], ...]:
     return tuple((float(x), float(y)) for x, y in np.asarray(places))
 
 
@@ -183,8 +185,6 @@ def _strongest_waves(term: LatticeTerm) -> tuple[tuple[float, float], ...]:
     return _points(np.stack([first, vectors[across[0]]]))
 
 
-def _are_independent(
-    one: Float[np.ndarray, "2"], two: Float[np.ndarray, "2"]
-) -> bool:
+def _are_independent(one: Float[np.ndarray, "2"], two: Float[np.ndarray, "2"]) -> bool:
     area = abs(one[0] * two[1] - one[1] * two[0])
     return bool(area > 0.1 * np.linalg.norm(one) * np.linalg.norm(two))

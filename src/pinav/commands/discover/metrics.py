@@ -50,6 +50,7 @@ class LawRow(Row, frozen=True):
         noise: standard deviation of the observations that the law needs.
         outcome: the word for how the refit ended.
         fits: the law explains the data as well as the learned force does.
+        extends_best: the best law is a special case of it.
         latex: the formula in LaTeX.
         sympy: both components of the force as SymPy prints and parses them.
         constants: their values and intervals.
@@ -65,6 +66,7 @@ class LawRow(Row, frozen=True):
     latex: str
     sympy: str
     constants: tuple[ConstantRow, ...]
+    extends_best: bool = False
 
     @property
     def difference(self) -> float:
@@ -114,6 +116,8 @@ class DiscoveryMetrics(Row, frozen=True):
         central: the test for a central force.
         noise: standard deviation of the observations about the learned force.
         num_effective: independent numbers that the data tell about the force.
+        structure: kinds of the terms whose laws were sought; none where the laws are
+            those of the whole force.
     """
 
     verdict: str
@@ -122,19 +126,29 @@ class DiscoveryMetrics(Row, frozen=True):
     central: CentralRow
     noise: float
     num_effective: float
+    structure: tuple[str, ...] = ()
 
     @property
     def close_laws(self) -> tuple[LawRow, ...]:
         """The laws that are not told apart from the best one."""
-        return tuple(law for law in self.laws if law.difference < CLOSE)
+        return tuple(
+            law for law in self.laws if law.difference < CLOSE and not law.extends_best
+        )
 
     def sentences(self) -> list[str]:
-        """The finding on the law, and on whether the force is central."""
+        """The finding on the law, its candidates, and whether the force is central."""
         names = ", ".join(law.name for law in self.close_laws)
         sentences = {
             "identified": f"law: {names}",
             "not identifiable": f"law: not identifiable from these data ({names})",
-            "no law fits": "law: no candidate explains the data as well as the learned "
-            f"force; the nearest is {self.laws[0].name}",
+            "no law fits": "law: none; no candidate explains the data as well as the "
+            f"learned force, and the nearest is {self.laws[0].name}",
         }
-        return [sentences[self.verdict], self.central.sentence()]
+        terms = " + ".join(self.structure)
+        candidates = (
+            f"candidates: the laws that have the structure of the fit ({terms})"
+            if self.structure
+            else "candidates: laws of the whole force, and sums of up to three; the "
+            "fit has no structure that laws could follow"
+        )
+        return [sentences[self.verdict], candidates, self.central.sentence()]

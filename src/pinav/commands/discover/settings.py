@@ -11,9 +11,11 @@ from pinav.commands.settings import AsJson, Range, Settings
 class DiscoverOptions(Settings, frozen=True):
     """Find the law behind the learned force of a run of pinav fit.
 
-    Fits about a dozen potentials and rotational terms to the learned force, refits
-    the best of them to the trajectories, and prints them with 95 % intervals, or
-    that the data do not identify one. Writes laws.json and report.html into the run.
+    Where the fit found a structure, each of its terms (central, wall, lattice and so
+    on) is asked for the formula of its profile; else laws and sums of up to three are
+    tried on the whole force. The best are refitted to the trajectories and printed
+    with 95 % intervals, or that no law fits, or that the data do not identify one.
+    Writes laws.json and report.html into the run.
 
     Attributes:
         run: Folder of pinav fit.

@@ -1,0 +1,190 @@
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.analysis import Verdict, discover
+from pinav.analysis.discovery.force_sample import ForceSample, Sampling
+from pinav.analysis.discovery.law_regression import law_force
+from pinav.analysis.discovery.learned_fit import laplace_posterior
+from pinav.analysis.discovery.potentials import (
+    GAUSSIAN,
+    LATTICES,
+    RING,
+    SADDLE,
+    WALL,
+)
+from pinav.analysis.discovery.rotations import LIBRARY, SWIRLS
+from pinav.analysis.discovery.screening import is_explained, screen, screen_terms
+from pinav.analysis.discovery.term_laws import (
+    TermLaws,
+    laws_of,
+    term_landscape,
+    term_laws,
+)
+from pinav.errors import InputError
+from pinav.fitting.engine.parametric_model import known_model
+from pinav.fitting.environments.choice import learned_part
+from pinav.forces import (
+    CentralTerm,
+    EllipticTerm,
+    KernelPotential,
+    LatticeTerm,
+    LinearTerm,
+    ObstaclesTerm,
+    SegmentTerm,
+    StructuredForce,
+    WallTerm,
+)
+from pinav.forces.field_terms import HARMONICS
+from pinav.forces.profile_laws import HillLaw
+from pinav.scenarios import barrier_crossings
+from pinav.systems import Observation
+from pinav.trajectories import simulate
+
+POSITIONS = np.random.default_rng(0).uniform(0.0, 8.0, (60, 2))
+PLACES, NONE = jnp.linspace(0.5, 4.0, 5), jnp.zeros(0)
+CENTER = jnp.array([3.0, 4.5])
+
+
+def sample_of(force):
+    return ForceSample(POSITIONS, force, 1e-6 * np.eye(force.size), 40.0)
+
+
+def hill(center=CENTER, **options):
+    law = HillLaw(jnp.log(2.9), jnp.asarray(0.0))
+    return CentralTerm(jnp.array([5.25]), center, NONE, 1.0, law=law, **options)
+
+
+def wall(angle=0.7):
+    return WallTerm(jnp.ones(5), angle, jnp.zeros(2), PLACES, 0.8)
+
+
+def term_of(term, law, constants):
+    """A term whose force is that of a law, with the candidates of its kind."""
+    sample = sample_of(law_force(law, np.asarray(constants), POSITIONS))
+    landscape = term_landscape(term, sample)
+    return TermLaws(term.kind, sample, laws_of(term), landscape)
+
+
+def test_geometry_gives_the_starts():
+    sample = sample_of(law_force(GAUSSIAN, np.array([5.0, 3.0, 4.5, 2.0]), POSITIONS))
+    assert term_landscape(hill(), sample).centers == ((3.0, 4.5),)
+    assert term_landscape(wall(0.3), sample).direction == pytest.approx(0.3)
+    ellipse = EllipticTerm(jnp.ones(5), CENTER, jnp.array([0.0, 0.4]), PLACES, 0.8)
+    start = term_landscape(ellipse, sample)
+    # e^{2S} is largest at 45 degrees: there the axis is short
+    assert start.direction == pytest.approx(np.pi / 4)
+    assert start.aspect == pytest.approx(np.exp(-0.8))
+    places = jnp.array([[1.0, 2.0], [5.0, 6.0]])
+    obstacles = ObstaclesTerm(jnp.ones(5), places, PLACES, 0.8)
+    assert term_landscape(obstacles, sample).centers == ((1.0, 2.0), (5.0, 6.0))
+
+
+def test_the_waves_of_a_lattice_are_its_strongest_harmonics():
+    weights = np.zeros((2, len(HARMONICS)))
+    weights[0, HARMONICS.index((1, 1))] = 2.0
+    weights[1, HARMONICS.index((1, -1))] = 1.5
+    vectors = jnp.array([[1.0, 0.0], [0.0, 1.0]])
+    lattice = LatticeTerm(jnp.asarray(weights.ravel()), vectors, jnp.zeros(2))
+    sample = sample_of(law_force(GAUSSIAN, np.array([5.0, 3.0, 4.5, 2.0]), POSITIONS))
+    assert term_landscape(lattice, sample).wave_vectors == ((1.0, 1.0), (1.0, -1.0))
+
+
+def test_terms_without_laws_leave_the_whole_force():
+    ends = jnp.array([[1.0, 1.0], [4.0, 4.0]])
+    segment = SegmentTerm(jnp.ones(5), ends, PLACES, 0.8)
+    linear = LinearTerm(jnp.ones(5), jnp.zeros(2), 1.0)
+    assert laws_of(segment) == ()
+    for terms in ([], [segment], [linear] * 4):
+        assert term_laws(terms, None) is None
+
+
+def test_a_swirl_is_asked_for_swirls():
+    assert laws_of(hill(rotational=True)) == SWIRLS
+    assert GAUSSIAN in laws_of(hill())
+    assert RING in laws_of(hill())
+    assert set(LATTICES) == set(
+        laws_of(LatticeTerm(jnp.ones(12), jnp.eye(2), jnp.zeros(2)))
+    )
+
+
+def test_each_term_of_a_sum_gets_its_law():
+    one, two = np.array([4.0, 0.7, 6.0, 0.8]), np.array([5.0, 3.0, 4.5, 1.5])
+    terms = [term_of(wall(), WALL, one), term_of(hill(), GAUSSIAN, two)]
+    whole = sample_of(terms[0].sample.force + terms[1].sample.force)
+    best = screen_terms(terms, whole)[0]
+    assert best.law == WALL + GAUSSIAN
+    np.testing.assert_allclose(best.constants, [*one, *two], rtol=1e-3)
+    assert is_explained(best, whole)
+
+
+def test_laws_are_added_until_they_explain_a_force_without_structure():
+    constants = [np.array([5.0, 3.0, 4.5, 1.2]), np.array([0.3, -0.2, 4.0, 4.0])]
+    parts = zip((GAUSSIAN, SADDLE), constants, strict=True)
+    sample = sample_of(sum(law_force(*part, POSITIONS) for part in parts))
+    fits = screen(sample, (GAUSSIAN, SADDLE, WALL))
+    assert set(fits[0].law.terms) == {GAUSSIAN, SADDLE}
+    assert max(len(getattr(fit.law, "terms", (0,))) for fit in fits) == 2
+    assert is_explained(fits[0], sample)
+
+
+@pytest.fixture(scope="module")
+def structured():
+    """The posterior of a hill that is known to be central, and its data."""
+    scenario = barrier_crossings()
+    scenario = dataclasses.replace(
+        scenario,
+        starts=scenario.starts[:4],
+        times=scenario.times[:61],
+        observation=Observation(0.01),
+    )
+    data = simulate(scenario, key=jax.random.key(1)).only(("x", "y"))
+    rest = KernelPotential.with_zero_weights(POSITIONS[:4], 2.0)
+    force = StructuredForce((hill(jnp.array([5.0, 5.0])),), rest)
+    model = scenario.truth.with_environment(force)
+    with jax.enable_x64(new_val=True):
+        return laplace_posterior(model, data, learned_part), data
+
+
+def test_discovery_begins_with_the_structure(structured):
+    """From positions alone, as they are fitted."""
+    found = discover(*structured, refits=2)
+    assert found.structure == ("central",)
+    assert {name for name, _ in found.screened} == {law.name for law in laws_of(hill())}
+    assert found.best.law == GAUSSIAN
+    assert found.verdict is Verdict.IDENTIFIED
+    assert found.close == (found.best,)
+    assert found.best.terms == ("Gaussian",)
+    assert found.candidates[1].extends_best
+
+
+@pytest.mark.slow
+def test_given_laws_are_tried_in_place_of_the_structure(structured):
+    found = discover(*structured, laws=LIBRARY[:3], refits=1)
+    assert found.structure == ()
+
+
+def test_the_profile_of_a_term_is_known_along_its_coordinate(structured):
+    posterior, data = structured
+    sampling = Sampling.of(posterior, data, 10.0)
+    profile = sampling.of_profile(0)
+    expected = 5.25 * profile.z / 2.9**2 * np.exp(-(profile.z**2) / (2 * 2.9**2))
+    np.testing.assert_allclose(profile.force, expected, rtol=0.01, atol=1e-3)
+    assert np.all(np.diff(profile.z) >= 0)
+    assert np.all(np.linalg.eigvalsh(profile.total_covariance) > 0)
+    force = sampling.of_term(0).force
+    np.testing.assert_allclose(force, sampling.of_force().force, atol=1e-12)
+
+
+def test_a_lattice_has_no_profile(structured):
+    posterior, data = structured
+    lattice = LatticeTerm(jnp.ones(12), jnp.eye(2), jnp.zeros(2))
+    rest = KernelPotential.with_zero_weights(POSITIONS[:4], 2.0)
+    model = posterior.model.with_environment(StructuredForce((lattice,), rest))
+    other = eqx.tree_at(lambda p: p.free, posterior, known_model(model))
+    with pytest.raises(InputError, match=r"term 0 .*\(lattice\) has no profile"):
+        Sampling.of(other, data, 10.0).of_profile(0)
