@@ -1,5 +1,6 @@
 """Which law is behind a learned force: synthetic data of known truth."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -11,13 +12,20 @@ import pytest
 from pinav.analysis import Verdict, discover
 from pinav.analysis.discovery.laws import LawForce
 from pinav.analysis.discovery.learned_fit import laplace_posterior
-from pinav.analysis.discovery.potentials import GAUSSIAN
-from pinav.analysis.discovery.rotations import ROTATIONS
+from pinav.analysis.discovery.potentials import GAUSSIAN, HARMONIC
+from pinav.analysis.discovery.rotations import GAUSSIAN_SWIRL
 from pinav.dynamics import FixedStep, Swimmer
-from pinav.fitting import TrajectoryLoss, curriculum, fit, fit_bayes, kernel_environment
+from pinav.fitting import (
+    TrajectoryLoss,
+    curriculum,
+    fit,
+    fit_bayes,
+    fit_structured,
+    kernel_environment,
+)
 from pinav.fitting.environments.kernels import WITHOUT_PRIOR
 from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
-from pinav.scenarios import barrier_crossings, paper
+from pinav.scenarios import FAMILIES, barrier_crossings, paper, random_system
 from pinav.trajectories import Trajectories, simulate
 
 TRUTH = np.array([5.25, 5.0, 5.0, 2.9])
@@ -31,13 +39,27 @@ def double_precision():
         yield
 
 
-class ThreeHills(AbstractForce):
-    """Three Gaussian hills: more than any law of the library has."""
+class Hills(AbstractForce):
+    """Gaussian hills: with more than three, more than any law of the library has."""
+
+    places: tuple[tuple[float, float], ...]
 
     def __call__(self, t, x, v):
-        places = ((3.0, 3.5), (6.5, 4.0), (4.5, 7.0))
-        hills = [GaussianBarrier(height=3.0, center=list(c), width=1.3) for c in places]
+        hills = [GaussianBarrier(3.0, list(c), 1.3) for c in self.places]
         return sum((hill(t, x, v) for hill in hills), jnp.zeros_like(x))
+
+
+class RadialHill(AbstractForce):
+    """A hill about (5, 5) of a profile that is no law of the library."""
+
+    profile: Callable[[jax.Array], jax.Array] = eqx.field(static=True)
+    height: float = 4.0
+
+    def __call__(self, t, x, v):
+        def potential(x):
+            return self.height * self.profile(jnp.sum((x - 5.0) ** 2))
+
+        return -jax.grad(potential)(x)
 
 
 def observe(environment, seed, *, columns=4, trajectories=8, samples=201):
@@ -110,7 +132,8 @@ def test_barrier_from_the_papers_single_trajectory():
 
 @pytest.mark.parametrize("seed", range(2))
 def test_rotational_term_is_found(seed):
-    swirl = LawForce(ROTATIONS[0], jnp.array([0.15, 5.0, 5.0, 2.5]))
+    strength = 0.15 * 2.5**2
+    swirl = LawForce(GAUSSIAN_SWIRL, jnp.array([strength, 5.0, 5.0, 2.5]))
     truth = paper().true_swimmer.environment + swirl
     found = discovered(truth, seed, kind=KernelForce)
     assert "swirl" in found.best.name
@@ -118,9 +141,65 @@ def test_rotational_term_is_found(seed):
     assert found.central.verdict.value == "not central"
 
 
+THREE = ((3.0, 3.5), (6.5, 4.0), (4.5, 7.0))
+
+
+def test_three_hills_have_one_law():
+    """Their structure is found first: hills of one kind at three places."""
+    known, data = observe(Hills(THREE), 0, trajectories=16)
+    model = known.with_environment(kernel_environment(KernelPotential, data))
+    found = discover(fit_structured(model, data).fit.posterior, data)
+    assert found.structure == ("obstacles",)
+    assert found.best.name == "Gaussian at 3 places"
+    assert found.verdict is Verdict.IDENTIFIED
+
+
+def test_a_sum_of_three_is_found_in_a_free_force():
+    swirl = LawForce(GAUSSIAN_SWIRL, jnp.array([1.0, 6.0, 4.0, 1.5]))
+    trap = LawForce(HARMONIC, jnp.array([0.05, 5.0, 5.0]))
+    truth = paper().true_swimmer.environment + swirl + trap
+    found = discovered(truth, 0, kind=KernelForce, trajectories=16)
+    assert set(found.best.terms) == {"Gaussian", "Gaussian swirl", "harmonic"}
+    assert found.best.fits
+
+
 def test_says_that_no_law_fits():
-    found = discovered(ThreeHills(), 0)
+    places = (*THREE, (2.0, 6.5), (7.5, 7.0), (5.0, 1.5))
+    found = discovered(Hills(places), 0)
     assert found.verdict is Verdict.NO_LAW_FITS
+
+
+PROFILES = {
+    "sech²": lambda q: 1 / jnp.cosh(0.4 * jnp.sqrt(q + 1e-20)) ** 2,
+    "Mexican hat": lambda q: (1 - q / 9) * jnp.exp(-q / 9),
+    "two widths": lambda q: 0.6 * jnp.exp(-q / 4) + 0.4 * jnp.exp(-q / 16),
+    "fourth power": lambda q: 1 / (1 + q**2 / 30),
+}
+"""Hills of which no law of the library is the formula."""
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_no_law_is_claimed_for_a_profile_that_has_none(name):
+    known, data = observe(RadialHill(PROFILES[name]), 1, columns=2, trajectories=16)
+    model = known.with_environment(kernel_environment(KernelPotential, data))
+    fit = fit_structured(model, data).fit
+    found = discover(fit.posterior, data)
+    print(name, found.structure, found.verdict, found.best.name)
+    assert found.structure == ("central",)
+    assert found.verdict is Verdict.NO_LAW_FITS
+
+
+@pytest.mark.parametrize(
+    "family", ["gaussian", "screened", "lorentzian", "compact", "ring", "hill-wall"]
+)
+def test_laws_of_a_structured_fit(family):
+    """A draw on which nothing was developed; `pinav bench fields` has many more."""
+    system = random_system(family, 137)
+    data = simulate(system, key=jax.random.key(137)).only(("x", "y"))
+    model = system.swimmer.with_environment(kernel_environment(KernelPotential, data))
+    found = discover(fit_structured(model, data).fit.posterior, data)
+    assert found.verdict is Verdict.IDENTIFIED
+    assert tuple(sorted(found.best.terms)) == FAMILIES[family].laws
 
 
 def test_few_data_identify_nothing():

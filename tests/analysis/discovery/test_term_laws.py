@@ -8,17 +8,25 @@ import pytest
 
 from pinav.analysis import Verdict, discover
 from pinav.analysis.discovery.force_sample import ForceSample, Sampling
-from pinav.analysis.discovery.law_regression import law_force
+from pinav.analysis.discovery.geometries import Center, ProfileLaw
+from pinav.analysis.discovery.law_regression import fit_law, fit_sum, law_force
 from pinav.analysis.discovery.learned_fit import laplace_posterior
 from pinav.analysis.discovery.potentials import (
+    ANISOTROPIC_TRAP,
     GAUSSIAN,
     LATTICES,
     RING,
     SADDLE,
     WALL,
 )
+from pinav.analysis.discovery.profiles import SuperGaussian
 from pinav.analysis.discovery.rotations import LIBRARY, SWIRLS
-from pinav.analysis.discovery.screening import is_explained, screen, screen_terms
+from pinav.analysis.discovery.screening import (
+    exchange_terms,
+    is_explained,
+    screen,
+    screen_terms,
+)
 from pinav.analysis.discovery.term_laws import (
     TermLaws,
     laws_of,
@@ -130,6 +138,20 @@ def test_laws_are_added_until_they_explain_a_force_without_structure():
     assert set(fits[0].law.terms) == {GAUSSIAN, SADDLE}
     assert max(len(getattr(fit.law, "terms", (0,))) for fit in fits) == 2
     assert is_explained(fits[0], sample)
+
+
+def test_terms_of_a_sum_are_exchanged_for_simpler_ones():
+    """A flat hill and a disc leave as little as what they stand for."""
+    flat = ProfileLaw(SuperGaussian(), Center())
+    gaussian, saddle = np.array([5.0, 3.0, 4.5, 1.2]), np.array([0.3, -0.2, 4.0, 4.0])
+    force = law_force(GAUSSIAN, gaussian, POSITIONS)
+    sample = sample_of(force + law_force(SADDLE, saddle, POSITIONS))
+    start = fit_sum(fit_law(flat, sample), ANISOTROPIC_TRAP, sample)
+    best = min(
+        exchange_terms(start, (GAUSSIAN, SADDLE, WALL), sample), key=lambda f: f.bic
+    )
+    assert set(best.law.terms) == {GAUSSIAN, SADDLE}
+    assert exchange_terms(fit_law(GAUSSIAN, sample), (WALL,), sample) == []
 
 
 @pytest.fixture(scope="module")

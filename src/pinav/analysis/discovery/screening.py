@@ -18,7 +18,7 @@ from pinav.analysis.discovery.law_regression import (
     fit_sum,
     fit_two_gaussians,
 )
-from pinav.analysis.discovery.laws import AbstractLaw
+from pinav.analysis.discovery.laws import AbstractLaw, SumLaw
 from pinav.analysis.discovery.potentials import GAUSSIAN
 from pinav.analysis.discovery.term_laws import MOST_TERMS, TermLaws
 from pinav.threads import map_on_cores
@@ -26,7 +26,7 @@ from pinav.threads import map_on_cores
 COMBINED = {1: 20, 2: 5, 3: 3}
 """Laws of each term that are combined, by the number of terms."""
 
-LEADERS = 2
+LEADERS = 3
 """Laws, or sums, to which a term is added."""
 
 MISFIT_PROBABILITY = 1e-3
@@ -51,7 +51,44 @@ def screen(sample: ForceSample, laws: Sequence[AbstractLaw]) -> list[FieldFit]:
         both = [(fit, law) for fit in fits for law in laws]
         fits = map_on_cores(lambda pair: fit_sum(*pair, sample), both)
         everything += fits
-    return sorted(everything, key=lambda fit: fit.bic)
+    best = min(everything, key=lambda fit: fit.bic)
+    everything += exchange_terms(best, laws, sample)
+    ranking = sorted(everything, key=lambda fit: fit.bic, reverse=True)
+    # of sums of the same terms in another order the best one stays
+    distinct = {tuple(sorted(fit.law.name.split(" + "))): fit for fit in ranking}
+    return sorted(distinct.values(), key=lambda fit: fit.bic)
+
+
+def exchange_terms(
+    fit: FieldFit, laws: Sequence[AbstractLaw], sample: ForceSample
+) -> list[FieldFit]:
+    """Sums in which each term in turn is exchanged for any law, best ones kept.
+
+    Laws that are added one after the other begin with a compromise between terms, whose
+    formula need not be that of any of them. Once the others are there, the right one
+    explains as much with fewer constants.
+
+    Args:
+        fit: of a sum; a single law has no term to exchange.
+        laws: candidates.
+        sample: the force.
+
+    Returns:
+        The sums that were tried.
+    """
+    made: list[FieldFit] = []
+    count = len(fit.law.terms) if isinstance(fit.law, SumLaw) else 0
+    for _ in range(count):
+        assert isinstance(fit.law, SumLaw)
+        first, *rest = fit.law.terms
+        constants = fit.constants[len(first.constants) :]
+        others = FieldFit(sum(rest[1:], rest[0]), constants, np.inf, np.inf)
+        pairs = [(others, law) for law in dict.fromkeys([first, *laws])]
+        tries = map_on_cores(lambda pair: fit_sum(*pair, sample), pairs)
+        # the exchanged term now stands last, and the next one first
+        fit = min(tries, key=lambda one: one.bic)
+        made += tries
+    return made
 
 
 def screen_terms(terms: Sequence[TermLaws], sample: ForceSample) -> list[FieldFit]:
