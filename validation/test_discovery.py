@@ -169,11 +169,20 @@ def test_says_that_no_law_fits():
     assert found.verdict is Verdict.NO_LAW_FITS
 
 
+def _cosine(q):
+    r = jnp.minimum(jnp.sqrt(q + 1e-20), 5.0)
+    return 0.5 * (1 + jnp.cos(jnp.pi * r / 5.0))
+
+
 PROFILES = {
     "sech²": lambda q: 1 / jnp.cosh(0.4 * jnp.sqrt(q + 1e-20)) ** 2,
     "Mexican hat": lambda q: (1 - q / 9) * jnp.exp(-q / 9),
     "two widths": lambda q: 0.6 * jnp.exp(-q / 4) + 0.4 * jnp.exp(-q / 16),
     "fourth power": lambda q: 1 / (1 + q**2 / 30),
+    "raised cosine": _cosine,
+    "soft exponential": lambda q: jnp.exp(1 - jnp.sqrt(q / 3 + 1)),
+    "sinc": lambda q: jnp.sinc(jnp.sqrt(q + 1e-20) / 3.5),
+    "squared logistic": lambda q: jax.nn.sigmoid(3 - 1.5 * jnp.sqrt(q + 1e-20)) ** 2,
 }
 """Hills of which no law of the library is the formula."""
 
