@@ -200,13 +200,19 @@ def discovery(workshop: Workshop) -> Figure:
     """Candidate laws behind the force of `barrier-crossings`, and the best one."""
     words = ("simulate", "barrier-crossings", "--positions-only")
     workshop.run("crossings.csv", *words)
-    folder = workshop.run("crossings", "fit", "crossings.csv", "--structure", "free")
+    folder = workshop.run("crossings", "fit", "crossings.csv")
     workshop.once(folder / "laws.npz", "discover", folder.name)
     arrays = read(folder, "laws.npz")
-    laws = RunFolder.open(folder).read_metrics("laws.json", DiscoveryMetrics).laws
+    metrics = RunFolder.open(folder).read_metrics("laws.json", DiscoveryMetrics)
+    laws = metrics.laws
     figure = new_figure(WIDTH, 5.6)
     above, below = figure.subplots(2, 1)
-    law_ranking([law.name for law in laws], [law.difference for law in laws], ax=above)
+    law_ranking(
+        [law.name for law in laws],
+        [law.difference for law in laws],
+        [law in metrics.close_laws for law in laws],
+        ax=above,
+    )
     law_agreement(arrays["learned"], arrays["sd"], arrays["law"], ax=below)
     below.set(aspect="equal", adjustable="datalim", ylabel="learned force")
     title_panel(above, "(a) candidate laws")

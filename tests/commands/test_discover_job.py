@@ -88,6 +88,26 @@ def test_every_verdict_is_a_sentence(verdict, words):
     assert words in msgspec.structs.replace(METRICS, verdict=verdict).sentences()[0]
 
 
+def test_a_law_that_extends_the_best_one_is_no_rival():
+    extension = msgspec.structs.replace(METRICS.laws[1], extends_best=True)
+    laws = (METRICS.laws[0], extension, *METRICS.laws[2:])
+    metrics = msgspec.structs.replace(METRICS, laws=laws)
+    assert metrics.close_laws == METRICS.laws[:1]
+    assert "core" not in text(metrics)
+
+
+def test_the_candidates_are_those_of_the_structure():
+    assert "has no structure" in text(METRICS)
+    structured = msgspec.structs.replace(METRICS, structure=("wall", "central"))
+    assert "the structure of the fit (wall + central)" in text(structured)
+
+
+def test_a_force_that_is_not_central_has_no_centre():
+    central = msgspec.structs.replace(METRICS.central, verdict="not central")
+    assert "centre (5 ± 0.1, 5 ± 0.1)" in METRICS.central.sentence()
+    assert "centre" not in central.sentence()
+
+
 def test_report_section_holds_figure_and_tables(tmp_path):
     folder = RunFolder.create(
         tmp_path / "run", {"run": {"command": "fit"}}, overwrite=False

@@ -29,7 +29,11 @@ CLOSE, FLOOR = 6.0, 0.5
 
 
 def law_ranking(
-    names: Sequence[str], differences: Sequence[float], *, ax: Axes | None = None
+    names: Sequence[str],
+    differences: Sequence[float],
+    close: Sequence[bool],
+    *,
+    ax: Axes | None = None,
 ) -> Axes:
     """Bars of the difference in BIC to the best law, on a logarithmic scale.
 
@@ -37,16 +41,17 @@ def law_ranking(
         names: of the laws, the best one first.
         differences: of their BIC to that of the best one; what is not finite is left
             out.
+        close: whether each one is not told apart from the best one: blue, else grey.
         ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
     shown = [
-        (n, max(d, FLOOR))
-        for n, d in zip(names, differences, strict=True)
-        if np.isfinite(d)
+        (name, max(difference, FLOOR), BLUE if is_close else GREY)
+        for name, difference, is_close in zip(names, differences, close, strict=True)
+        if np.isfinite(difference)
     ]
-    labels, lengths = [n for n, _ in shown], [d for _, d in shown]
-    colors = [BLUE if length < CLOSE else GREY for length in lengths]
+    labels, lengths = [n for n, _, _ in shown], [d for _, d, _ in shown]
+    colors = [color for _, _, color in shown]
     ax.barh(labels, [n - 0.9 * FLOOR for n in lengths], 0.6, 0.9 * FLOOR, color=colors)
     ax.axvline(CLOSE, color=VERMILLION, lw=0.8, ls="--")
     ax.set_xscale("log")
@@ -96,6 +101,7 @@ def law_agreement(
 def law_figure(
     names: Sequence[str],
     differences: Sequence[float],
+    close: Sequence[bool],
     learned: Float[np.ndarray, "point 2"],
     sd: Float[np.ndarray, "point 2"],
     law: Float[np.ndarray, "point 2"],
@@ -107,6 +113,7 @@ def law_figure(
     Args:
         names: as for `law_ranking`.
         differences: as for `law_ranking`.
+        close: as for `law_ranking`.
         learned: as for `law_agreement`.
         sd: as for `law_agreement`.
         law: as for `law_agreement`.
@@ -114,7 +121,7 @@ def law_figure(
     """
     figure = new_figure(7.5, 3.0)
     left, right = figure.subplots(1, 2)
-    law_ranking(names, differences, ax=left)
+    law_ranking(names, differences, close, ax=left)
     law_agreement(learned, sd, law, unit=unit, ax=right)
     title_panel(left, "(a) candidate laws")
     title_panel(right, f"(b) {names[0]} in visited regions")

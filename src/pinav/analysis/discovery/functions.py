@@ -8,6 +8,7 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -23,23 +24,19 @@ class Functions(NamedTuple):
         log: natural logarithm.
         cos: cosine.
         sin: sine.
-        tanh: hyperbolic tangent.
         root: square root of a number that is not negative; of numbers its derivative
             is finite at zero, so that forces are finite at a centre.
         positive_power: a power of the first number where that is positive, else zero.
+        logistic: 1/(1 + exp(-z)); of numbers no z overflows it.
     """
 
     exp: Callable[[Expr], Expr]
     log: Callable[[Expr], Expr]
     cos: Callable[[Expr], Expr]
     sin: Callable[[Expr], Expr]
-    tanh: Callable[[Expr], Expr]
     root: Callable[[Expr], Expr]
     positive_power: Callable[[Expr, Expr], Expr]
-
-    def logistic(self, z: Expr) -> Expr:
-        """1/(1 + exp(-z)), which no z overflows."""
-        return (1 + self.tanh(z / 2)) / 2
+    logistic: Callable[[Expr], Expr]
 
 
 @functools.cache
@@ -55,9 +52,9 @@ def symbolic() -> Functions:
         sympy.log,
         sympy.cos,
         sympy.sin,
-        sympy.tanh,
         sympy.sqrt,
         positive_power,
+        lambda z: 1 / (1 + sympy.exp(-z)),
     )
 
 
@@ -77,6 +74,12 @@ TINY = 1e-30
 """Squared distance [L²] below which the root is flat."""
 
 NUMERIC = Functions(
-    jnp.exp, jnp.log, jnp.cos, jnp.sin, jnp.tanh, _root, _positive_power
+    jnp.exp,
+    jnp.log,
+    jnp.cos,
+    jnp.sin,
+    _root,
+    _positive_power,
+    jax.nn.sigmoid,
 )
 """The functions of JAX."""

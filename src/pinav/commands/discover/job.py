@@ -102,8 +102,12 @@ def ranking(metrics: DiscoveryMetrics) -> Table:
         "noise": lambda law: law.noise,
         "refit": lambda law: law.outcome,
         "explains the data": lambda law: "yes" if law.fits else "no",
+        "extends the best": lambda law: "yes" if law.extends_best else "no",
     }
-    caption = "Candidate laws refitted to the trajectories."
+    caption = (
+        "Candidate laws refitted to the trajectories. A law that extends the best one "
+        "has it as a special case, and is no rival of it."
+    )
     return Table.of(metrics.laws, columns, caption)
 
 

@@ -94,12 +94,14 @@ class CentralRow(Row, frozen=True):
     p_value: float
 
     def sentence(self) -> str:
-        """The test in words; a centre that the data do not determine is left out."""
+        """The test in words, with the centre where there is one."""
         line = (
             f"central force: {self.verdict}; tangential over radial {self.ratio:.3g}, "
             f"{self.noise_ratio:.3g} expected of a central one, p = {self.p_value:.3g}"
         )
         sds = self.center_sd
+        if self.verdict == "not central":
+            return line
         if self.verdict == "not identifiable" or None in sds:
             return f"{line}; the data do not determine a centre"
         (x, y), (sd_x, sd_y) = self.center, sds

@@ -24,6 +24,7 @@ def law_sections(folder: RunFolder) -> list[Section]:
     figure = law_figure(
         [law.name for law in metrics.laws],
         [law.difference for law in metrics.laws],
+        [law in metrics.close_laws for law in metrics.laws],
         arrays["learned"],
         arrays["sd"],
         arrays["law"],
@@ -32,7 +33,8 @@ def law_sections(folder: RunFolder) -> list[Section]:
     image = figures.image(
         "laws",
         figure,
-        "(a) Difference in BIC of laws refitted to the trajectories. (b) The best law "
+        "(a) Difference in BIC of laws refitted to the trajectories; laws in blue are "
+        "not told apart, those in grey are, or extend the best one. (b) The best law "
         "and the learned force at points in visited regions, bars 95 %.",
         alt="Ranking of candidate laws, and the best one against the learned force",
     )
