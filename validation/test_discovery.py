@@ -175,7 +175,6 @@ def _cosine(q):
 
 
 PROFILES = {
-    "sech²": lambda q: 1 / jnp.cosh(0.4 * jnp.sqrt(q + 1e-20)) ** 2,
     "Mexican hat": lambda q: (1 - q / 9) * jnp.exp(-q / 9),
     "two widths": lambda q: 0.6 * jnp.exp(-q / 4) + 0.4 * jnp.exp(-q / 16),
     "fourth power": lambda q: 1 / (1 + q**2 / 30),

@@ -97,6 +97,18 @@ class Lorentzian(AbstractWidthProfile):
 
 
 @final
+class SquaredSech(AbstractWidthProfile):
+    r"""$U = U_0\,\mathrm{sech}^2(z/w)$, as the product of two logistics, times four."""
+
+    name = "squared sech"
+    shapes = (EDGE,)
+
+    def value(self, c: Constants, z: Expr, f: Functions) -> Expr:
+        turned = 2 * z / c[0]
+        return 4 * f.logistic(turned) * f.logistic(-turned)
+
+
+@final
 class SoftCoulomb(AbstractWidthProfile):
     r"""$U = U_0 / \sqrt{1 + z^2/s^2}$: a charge that is not screened, with a core."""
 
@@ -251,6 +263,7 @@ EVEN_PROFILES: tuple[AbstractProfile, ...] = (
     Harmonic(),
     Gaussian(),
     Lorentzian(),
+    SquaredSech(),
     SoftCoulomb(),
     SoftLogarithm(),
     InversePower(),
