@@ -5,7 +5,7 @@ from matplotlib.mathtext import MathTextParser
 
 from pinav import cli
 from pinav.analysis.discovery.laws import latex
-from pinav.analysis.discovery.potentials import POTENTIALS, TWO_GAUSSIANS
+from pinav.analysis.discovery.potentials import GAUSSIAN, POTENTIALS
 from pinav.commands.discover.job import LAWS_FILE, SAMPLE_FILE, text
 from pinav.commands.discover.metrics import DiscoveryMetrics
 from pinav.commands.discover.report import law_sections
@@ -135,7 +135,9 @@ def test_messages(tmp_path, capsys):
         assert words in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("law", [*POTENTIALS, TWO_GAUSSIANS], ids=lambda law: law.name)
+@pytest.mark.parametrize(
+    "law", [*POTENTIALS, GAUSSIAN + GAUSSIAN], ids=lambda law: law.name
+)
 def test_every_formula_can_be_drawn(law):
     parsed = MathTextParser("path").parse(f"${latex(law)}$")
     assert parsed.width > 10

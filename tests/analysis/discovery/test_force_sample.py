@@ -13,7 +13,6 @@ from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.law_regression import (
     fit_law,
     fit_sum,
-    fit_two_gaussians,
     law_force,
 )
 from pinav.analysis.discovery.potentials import (
@@ -29,6 +28,7 @@ from pinav.analysis.discovery.potentials import (
 )
 from pinav.analysis.discovery.profiles import CompactHill, Lorentzian
 from pinav.analysis.discovery.rotations import GAUSSIAN_SWIRL
+from pinav.analysis.discovery.screening import screen
 from pinav.errors import InputError
 
 POSITIONS = np.random.default_rng(0).uniform(0.0, 8.0, (60, 2))
@@ -93,8 +93,9 @@ def test_sum_is_found_from_what_the_first_term_leaves():
 def test_two_gaussians_are_told_apart():
     pair = np.array([4.0, 2.0, 2.5, 1.2, 3.0, 6.0, 5.5, 1.4])
     sample = sample_of(law_force(GAUSSIAN + GAUSSIAN, pair, POSITIONS))
-    found = fit_two_gaussians(fit_law(GAUSSIAN, sample), sample)
-    halves = sorted((found.constants[:4], found.constants[4:]), key=lambda c: c[1])
+    best = screen(sample, (GAUSSIAN, HARMONIC, CONSTANT_FORCE))[0]
+    assert best.law == GAUSSIAN + GAUSSIAN
+    halves = sorted((best.constants[:4], best.constants[4:]), key=lambda c: c[1])
     np.testing.assert_allclose(np.concatenate(halves), pair, rtol=1e-4)
 
 

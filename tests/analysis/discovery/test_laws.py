@@ -30,7 +30,6 @@ from pinav.analysis.discovery.potentials import (
     POTENTIALS,
     RING,
     SADDLE,
-    TWO_GAUSSIANS,
     WALL,
     profile_laws,
 )
@@ -57,7 +56,7 @@ STRUCTURED = (
     ANISOTROPIC_TRAP,
 )
 TURNING = (*SWIRLS, *SHEAR_LAYERS)
-LAWS = (*POTENTIALS, *STRUCTURED, *TURNING, TWO_GAUSSIANS, GAUSSIAN + SWIRL)
+LAWS = (*POTENTIALS, *STRUCTURED, *TURNING, GAUSSIAN + GAUSSIAN, GAUSSIAN + SWIRL)
 IDS = [law.name for law in LAWS]
 POINTS = jnp.array([[0.3, -0.7], [1.9, 2.2], [-1.1, 0.4]])
 

@@ -11,7 +11,6 @@ from jaxtyping import Array, ArrayLike, Float
 
 from pinav.analysis.discovery.force_sample import ForceSample
 from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role, SumLaw
-from pinav.analysis.discovery.potentials import GAUSSIAN, TWO_GAUSSIANS
 
 STARTS = 3
 """Best starts from which a fit is run to its end."""
@@ -70,22 +69,6 @@ def fit_sum(first: FieldFit, term: AbstractLaw, sample: ForceSample) -> FieldFit
     second = fit_law(term, rest)
     start = np.concatenate([first.constants, second.constants])
     return fit_law(first.law + term, sample, start[None])
-
-
-def fit_two_gaussians(single: FieldFit, sample: ForceSample) -> FieldFit:
-    """Two Gaussians: one beside the first, or the first one split in two."""
-    height, x, y, width = single.constants
-    lower, narrower = 0.6 * height, 0.8 * width
-    split = [
-        (lower, x + dx, y + dy, narrower, lower, x - dx, y - dy, narrower)
-        for angle in (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)
-        for dx, dy in [(0.7 * width * np.cos(angle), 0.7 * width * np.sin(angle))]
-    ]
-    fits = (
-        fit_sum(single, GAUSSIAN, sample),
-        fit_law(TWO_GAUSSIANS, sample, np.array(split)),
-    )
-    return min(fits, key=lambda fit: fit.squares)
 
 
 def law_force(

@@ -22,7 +22,6 @@ from pinav.analysis.discovery.laws import (
     Constants,
     Landscape,
     Role,
-    SumLaw,
 )
 from pinav.analysis.discovery.profiles import (
     EVEN_PROFILES,
@@ -229,8 +228,6 @@ POTENTIALS: tuple[AbstractPotential, ...] = (
     DoubleWell(),
 )
 """Conservative candidates of a force of unknown structure."""
-
-TWO_GAUSSIANS = SumLaw((GAUSSIAN, GAUSSIAN))
 
 
 def wavenumbers(landscape: Landscape) -> list[float]:

@@ -16,10 +16,8 @@ from pinav.analysis.discovery.law_regression import (
     FieldFit,
     fit_law,
     fit_sum,
-    fit_two_gaussians,
 )
 from pinav.analysis.discovery.laws import AbstractLaw, SumLaw
-from pinav.analysis.discovery.potentials import GAUSSIAN
 from pinav.analysis.discovery.term_laws import MOST_TERMS, TermLaws
 from pinav.threads import map_on_cores
 
@@ -38,12 +36,10 @@ def screen(sample: ForceSample, laws: Sequence[AbstractLaw]) -> list[FieldFit]:
 
     Args:
         sample: the force, with the covariance of its errors.
-        laws: candidates; where a Gaussian is among them, the sum of two that begins
-            with a split of it is one as well.
+        laws: candidates.
     """
     fits = map_on_cores(lambda law: fit_law(law, sample), list(laws))
-    gaussian = [fit for fit in fits if fit.law is GAUSSIAN]
-    everything = [*fits, *(fit_two_gaussians(fit, sample) for fit in gaussian)]
+    everything = list(fits)
     for _ in range(MOST_TERMS - 1):
         fits = sorted(fits, key=lambda fit: fit.bic)[:LEADERS]
         if any(is_explained(fit, sample) for fit in everything):
@@ -62,7 +58,7 @@ def screen(sample: ForceSample, laws: Sequence[AbstractLaw]) -> list[FieldFit]:
 def exchange_terms(
     fit: FieldFit, laws: Sequence[AbstractLaw], sample: ForceSample
 ) -> list[FieldFit]:
-    """Sums in which each term in turn is exchanged for any law, best ones kept.
+    """Sums in which each term in turn is left out or exchanged for any law.
 
     Laws that are added one after the other begin with a compromise between terms, whose
     formula need not be that of any of them. Once the others are there, the right one
@@ -79,12 +75,14 @@ def exchange_terms(
     made: list[FieldFit] = []
     count = len(fit.law.terms) if isinstance(fit.law, SumLaw) else 0
     for _ in range(count):
-        assert isinstance(fit.law, SumLaw)
+        if not isinstance(fit.law, SumLaw):
+            break
         first, *rest = fit.law.terms
-        constants = fit.constants[len(first.constants) :]
-        others = FieldFit(sum(rest[1:], rest[0]), constants, np.inf, np.inf)
-        pairs = [(others, law) for law in dict.fromkeys([first, *laws])]
-        tries = map_on_cores(lambda pair: fit_sum(*pair, sample), pairs)
+        kept = sum(rest[1:], rest[0])
+        others = fit_law(kept, sample, fit.constants[None, len(first.constants) :])
+        begun = FieldFit(kept, fit.constants[len(first.constants) :], np.inf, np.inf)
+        pairs = [(begun, law) for law in dict.fromkeys([first, *laws])]
+        tries = [others, *map_on_cores(lambda pair: fit_sum(*pair, sample), pairs)]
         # the exchanged term now stands last, and the next one first
         fit = min(tries, key=lambda one: one.bic)
         made += tries
