@@ -94,7 +94,7 @@ def test_barrier_from_noisy_positions_over_five_seeds():
     inside = 0
     for seed in range(5):
         found = discovered(paper().true_swimmer.environment, seed, columns=2)
-        (gaussian,) = (c for c in found.candidates if c.law is GAUSSIAN)
+        (gaussian,) = (c for c in found.candidates if c.law == GAUSSIAN)
         assert gaussian.delta_bic < 6.0
         values = np.array([own.value for own in gaussian.constants])
         assert np.all(np.abs(values / TRUTH - 1.0)[[0, 3]] < 0.01)
@@ -125,7 +125,7 @@ def test_barrier_from_the_papers_single_trajectory():
     assert isinstance(fitted, Swimmer)
     posterior = laplace_posterior(fitted, data, lambda m: m.environment.weights)
     best = discover(posterior, data).best
-    assert best.law is GAUSSIAN
+    assert best.law == GAUSSIAN
     values = np.array([own.value for own in best.constants])
     np.testing.assert_allclose(values, TRUTH, rtol=1e-3)
 

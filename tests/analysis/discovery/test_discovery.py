@@ -58,7 +58,7 @@ def found(crossings):
 
 def test_the_true_law_comes_first_with_intervals(found):
     assert found.verdict is Verdict.IDENTIFIED
-    assert found.best.law is GAUSSIAN
+    assert found.best.law == GAUSSIAN
     assert found.close == (found.best,)
     for own, true in zip(found.best.constants, TRUTH, strict=True):
         assert own.low < own.value < own.high

@@ -187,8 +187,8 @@ class ProfileLaw(AbstractPotential):
 
     profile: AbstractProfile
     geometry: AbstractGeometry
-    name: str = dataclasses.field(init=False)
-    constants: tuple[Constant, ...] = dataclasses.field(init=False)
+    name: str = dataclasses.field(init=False, repr=False)
+    constants: tuple[Constant, ...] = dataclasses.field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         profile, places = self.profile, self.geometry.constants

@@ -143,7 +143,7 @@ class Turned(AbstractRotation):
 
     law: AbstractPotential
     name: str
-    constants: tuple[Constant, ...] = dataclasses.field(init=False)
+    constants: tuple[Constant, ...] = dataclasses.field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         constants = tuple(map(_of_rotation, self.law.constants))
@@ -170,8 +170,8 @@ class SumLaw(AbstractLaw):
     """
 
     terms: tuple[AbstractLaw, ...]
-    name: str = dataclasses.field(init=False)
-    constants: tuple[Constant, ...] = dataclasses.field(init=False)
+    name: str = dataclasses.field(init=False, repr=False)
+    constants: tuple[Constant, ...] = dataclasses.field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         numbers = [(i, c) for i, t in enumerate(self.terms, 1) for c in t.constants]

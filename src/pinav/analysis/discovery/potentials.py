@@ -132,7 +132,7 @@ class Lattice(AbstractPotential):
 
     orders: tuple[tuple[int, int], ...]
     name: str
-    constants: tuple[Constant, ...] = dataclasses.field(init=False)
+    constants: tuple[Constant, ...] = dataclasses.field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         amplitudes = [
