@@ -14,20 +14,29 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector
 from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
-from pinav.fitting.matching.gauss_newton import damped_step
+from pinav.fitting.matching.gauss_newton import chord, row_space
 from pinav.forces import AbstractForce, kernel_centers
 from pinav.trajectories import Trajectories
 
-STEPS, RANK, CHORD_STEPS, NUM_DAMPINGS = 16, 256, 5, 5
-"""Gauss-Newton steps, and the size of each."""
+STEPS, CHORD_STEPS, DAMPINGS = 100, 4, (0.1, 1.0, 10.0)
+"""Damped steps at most, iterations of each with the Jacobian held, and the dampings
+that are tried, relative to the last one."""
+
+RANK = 1536
+"""Directions of the weights at most, of a network that has more of them. A tenth of
+those of the default network left up to a hundred times the error."""
 
 DAMPING = 1e3
 """Of the first step: with less, a third of the networks saturate and learn no more."""
 
-SPACING, MARGIN = 0.7, 4.0
+CLOSE, SLOW, PATIENCE = 2e-3, 0.85, 10
+"""Root mean square of what a network is off, relative to the forces, that is enough;
+and by how much it must fall in how many steps for others to be worth their time."""
+
+SPACING, MARGIN = 0.45, 4.0
 """Of the grid of targets, in widths."""
 
-NUM_SAMPLES, NUM_POINTS = 400, 1200
+NUM_SAMPLES, NUM_POINTS = 400, 1500
 """Samples, and points of the grid, at most."""
 
 
@@ -79,9 +88,12 @@ def distillation_targets(
 def distil(network: Any, targets: DistillationTargets) -> Any:
     """The neural force after a regression on targets."""
     free, theta = ravel_model(network, lambda force: force.parameters)
-    damping = jnp.asarray(DAMPING)
-    for _ in range(STEPS):
-        theta, damping = _step(free, theta, damping, targets)
+    damping, left = jnp.asarray(DAMPING), [np.inf]
+    while len(left) <= STEPS and left[-1] > CLOSE:
+        theta, damping, off = _step(free, theta, damping, targets)
+        left.append(float(off))
+        if len(left) > PATIENCE and left[-1] > SLOW * left[-PATIENCE]:
+            break
     return free(theta)
 
 
@@ -99,8 +111,11 @@ def _step(
     theta: Float[Array, " parameter"],
     damping: Float[Array, ""],
     targets: DistillationTargets,
-) -> tuple[Float[Array, " parameter"], Float[Array, ""]]:
-    """The best of several damped chord steps, and its damping."""
+) -> tuple[Float[Array, " parameter"], Float[Array, ""], Float[Array, ""]]:
+    """The best of several damped steps, its damping, and what it leaves.
+
+    What it leaves is a root mean square, relative to that of the forces.
+    """
     size = jnp.sqrt(jnp.mean(targets.forces**2))
     size = jnp.where(size > 0, size, 1.0)
 
@@ -112,16 +127,42 @@ def _step(
         computed = jax.vmap(force, axes)(theta, targets.times, targets.positions)
         return (computed - targets.forces / size).reshape(-1)
 
+    residual = residuals(theta)
     jacobian = jax.vmap(jax.jacrev(force), (None, 0, 0))(
         theta, targets.times, targets.positions
     ).reshape(-1, theta.shape[0])
-    step = damped_step(
-        residuals,
-        theta,
-        (residuals(theta), jacobian),
-        damping,
-        rank=RANK,
-        num_dampings=NUM_DAMPINGS,
-        chord_steps=CHORD_STEPS,
+    slopes, along = jacobian, lambda z: z
+    if len(theta) > RANK:
+        basis = row_space(jacobian, RANK)
+        slopes, along = jacobian @ basis, lambda z: basis @ z
+    normal = slopes.T @ slopes
+
+    def attempt(
+        damping: Float[Array, ""],
+    ) -> tuple[Float[Array, " direction"], Float[Array, ""]]:
+        factor = jax.scipy.linalg.cho_factor(normal + damping * jnp.eye(len(normal)))
+
+        def newton(
+            current: Float[Array, " residual"], z: Float[Array, " direction"]
+        ) -> Float[Array, " direction"]:
+            gradient = slopes.T @ current + damping * z
+            return z - jax.scipy.linalg.cho_solve(factor, gradient)
+
+        return chord(
+            lambda z: residuals(theta + along(z)),
+            residual,
+            jnp.zeros(len(normal)),
+            newton,
+            CHORD_STEPS,
+        )
+
+    # one after the other: side by side they would need several such factors at once
+    dampings = damping * jnp.asarray(DAMPINGS)
+    moves, costs = jax.lax.map(attempt, dampings)
+    best, cost = jnp.nanargmin(costs), residual @ residual
+    is_lower = costs[best] < cost
+    return (
+        jnp.where(is_lower, theta + along(moves[best]), theta),
+        jnp.where(is_lower, dampings[best], 100.0 * damping),
+        jnp.sqrt(jnp.where(is_lower, costs[best], cost) / len(residual)),
     )
-    return step.theta, step.damping
