@@ -29,15 +29,35 @@ those of the default network left up to a hundred times the error."""
 DAMPING = 1e3
 """Of the first step: with less, a third of the networks saturate and learn no more."""
 
-CLOSE, SLOW, PATIENCE = 2e-3, 0.85, 10
-"""Root mean square of what a network is off, relative to the forces, that is enough;
-and by how much it must fall in how many steps for others to be worth their time."""
+SLOW, PATIENCE = 0.85, 10
+"""By how much what a network is off must fall, in how many steps, for others to be
+worth their time."""
 
-SPACING, MARGIN = 0.45, 4.0
-"""Of the grid of targets, in widths."""
+MARGIN, NUM_SAMPLES = 4.0, 400
+"""Reach of the grid of targets beyond the samples, in widths; samples at most."""
 
-NUM_SAMPLES, NUM_POINTS = 400, 1500
-"""Samples, and points of the grid, at most."""
+
+class Care(eqx.Module):
+    """The accuracy of a distillation.
+
+    Attributes:
+        close: root mean square of what the network is off, relative to that of the
+            forces, that is enough.
+        spacing: of the grid of targets, in widths.
+        num_points: of that grid, at most.
+    """
+
+    close: float
+    spacing: float
+    num_points: int
+
+
+OF_KERNELS = Care(close=1e-2, spacing=0.7, num_points=1200)
+"""Free kernels are off by one percent or more themselves."""
+
+OF_STRUCTURE = Care(close=2e-3, spacing=0.45, num_points=1500)
+"""A structured force is off by some tenths of a percent. On a coarser grid a network
+that may turn misses ten times as much between the places."""
 
 
 class DistillationTargets(eqx.Module):
@@ -61,6 +81,7 @@ def distillation_targets(
     *,
     dim: int,
     width: float,
+    care: Care = OF_KERNELS,
 ) -> DistillationTargets:
     """Values of a force at the samples, and on a grid around them.
 
@@ -71,13 +92,14 @@ def distillation_targets(
         dim: how many of the states are positions.
         width: over which the force varies [L]; the grid is finer, and reaches
             `MARGIN` of them beyond the samples.
+        care: how fine the grid is.
     """
     real = np.arange(states.shape[1]) < trajectories.lengths[:, None]
     times, samples = trajectories.times[real], states[real][:, :dim]
-    grid = kernel_centers(samples, spacing=SPACING * width, margin=MARGIN * width)
+    grid = kernel_centers(samples, spacing=care.spacing * width, margin=MARGIN * width)
     rng = np.random.default_rng(0)
-    if len(grid) > NUM_POINTS:
-        grid = grid[rng.choice(len(grid), NUM_POINTS, replace=False)]
+    if len(grid) > care.num_points:
+        grid = grid[rng.choice(len(grid), care.num_points, replace=False)]
     stride = -(-len(times) // NUM_SAMPLES)
     when = np.concatenate([times[::stride], rng.choice(times, len(grid))])
     where = np.concatenate([samples[::stride], grid])
@@ -85,11 +107,11 @@ def distillation_targets(
     return DistillationTargets(when, where, forces(force, when, where))
 
 
-def distil(network: Any, targets: DistillationTargets) -> Any:
+def distil(network: Any, targets: DistillationTargets, care: Care = OF_KERNELS) -> Any:
     """The neural force after a regression on targets."""
     free, theta = ravel_model(network, lambda force: force.parameters)
     damping, left = jnp.asarray(DAMPING), [np.inf]
-    while len(left) <= STEPS and left[-1] > CLOSE:
+    while len(left) <= STEPS and left[-1] > care.close:
         theta, damping, off = _step(free, theta, damping, targets)
         left.append(float(off))
         if len(left) > PATIENCE and left[-1] > SLOW * left[-PATIENCE]:

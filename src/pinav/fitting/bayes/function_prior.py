@@ -29,8 +29,11 @@ from jaxtyping import Array, Float, Int
 
 from pinav.arguments import Scalar, Vector
 from pinav.fitting.bayes.distillation import DistillationTargets, forces
-from pinav.fitting.engine.constant_priors import wide_priors
-from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
+from pinav.fitting.engine.parametric_model import (
+    ParametricModel,
+    ravel_model,
+    selected_entries,
+)
 from pinav.fitting.evidence.evidence import Hyperparameters, root
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, Inference, WeightPosterior
@@ -87,18 +90,16 @@ class Process(eqx.Module):
         """
         free, theta = ravel_model(kernels, lambda force: force.trainable)
         slopes = np.asarray(_slopes(free, theta, places))
-        bending = wide_priors(
-            free,
-            np.asarray(theta),
-            lambda force: force.geometry,
-            kernels.geometry_scales,
-        )
-        entries, deviations = (
-            list(bending.entries),
-            [one.deviation for one in bending.priors],
-        )
-        bends = slopes[:, entries] * np.array(deviations)
-        straight = np.delete(slopes, entries, axis=1)
+        deviations = np.zeros(len(theta))
+        for index, scale in enumerate(kernels.geometry_scales):
+            deviations[
+                selected_entries(
+                    free, len(theta), lambda force, i=index: force.geometry[i]
+                )
+            ] = scale
+        shaping = deviations > 0
+        bends = slopes[:, shaping] * deviations[shaping]
+        straight = slopes[:, ~shaping]
         columns = chosen.amplitude * root(prior.covariance(chosen.shape))
         directions = np.column_stack([straight @ columns, bends])
         return cls(kernels, directions, straight @ shapes, chosen)

@@ -16,6 +16,9 @@ from jaxtyping import Float
 
 from pinav.dynamics import FixedStep
 from pinav.fitting.bayes.distillation import (
+    OF_KERNELS,
+    OF_STRUCTURE,
+    Care,
     DistillationTargets,
     distil,
     distillation_targets,
@@ -29,7 +32,7 @@ from pinav.fitting.environments.kernels import lay_kernels
 from pinav.fitting.evidence.evidence import Hyperparameters, LinearisedObservations
 from pinav.fitting.evidence.hyperparameter_uncertainty import shape_changes
 from pinav.fitting.evidence.model_evidence import LinearFit
-from pinav.forces import AbstractLearnedForce
+from pinav.forces import AbstractForce, AbstractLearnedForce, split_structure
 from pinav.trajectories import Trajectories
 
 
@@ -80,8 +83,10 @@ class FitSpecification(eqx.Module):
             teacher.states,
             dim=self.dim,
             width=float(force.kernels.width),
+            care=care_about(force),
         )
-        return Distilled(distil(self.model.environment, targets), targets)
+        network = distil(self.model.environment, targets, care_about(force))
+        return Distilled(network, targets)
 
     def by_process(self, teacher: "Teacher", distilled: "Distilled") -> BayesProblem:
         """The fit of a network whose forces have the process of its teacher."""
@@ -107,6 +112,11 @@ class FitSpecification(eqx.Module):
             weights=weights,
             teacher=teacher.linear,
         )
+
+
+def care_about(force: AbstractForce) -> Care:
+    """How accurately a force is distilled, which depends on how well it is known."""
+    return OF_STRUCTURE if split_structure(force)[0] else OF_KERNELS
 
 
 class Distilled(eqx.Module):
@@ -177,6 +187,7 @@ def function_prior(
         states,
         dim=request.dim,
         width=float(made.kernels.width),
+        care=care_about(made),
     )
     prior = made.prior()
     none = np.zeros((len(prior.covariance(chosen.shape)), 0))
