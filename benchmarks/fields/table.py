@@ -8,7 +8,13 @@ import numpy as np
 import tyro
 
 from benchmarks._sweep import measurements
-from benchmarks.fields.cells import COLUMNS, REGIONS, Measurement, cell_of
+from benchmarks.fields.cells import (
+    COLUMNS,
+    DEFAULT_COLUMNS,
+    REGIONS,
+    Measurement,
+    cell_of,
+)
 from pinav.commands.parsing import parse
 from pinav.commands.settings import Settings
 from pinav.commands.worker_settings import WorkerSettings
@@ -42,7 +48,7 @@ class Options(Settings, frozen=True):
     ] = tuple(FAMILIES)
     columns: Annotated[
         tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(COLUMNS) + ".")
-    ] = tuple(COLUMNS)
+    ] = DEFAULT_COLUMNS
     count: Annotated[int, tyro.conf.arg(help="Trajectories of each draw.")] = 16
     workers: WorkerSettings = WorkerSettings()
 
@@ -110,9 +116,13 @@ def summary(measurements: Sequence[Measurement]) -> str:
         lines.append(
             f"{family:<18}{column:<12}{len(group):>5} {' '.join(errors)};"
             f"{_percent(float(worst))}; {' '.join(bands)}; {seconds:>6.1f} s"
-            + (f"; {named} of {len(group)}" if column == "structured" else "")
+            + (f"; {named} of {len(group)}" if column in SEARCHED else "")
         )
     return "\n".join(lines)
+
+
+SEARCHED = ("structured", "network", "ude", "neural-potential")
+"""Columns that search for a structure."""
 
 
 def draw(measurements: Sequence[Measurement], folder: Path) -> None:

@@ -18,9 +18,10 @@ from pinav.dynamics import FixedStep
 from pinav.fitting.bayes.distillation import (
     OF_KERNELS,
     OF_STRUCTURE,
-    Care,
     DistillationTargets,
+    Grid,
     distil,
+    distil_closely,
     distillation_targets,
 )
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
@@ -83,10 +84,10 @@ class FitSpecification(eqx.Module):
             teacher.states,
             dim=self.dim,
             width=float(force.kernels.width),
-            care=care_about(force),
+            grid=_grid_of(force),
         )
-        network = distil(self.model.environment, targets, care_about(force))
-        return Distilled(network, targets)
+        teach = distil_closely if split_structure(force)[0] else distil
+        return Distilled(teach(self.model.environment, targets), targets)
 
     def by_process(self, teacher: "Teacher", distilled: "Distilled") -> BayesProblem:
         """The fit of a network whose forces have the process of its teacher."""
@@ -114,8 +115,8 @@ class FitSpecification(eqx.Module):
         )
 
 
-def care_about(force: AbstractForce) -> Care:
-    """How accurately a force is distilled, which depends on how well it is known."""
+def _grid_of(force: AbstractForce) -> Grid:
+    """Where a network is compared with a force."""
     return OF_STRUCTURE if split_structure(force)[0] else OF_KERNELS
 
 
@@ -187,7 +188,7 @@ def function_prior(
         states,
         dim=request.dim,
         width=float(made.kernels.width),
-        care=care_about(made),
+        grid=_grid_of(made),
     )
     prior = made.prior()
     none = np.zeros((len(prior.covariance(chosen.shape)), 0))

@@ -124,7 +124,7 @@ def _fit_student(
     )
     if not is_worth_a_search(specification.model, data):
         return StructuredFit(fit(), np.nan)
-    kernels, weigh_rotation = _kernels_of_teacher(specification)
+    kernels, weigh_rotation = kernels_of_teacher(specification)
     taught = fit_structured(
         eqx.tree_at(lambda m: m.environment, specification.model, kernels),
         data,
@@ -139,7 +139,7 @@ def _fit_student(
     )
 
 
-def _kernels_of_teacher(
+def kernels_of_teacher(
     specification: FitSpecification,
 ) -> tuple[AbstractLearnedForce, bool]:
     """Untrained kernels for a network to learn from; whether to weigh a rotation.
