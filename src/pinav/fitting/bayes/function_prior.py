@@ -90,16 +90,14 @@ class Process(eqx.Module):
         """
         free, theta = ravel_model(kernels, lambda force: force.trainable)
         slopes = np.asarray(_slopes(free, theta, places))
-        deviations = np.zeros(len(theta))
+        count = len(theta)
+        is_shaping = selected_entries(free, count, lambda force: force.geometry)
+        deviations = np.ones(count)
         for index, scale in enumerate(kernels.geometry_scales):
-            deviations[
-                selected_entries(
-                    free, len(theta), lambda force, i=index: force.geometry[i]
-                )
-            ] = scale
-        shaping = deviations > 0
-        bends = slopes[:, shaping] * deviations[shaping]
-        straight = slopes[:, ~shaping]
+            leaf = selected_entries(free, count, lambda f, i=index: f.geometry[i])
+            deviations[leaf] = scale
+        bends = (slopes * deviations)[:, is_shaping]
+        straight = slopes[:, ~is_shaping]
         columns = chosen.amplitude * root(prior.covariance(chosen.shape))
         directions = np.column_stack([straight @ columns, bends])
         return cls(kernels, directions, straight @ shapes, chosen)
