@@ -15,11 +15,10 @@ from pinav.analysis import Discovery, Verdict, discover
 from pinav.commands.study.stochastic_force_inference import infer_force
 from pinav.evaluation import field_map, force_coverage
 from pinav.evaluation.force_fields import force_agreement
-from pinav.fitting import Posterior, fit_bayes, fit_structured
+from pinav.fitting import Posterior, StructuredFit, fit_bayes, fit_structured
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.summary import summarise_for
-from pinav.forces import StructuredForce
 from pinav.scenarios import FAMILIES, random_system
 from pinav.sweeps import Cell
 from pinav.systems import System
@@ -76,6 +75,7 @@ class Fitted(NamedTuple):
         outcome: how the fit ended.
         posterior: of its parameters, if there is one.
         gain: of a structure over free kernels [nats].
+        structure: kinds of the terms that were claimed.
         discovery: of its laws, if they were asked for.
     """
 
@@ -83,11 +83,20 @@ class Fitted(NamedTuple):
     outcome: str
     posterior: Posterior | None = None
     gain: float = float("nan")
+    structure: tuple[str, ...] = ()
     discovery: Discovery | None = None
 
+    @classmethod
+    def of(cls, result: StructuredFit) -> "Fitted":
+        """What a search came to; of a network, with the structure of its teacher."""
+        fit, force = result.fit, result.structure
+        terms = () if force is None else force.terms
+        kinds = tuple(sorted({term.kind for term in terms}))
+        return cls(fit.model, str(fit.outcome), fit.posterior, result.gain, kinds)
 
-def _untrained(system: System, data: Trajectories) -> Any:
-    choice = ModelChoice(system.model)
+
+def _untrained(system: System, data: Trajectories, name: str = "") -> Any:
+    choice = ModelChoice(name or system.model)
     return build(choice, system.swimmer, summarise_for(choice, data))
 
 
@@ -98,9 +107,17 @@ def _free(system: System, data: Trajectories) -> Fitted:
 
 def _structured(system: System, data: Trajectories) -> Fitted:
     model = _untrained(system, data)
-    result = fit_structured(model, data, weigh_rotation=True, throw=False)
-    fit = result.fit
-    return Fitted(fit.model, str(fit.outcome), fit.posterior, result.gain)
+    return Fitted.of(fit_structured(model, data, weigh_rotation=True, throw=False))
+
+
+def _network(name: str) -> Callable[[System, Trajectories], Fitted]:
+    """The network of a name, taught by a search for structure, as `pinav fit` does."""
+
+    def fit(system: System, data: Trajectories) -> Fitted:
+        model = _untrained(system, data, name)
+        return Fitted.of(fit_structured(model, data, throw=False))
+
+    return fit
 
 
 def _laws(system: System, data: Trajectories) -> Fitted:
@@ -122,13 +139,24 @@ def _other_tool(system: System, data: Trajectories) -> Fitted:
 COLUMNS: dict[str, Callable[[System, Trajectories], Fitted]] = {
     "free": _free,
     "structured": _structured,
+    "network": _network("neural-force"),
+    "ude": _network("ude"),
     "sfi": _other_tool,
     "law": _law_known,
+    "neural-potential": _network("neural-potential"),
     "discover": _laws,
 }
 """Ways to fit by name: kernels alone; with a search for structure, as `pinav fit` does;
-StochasticForceInference; the numbers of the true law, for comparison; with a search for
-structure and for its laws, as `pinav fit` and `pinav discover` do."""
+a network of the position, which may turn as the force of some families does, and one
+that sees the time, as the paper's does, both taught by such a search;
+StochasticForceInference; the numbers of the true law, for comparison; a network with a
+potential, which the force of some families has not; and with a search for structure and
+for its laws, as `pinav fit` and `pinav discover` do."""
+
+DEFAULT_COLUMNS = tuple(
+    name for name in COLUMNS if name not in ("neural-potential", "discover")
+)
+"""Those that suit all families, and repeat no other."""
 
 
 class FieldCell(msgspec.Struct, frozen=True):
@@ -195,7 +223,6 @@ def _scored(
         sd = fitted.posterior.force_sd(jnp.asarray(points)).reshape(true.force.shape)
         masks = true.regions.masks(true.distance)
         coverage = dict(force_coverage(learned, true, sd, masks))
-    terms = force.terms if isinstance(force, StructuredForce) else ()
     discovery, laws = fitted.discovery, ()
     if discovery is not None and discovery.verdict is Verdict.IDENTIFIED:
         laws = tuple(sorted(discovery.best.terms))
@@ -207,7 +234,7 @@ def _scored(
         seconds=seconds,
         error={name: _finite(agreements[name].error) for name in REGIONS},
         coverage={name: _finite(value) for name, value in coverage.items()},
-        structure=tuple(sorted({term.kind for term in terms})),
+        structure=fitted.structure,
         gain=_finite(fitted.gain),
         laws=laws,
         verdict="" if discovery is None else discovery.verdict.value,

@@ -8,7 +8,13 @@ import numpy as np
 import tyro
 
 from benchmarks._sweep import measurements
-from benchmarks.fields.cells import COLUMNS, REGIONS, Measurement, cell_of
+from benchmarks.fields.cells import (
+    COLUMNS,
+    DEFAULT_COLUMNS,
+    REGIONS,
+    Measurement,
+    cell_of,
+)
 from pinav.commands.parsing import parse
 from pinav.commands.settings import Settings
 from pinav.commands.worker_settings import WorkerSettings
@@ -42,7 +48,7 @@ class Options(Settings, frozen=True):
     ] = tuple(FAMILIES)
     columns: Annotated[
         tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(COLUMNS) + ".")
-    ] = tuple(COLUMNS)
+    ] = DEFAULT_COLUMNS
     count: Annotated[int, tyro.conf.arg(help="Trajectories of each draw.")] = 16
     workers: WorkerSettings = WorkerSettings()
 
@@ -117,11 +123,18 @@ def summary(measurements: Sequence[Measurement]) -> str:
     return "\n".join(lines)
 
 
+def _is_named_rightly(one: Measurement) -> bool:
+    return one.is_named_rightly
+
+
 COUNTS: dict[str, Callable[[Measurement], bool]] = {
-    "structured": lambda one: one.is_named_rightly,
+    "structured": _is_named_rightly,
+    "network": _is_named_rightly,
+    "ude": _is_named_rightly,
+    "neural-potential": _is_named_rightly,
     "discover": lambda one: one.has_right_laws,
 }
-"""What counts as named rightly, by column."""
+"""What counts as named rightly, by column: the structure, or its laws."""
 
 
 def draw(measurements: Sequence[Measurement], folder: Path) -> None:

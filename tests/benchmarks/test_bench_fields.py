@@ -1,7 +1,7 @@
 import pytest
 from benchmarks._sweep import measurements
 from benchmarks.fields import main
-from benchmarks.fields.cells import Measurement, cell_of, measure
+from benchmarks.fields.cells import COLUMNS, Measurement, cell_of, measure
 from benchmarks.fields.table import Options, cells, draw, line, summary
 
 from pinav.errors import InputError
@@ -42,6 +42,13 @@ def test_the_table_says_what_was_found_and_whether_rightly(tmp_path):
     assert "1 of 2" in summary([measurement(), wrong])
     draw([measurement(), wrong], tmp_path)
     assert (tmp_path / "fields.svg").is_file()
+
+
+def test_columns_of_networks_say_what_structure_taught_them():
+    assert {"network", "ude"} <= set(Options().columns) < set(COLUMNS)
+    for column in ("structured", "network", "ude", "neural-potential"):
+        assert "1 of 1" in summary([measurement(column=column)])
+    assert "1 of 1" not in summary([measurement(column="free")])
 
 
 def test_a_crash_is_a_result_and_a_finished_cell_is_not_run_again(

@@ -59,3 +59,10 @@ def test_the_run_says_which_kind_of_force_the_evidence_took(rotation, turns, wor
     assert words in force
     unweighed = msgspec.structs.replace(row, rotation=None)
     assert unweighed.text() == structure
+
+
+def test_a_structure_that_a_network_was_taught_is_said_to_be_its_teachers():
+    row = StructureRow((CENTRE,), gain=31.0, rotation=-3.2, of_teacher=True)
+    structure, force = row.text().splitlines()
+    assert structure.startswith("the network's teacher: structure: central about")
+    assert force.startswith("the network's teacher: force: a potential")

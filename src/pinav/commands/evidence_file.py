@@ -18,11 +18,14 @@ from pinav.fitting import (
 )
 from pinav.fitting.bayes.function_prior import TangentWeights
 from pinav.fitting.environments.choice import ModelChoice
-from pinav.forces import KernelForce, KernelPotential
+from pinav.forces import AbstractLearnedForce, KernelForce, KernelPotential
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
 
 MODEL_FILE, POSTERIOR_FILE = "model.eqx", "posterior.npz"
+
+TEACHER_MODEL_FILE, TEACHER_POSTERIOR_FILE = "teacher.eqx", "teacher.npz"
+"""Of the fit of kernels from which a network was distilled."""
 
 
 class StructureSearch(NamedTuple):
@@ -52,7 +55,7 @@ class EvidenceResult:
         iterations: steps taken.
         goodness: a sentence on whether the residuals look like noise; empty where
             nothing can be said.
-        process: kernels of the process that is the prior of a network, if it is one.
+        process: the force whose process is the prior of a network, if it is one.
         structure: what the search for a structure came to; None without a search.
         support: log evidence of a field beside commands over none [nats]; None where it
             was not asked.
@@ -65,7 +68,7 @@ class EvidenceResult:
     outcome: str
     iterations: int
     goodness: str = ""
-    process: KernelForce | KernelPotential | None = None
+    process: AbstractLearnedForce | None = None
     structure: StructureSearch | None = None
     support: float | None = None
 
@@ -77,6 +80,8 @@ def write_evidence(
     data: Trajectories,
     structure: StructureSearch | None = None,
     support: float | None = None,
+    *,
+    name: str = POSTERIOR_FILE,
 ) -> None:
     """Write what a fit by the evidence has found beside its model."""
     chosen = fit.hyperparameters
@@ -86,7 +91,7 @@ def write_evidence(
         for name, estimate in estimates.items()
     }
     folder.write_arrays(
-        POSTERIOR_FILE,
+        name,
         {
             "mean": fit.posterior.mean,
             "covariance": fit.posterior.covariance,
@@ -98,9 +103,9 @@ def write_evidence(
             "outcome": np.array(str(fit.outcome)),
             "goodness": np.array(fit.goodness.statement if fit.goodness else ""),
             "states": data.states if fit.states is None else fit.states,
-            **_process_arrays(fit),
+            # Where a structure was sought the process is that of the teacher's file.
             **(
-                {}
+                _process_arrays(fit)
                 if structure is None
                 else {
                     "structure/gain": np.array(structure.gain),
@@ -126,7 +131,10 @@ def _process_arrays(fit: EvidenceFit) -> dict[str, np.ndarray]:
 
 
 def read_evidence(
-    folder: RunFolder, choice: ModelChoice, model: AbstractDynamics
+    folder: RunFolder,
+    choice: ModelChoice,
+    model: AbstractDynamics,
+    name: str = POSTERIOR_FILE,
 ) -> EvidenceResult:
     """Read it again.
 
@@ -134,18 +142,19 @@ def read_evidence(
         folder: of the run.
         choice: what was fitted.
         model: the fitted model.
+        name: of the file.
 
     Raises:
         InputError: the file is damaged, or is that of another fit.
     """
-    folder.check_file(POSTERIOR_FILE)
-    stored = folder.read_arrays(POSTERIOR_FILE)
+    folder.check_file(name)
+    stored = folder.read_arrays(name)
     try:
         free, theta = ravel_model(model, choice.trainable)
         if theta.shape != stored["mean"].shape:
             raise InputError(
-                f"{folder.path}: {POSTERIOR_FILE} and {MODEL_FILE} are not of the same "
-                "fit; copy both from one run"
+                f"{folder.path}: {name} is not of the same fit as its model; copy "
+                "all files from one run"
             )
         hyperparameters = Hyperparameters(
             shape=stored["shape"],
@@ -180,8 +189,7 @@ def read_evidence(
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{folder.path / POSTERIOR_FILE} is damaged ({error}); "
-            f"{folder.repair(POSTERIOR_FILE)}"
+            f"{folder.path / name} is damaged ({error}); {folder.repair(name)}"
         ) from error
 
 

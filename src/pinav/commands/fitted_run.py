@@ -15,6 +15,8 @@ from jaxtyping import Float
 from pinav.commands.evidence_file import (
     MODEL_FILE,
     POSTERIOR_FILE,
+    TEACHER_MODEL_FILE,
+    TEACHER_POSTERIOR_FILE,
     EvidenceResult,
     StructureSearch,
     read_evidence,
@@ -28,11 +30,13 @@ from pinav.fitting import (
     Estimate,
     EvidenceFit,
     Posterior,
+    is_network,
 )
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.profiles import MobilitySummary
 from pinav.fitting.environments.summary import DataSummary
+from pinav.forces import AbstractLearnedForce, split_structure
 from pinav.runs import RunFolder
 from pinav.systems import System, WanderingVelocity
 from pinav.trajectories import Trajectories, load, save
@@ -65,6 +69,8 @@ class FittedRun:
         models: the fitted models, by the names of their files.
         choice: what was fitted; of the first model where there are several.
         evidence: posterior and hyperparameters; none where the recipe has none.
+        teacher: the fit of kernels, with the structure that it found, from which a
+            network was distilled; None of any other.
     """
 
     folder: RunFolder
@@ -73,6 +79,7 @@ class FittedRun:
     models: dict[str, AbstractDynamics]
     choice: ModelChoice
     evidence: EvidenceResult | None
+    teacher: "FittedRun | None" = None
 
     @classmethod
     def open(cls, path: Path) -> "FittedRun":
@@ -80,7 +87,7 @@ class FittedRun:
 
         Raises:
             InputError: the folder holds no run or no model, a file is damaged, or x64
-                is switched off.
+                is switched off, or a network has no teacher although it had one.
         """
         require_x64("opening a run")
         folder = RunFolder.open(path)
@@ -106,7 +113,18 @@ class FittedRun:
         if folder.has(POSTERIOR_FILE):
             evidence = read_evidence(folder, choice, models["model"])
         data = load(folder.path / DATA_FILE)
-        return cls(folder, system, data, models, choice, evidence)
+        if evidence is None or evidence.structure is None:
+            return cls(folder, system, data, models, choice, evidence)
+        if not is_network(models["model"]):
+            return cls(folder, system, data, models, choice, evidence)
+        folder.check_file(TEACHER_MODEL_FILE)
+        teacher = folder.read_model(TEACHER_MODEL_FILE, build_untrained)
+        theirs = headers[-1].choice
+        taught = read_evidence(folder, theirs, teacher, TEACHER_POSTERIOR_FILE)
+        own: Any = teacher
+        evidence = dataclasses.replace(evidence, process=own.environment)
+        lesson = cls(folder, system, data, {"model": teacher}, theirs, taught)
+        return cls(folder, system, data, models, choice, evidence, lesson)
 
     @property
     def model(self) -> AbstractDynamics:
@@ -221,12 +239,41 @@ def write_fit(
 ) -> None:
     """Write the model and the posterior of a fit by the evidence."""
     write_evidence(folder, header.choice, fit, data, structure, support)
+    write_model(folder, _header_of(header, fit), fit.model)
+
+
+def write_teacher(
+    folder: RunFolder,
+    header: ModelHeader,
+    fit: EvidenceFit,
+    data: Trajectories,
+    structure: StructureSearch,
+) -> None:
+    """Write the fit of kernels from which a network was distilled.
+
+    Args:
+        folder: of the run.
+        header: of the network.
+        fit: of the kernels.
+        data: to which both were fitted.
+        structure: what the search came to.
+    """
+    _, kernels = split_structure(fit.model.environment)
+    name = kernels.kind if isinstance(kernels, AbstractLearnedForce) else ""
+    choice = ModelChoice(name, learn=header.choice.learn)
+    header = msgspec.structs.replace(header, choice=choice)
+    written = TEACHER_POSTERIOR_FILE
+    write_evidence(folder, choice, fit, data, structure, name=written)
+    write_model(folder, _header_of(header, fit), fit.model, TEACHER_MODEL_FILE)
+
+
+def _header_of(header: ModelHeader, fit: EvidenceFit) -> ModelHeader:
+    """The header of a fitted model, whose kernels may be finer than at first."""
     summary = header.data.with_kernels_of(fit.model.environment)
     if isinstance(fit.model, OverdampedSwimmer):
         mobility = MobilitySummary.of(fit.model.mobility)
         summary = msgspec.structs.replace(summary, mobility=mobility)
-    header = msgspec.structs.replace(header, data=summary)
-    write_model(folder, header, fit.model)
+    return msgspec.structs.replace(header, data=summary)
 
 
 def _hashes(data: Trajectories) -> Iterator[bytes]:

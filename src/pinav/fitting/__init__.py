@@ -84,6 +84,7 @@ from pinav.fitting.outcome import Outcome as Outcome
 from pinav.fitting.outcome import confirm as confirm
 from pinav.fitting.structure.fit import fit_structured as fit_structured
 from pinav.fitting.structure.search import StructuredFit as StructuredFit
+from pinav.fitting.structure.survey import is_network as is_network
 from pinav.fitting.structure.survey import is_worth_a_search as is_worth_a_search
 from pinav.fitting.structure.survey import may_turn as may_turn
 from pinav.fitting.traps import TrapFit as TrapFit

@@ -22,9 +22,11 @@ from pinav.fitting.evidence.evidence import (
 )
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.forces import (
+    CentralTerm,
     KernelPotential,
     NeuralPotential,
     PositionFeatures,
+    StructuredForce,
     tanh_network,
 )
 
@@ -105,6 +107,36 @@ def test_a_network_that_is_linear_has_the_posterior_of_the_process(
     assert inference.hyperparameters.log_evidence == pytest.approx(evidence, abs=0.05)
     again = found.posterior(quadratic, chosen)[1]
     np.testing.assert_array_equal(again, inference.covariance)
+
+
+def test_the_process_of_a_structured_force_has_the_variance_of_its_parts(
+    kernels, places
+):
+    center, radii = jnp.array([1.0, 1.2]), jnp.arange(0.5, 4.0)
+    term = CentralTerm(jnp.ones(4), center, radii, 1.0)
+    force = StructuredForce((term,), kernels)
+    prior = force.prior()
+    shape = np.concatenate([term.prior().start, kernels.prior().start, [-2.0]])
+    chosen = Hyperparameters(shape, AMPLITUDE, NOISE, 0.0)
+    count = term.weights.size + kernels.weights.size
+    found = Process.of(force, prior, chosen, places, np.zeros((count, 0)))
+
+    def values(weights, moved):
+        own = CentralTerm(weights, moved, radii, 1.0)
+        return forces(own, places.times, places.positions).ravel()
+
+    by_weight, by_center = jax.jacrev(values, (0, 1))(term.weights, center)
+    terms, rest, ratio = prior.split(shape)
+    own = by_weight @ term.prior().covariance(terms) @ by_weight.T
+    to_force = slopes(kernels, places)
+    remainder = to_force @ kernels.prior().covariance(rest) @ to_force.T
+    expected = AMPLITUDE**2 * (own + ratio**2 * remainder)
+    expected += term.geometry_scales[0] ** 2 * by_center @ by_center.T
+    np.testing.assert_allclose(
+        found.directions @ found.directions.T,
+        expected,
+        atol=1e-5 * np.abs(expected).max(),
+    )
 
 
 def test_the_energy_is_that_of_the_forces(kernels, places, process):

@@ -16,7 +16,12 @@ from pinav.fitting import (
     model_evidence,
     neural_environment,
 )
-from pinav.fitting.bayes.distillation import distil, distillation_targets
+from pinav.fitting.bayes.distillation import (
+    OF_STRUCTURE,
+    distil,
+    distil_closely,
+    distillation_targets,
+)
 from pinav.fitting.bayes.neural import FitSpecification, function_prior
 from pinav.forces import (
     AbstractForce,
@@ -111,6 +116,16 @@ def test_a_network_learns_what_it_is_taught(scenario, data, kind):
     )
     network = distil(small(kind, data), taught)
     assert relative(forces(network, taught.positions), taught.forces) < 0.01
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_close_distillation_comes_nearer_to_its_teacher(scenario, data, kind):
+    barrier = scenario.environment
+    taught = distillation_targets(
+        barrier, data, data.states, dim=2, width=0.5, grid=OF_STRUCTURE
+    )
+    network = distil_closely(small(kind, data), taught)
+    assert relative(forces(network, taught.positions), taught.forces) < 0.003
 
 
 class Swinging(AbstractForce):

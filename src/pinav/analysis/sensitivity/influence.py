@@ -36,7 +36,7 @@ from pinav.fitting.engine.multiple_shooting import linearise
 from pinav.fitting.engine.parametric_model import selected_entries
 from pinav.fitting.engine.posterior import linear_rollout
 from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat, joint_posterior
-from pinav.forces import KernelForce, KernelPotential
+from pinav.forces import AbstractLearnedForce
 from pinav.trajectories import Trajectories
 
 Pick = Callable[[Any], PyTree]
@@ -129,7 +129,7 @@ def influence(
     *,
     learn: Pick = lambda _: (),
     constants: Mapping[str, Pick] | None = None,
-    kernels: KernelForce | KernelPotential | None = None,
+    kernels: AbstractLearnedForce | None = None,
     solver: FixedStep | None = None,
 ) -> Influence:
     """What each trajectory, and each constant, does to a fit of `fit_bayes`.
@@ -143,8 +143,9 @@ def influence(
         hyperparameters: of the fit.
         learn: as given to the fit.
         constants: numbers of the model by name, learned or not.
-        kernels: of the process that is the prior of a network, from
-            `fit.linear.weights.process`; those with which fits begin unless given.
+        kernels: of the process that is the prior of a network, with the terms beside
+            them, from `fit.linear.weights.process`; those with which fits begin unless
+            given.
         solver: as given to the fit.
 
     Raises:

@@ -40,6 +40,7 @@ from pinav.commands.fitted_run import (
     save_data,
     write_fit,
     write_model,
+    write_teacher,
 )
 from pinav.commands.many_files import run_files
 from pinav.commands.matching import matching, read_losses, write_losses
@@ -63,6 +64,7 @@ from pinav.fitting import (
     Outcome,
     fit_bayes,
     fit_structured,
+    is_network,
     is_worth_a_search,
     may_turn,
 )
@@ -170,10 +172,13 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
             structured = fit_structured(
                 model, plan.data, weigh_rotation=plan.weigh_rotation, **options
             )
-            result = structured.fit
+            result, teacher = structured.fit, structured.teacher
             finding = StructureSearch(structured.gain, structured.rotation)
+            if is_network(model) and teacher is None:
+                finding = None  # the kernels that were searched diverged
         else:
-            result, finding = fit_bayes(model, plan.data, **options), None
+            result, teacher = fit_bayes(model, plan.data, **options), None
+            finding = None
     if result.outcome is Outcome.DIVERGED:
         force = as_learned_force(model.environment)
         gradient = force is not None and force.is_conservative
@@ -182,6 +187,8 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
     if learned is not None and learned.helmholtz is not None:
         choice = msgspec.structs.replace(plan.choice, name=MIXTURE)
         header = msgspec.structs.replace(header, choice=choice)
+    if teacher is not None and finding is not None:
+        write_teacher(folder, header, teacher, plan.data, finding)
     write_fit(folder, header, result, plan.data, finding)
 
 

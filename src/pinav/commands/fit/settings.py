@@ -46,9 +46,10 @@ class FitSettings(Settings, frozen=True):
             ude and nn-only, else bayes.
         noise: Recipe bayes: standard deviation of the observations; estimated unless
             given.
-        structure: Recipe bayes, kernel models in the plane: search for a structure of
-            the force (a centre, a wall, a linear flow), which the evidence may prefer
-            to free kernels; free: kernels alone.
+        structure: Recipe bayes, kernels and networks: search for a structure of the
+            force (a centre, a wall, a linear flow), which the evidence may prefer to
+            free kernels; a network learns from the fit of kernels that this gives;
+            free: kernels alone.
         observation: Recipe langevin: exact: positions without error; learn: the camera
             averages over an exposure and errs, and both are learned, so that neither
             biases the diffusion or the force; known: both are what the system states.

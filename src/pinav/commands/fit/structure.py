@@ -105,6 +105,7 @@ class StructureRow(msgspec.Struct, frozen=True):
             where none was weighed.
         turns: whether the force has a rotational part.
         sought: whether there were data enough for a search.
+        of_teacher: whether it is the structure of the kernels that taught a network.
     """
 
     terms: tuple[TermRow, ...]
@@ -112,10 +113,15 @@ class StructureRow(msgspec.Struct, frozen=True):
     rotation: float | None = None
     turns: bool = False
     sought: bool = True
+    of_teacher: bool = False
 
     def text(self) -> str:
         """One line for a terminal, and one on the rotation where it was weighed."""
-        return "\n".join([self._structure(), *self._rotation()])
+        whose = "the network's teacher: " if self.of_teacher else ""
+        return "\n".join(f"{whose}{line}" for line in self._lines())
+
+    def _lines(self) -> list[str]:
+        return [self._structure(), *self._rotation()]
 
     def _rotation(self) -> list[str]:
         if self.rotation is None:
@@ -157,7 +163,13 @@ class StructureRow(msgspec.Struct, frozen=True):
 
 
 def structure_row(run: FittedRun) -> StructureRow | None:
-    """What the search of a run came to; None where there was none."""
+    """What the search of a run came to; None where there was none.
+
+    A network has no structure; its teacher may have one.
+    """
+    if run.teacher is not None:
+        row = structure_row(run.teacher)
+        return row and msgspec.structs.replace(row, of_teacher=True)
     evidence = run.evidence
     if evidence is None or evidence.structure is None:
         return None
@@ -214,6 +226,7 @@ def _law_row(term: AbstractTerm, posterior: Posterior, index: int) -> LawRow | N
 
 def profile_arrays(run: FittedRun) -> dict[str, np.ndarray]:
     """Profile of each term that has one, with its standard deviation, by place."""
+    run = run if run.teacher is None else run.teacher
     model: Any = run.model
     force = getattr(model, "environment", None)
     terms = () if force is None else split_structure(force)[0]

@@ -1,9 +1,12 @@
 r"""Distillation of a force into a network, by Gauss-Newton regression.
 
 From random weights a network fits noisy trajectories badly: its steps converge slowly.
-Distilled from the force of a kernel fit, it is a few steps from its own best fit.
+Distilled from the force of a kernel fit, it is a few steps from its own best fit. The
+force of a structured fit is known far better than that of free kernels, and is worth
+steps in all directions of the weights, on a finer grid.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -14,7 +17,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector
 from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
-from pinav.fitting.matching.gauss_newton import damped_step
+from pinav.fitting.matching.gauss_newton import chord, damped_step, row_space
 from pinav.forces import AbstractForce, kernel_centers
 from pinav.trajectories import Trajectories
 
@@ -24,11 +27,36 @@ STEPS, RANK, CHORD_STEPS, NUM_DAMPINGS = 16, 256, 5, 5
 DAMPING = 1e3
 """Of the first step: with less, a third of the networks saturate and learn no more."""
 
-SPACING, MARGIN = 0.7, 4.0
-"""Of the grid of targets, in widths."""
+FULL_RANK, FULL_STEPS, FULL_CHORD_STEPS, FULL_DAMPINGS = 1536, 100, 4, (0.1, 1.0, 10.0)
+"""The same of a close distillation, which takes all directions of a network that has no
+more of them; the dampings are relative to the last one."""
 
-NUM_SAMPLES, NUM_POINTS = 400, 1200
-"""Samples, and points of the grid, at most."""
+CLOSE, SLOW, PATIENCE = 2e-3, 0.85, 10
+"""Root mean square of what a network is off, relative to that of the forces, that is
+close; and by how much it must fall, in how many steps, for others to be worth them."""
+
+MARGIN, NUM_SAMPLES = 4.0, 400
+"""Reach of the grid of targets beyond the samples, in widths; samples at most."""
+
+
+class Grid(eqx.Module):
+    """Places of targets beside the samples.
+
+    Attributes:
+        spacing: in widths.
+        num_points: at most.
+    """
+
+    spacing: float
+    num_points: int
+
+
+OF_KERNELS = Grid(spacing=0.7, num_points=1200)
+"""As fine as free kernels vary."""
+
+OF_STRUCTURE = Grid(spacing=0.45, num_points=1500)
+"""As fine as a network that may turn asks for: on the coarser grid it misses a ring ten
+times as much between the places as at them."""
 
 
 class DistillationTargets(eqx.Module):
@@ -52,6 +80,7 @@ def distillation_targets(
     *,
     dim: int,
     width: float,
+    grid: Grid = OF_KERNELS,
 ) -> DistillationTargets:
     """Values of a force at the samples, and on a grid around them.
 
@@ -62,16 +91,18 @@ def distillation_targets(
         dim: how many of the states are positions.
         width: over which the force varies [L]; the grid is finer, and reaches
             `MARGIN` of them beyond the samples.
+        grid: how fine that is.
     """
     real = np.arange(states.shape[1]) < trajectories.lengths[:, None]
     times, samples = trajectories.times[real], states[real][:, :dim]
-    grid = kernel_centers(samples, spacing=SPACING * width, margin=MARGIN * width)
+    spacing, margin = grid.spacing * width, MARGIN * width
+    points = kernel_centers(samples, spacing=spacing, margin=margin)
     rng = np.random.default_rng(0)
-    if len(grid) > NUM_POINTS:
-        grid = grid[rng.choice(len(grid), NUM_POINTS, replace=False)]
+    if len(points) > grid.num_points:
+        points = points[rng.choice(len(points), grid.num_points, replace=False)]
     stride = -(-len(times) // NUM_SAMPLES)
-    when = np.concatenate([times[::stride], rng.choice(times, len(grid))])
-    where = np.concatenate([samples[::stride], grid])
+    when = np.concatenate([times[::stride], rng.choice(times, len(points))])
+    where = np.concatenate([samples[::stride], points])
     when, where = jnp.asarray(when), jnp.asarray(where)
     return DistillationTargets(when, where, forces(force, when, where))
 
@@ -82,6 +113,21 @@ def distil(network: Any, targets: DistillationTargets) -> Any:
     damping = jnp.asarray(DAMPING)
     for _ in range(STEPS):
         theta, damping = _step(free, theta, damping, targets)
+    return free(theta)
+
+
+def distil_closely(network: Any, targets: DistillationTargets) -> Any:
+    """The same until the network is close to the targets, or can come no closer.
+
+    Where they can be reached `distil` leaves up to a hundred times as much.
+    """
+    free, theta = ravel_model(network, lambda force: force.parameters)
+    damping, left = jnp.asarray(DAMPING), [np.inf]
+    while len(left) <= FULL_STEPS and left[-1] > CLOSE:
+        theta, damping, off = _full_step(free, theta, damping, targets)
+        left.append(float(off))
+        if len(left) > PATIENCE and left[-1] > SLOW * left[-PATIENCE]:
+            break
     return free(theta)
 
 
@@ -101,6 +147,28 @@ def _step(
     targets: DistillationTargets,
 ) -> tuple[Float[Array, " parameter"], Float[Array, ""]]:
     """The best of several damped chord steps, and its damping."""
+    residuals, jacobian = _linearise(free, theta, targets)
+    step = damped_step(
+        residuals,
+        theta,
+        (residuals(theta), jacobian),
+        damping,
+        rank=RANK,
+        num_dampings=NUM_DAMPINGS,
+        chord_steps=CHORD_STEPS,
+    )
+    return step.theta, step.damping
+
+
+def _linearise(
+    free: ParametricModel,
+    theta: Float[Array, " parameter"],
+    targets: DistillationTargets,
+) -> tuple[
+    Callable[[Float[Array, " parameter"]], Float[Array, " residual"]],
+    Float[Array, "residual parameter"],
+]:
+    """What a network is off, relative to the forces, and its slopes at a point."""
     size = jnp.sqrt(jnp.mean(targets.forces**2))
     size = jnp.where(size > 0, size, 1.0)
 
@@ -115,13 +183,54 @@ def _step(
     jacobian = jax.vmap(jax.jacrev(force), (None, 0, 0))(
         theta, targets.times, targets.positions
     ).reshape(-1, theta.shape[0])
-    step = damped_step(
-        residuals,
-        theta,
-        (residuals(theta), jacobian),
-        damping,
-        rank=RANK,
-        num_dampings=NUM_DAMPINGS,
-        chord_steps=CHORD_STEPS,
+    return residuals, jacobian
+
+
+@eqx.filter_jit
+def _full_step(
+    free: ParametricModel,
+    theta: Float[Array, " parameter"],
+    damping: Float[Array, ""],
+    targets: DistillationTargets,
+) -> tuple[Float[Array, " parameter"], Float[Array, ""], Float[Array, ""]]:
+    """The best of several damped steps, its damping, and what it leaves.
+
+    What it leaves is a root mean square, relative to that of the forces.
+    """
+    residuals, jacobian = _linearise(free, theta, targets)
+    residual = residuals(theta)
+    slopes, along = jacobian, lambda z: z
+    if len(theta) > FULL_RANK:
+        basis = row_space(jacobian, FULL_RANK)
+        slopes, along = jacobian @ basis, lambda z: basis @ z
+    normal = slopes.T @ slopes
+
+    def attempt(
+        damping: Float[Array, ""],
+    ) -> tuple[Float[Array, " direction"], Float[Array, ""]]:
+        factor = jax.scipy.linalg.cho_factor(normal + damping * jnp.eye(len(normal)))
+
+        def newton(
+            current: Float[Array, " residual"], z: Float[Array, " direction"]
+        ) -> Float[Array, " direction"]:
+            gradient = slopes.T @ current + damping * z
+            return z - jax.scipy.linalg.cho_solve(factor, gradient)
+
+        return chord(
+            lambda z: residuals(theta + along(z)),
+            residual,
+            jnp.zeros(len(normal)),
+            newton,
+            FULL_CHORD_STEPS,
+        )
+
+    # one after the other: side by side they would need several such factors at once
+    dampings = damping * jnp.asarray(FULL_DAMPINGS)
+    moves, costs = jax.lax.map(attempt, dampings)
+    best, cost = jnp.nanargmin(costs), residual @ residual
+    is_lower = costs[best] < cost
+    return (
+        jnp.where(is_lower, theta + along(moves[best]), theta),
+        jnp.where(is_lower, dampings[best], 100.0 * damping),
+        jnp.sqrt(jnp.where(is_lower, costs[best], cost) / len(residual)),
     )
-    return step.theta, step.damping

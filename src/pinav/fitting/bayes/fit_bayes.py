@@ -12,17 +12,19 @@ import numpy as np
 
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.errors import InputError
-from pinav.fitting.bayes.neural import FitSpecification
+from pinav.fitting.bayes.neural import FitSpecification, Teacher
 from pinav.fitting.bayes.parameters import Learn, learned_environment
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
-from pinav.fitting.engine.iterate import EvidenceProgress
+from pinav.fitting.engine.iterate import EvidenceProgress, iterate
+from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.environments.kernels import check_size
 from pinav.fitting.environments.refinement import (
     AS_FINE_AS_ASKED,
     Refinement,
     iterate_refined,
 )
+from pinav.fitting.evidence.model_evidence import model_evidence
 from pinav.fitting.outcome import Outcome
 from pinav.numerics import free_programs
 from pinav.trajectories import Trajectories, with_velocities
@@ -38,6 +40,7 @@ def fit_bayes(
     refine: Refinement | None = AS_FINE_AS_ASKED,
     max_iterations: int = 20,
     on_step: Callable[[EvidenceProgress], None] | None = None,
+    teacher: EvidenceFit | None = None,
     throw: bool = True,
 ) -> EvidenceFit:
     r"""Fit the environment of a swimmer, and constants, to noisy trajectories.
@@ -45,7 +48,8 @@ def fit_bayes(
     The weights of a kernel environment have a Gaussian-process prior. A network is
     distilled from a kernel fit, whose process is then the prior of its forces; a
     network that sees the time has independent weights of one variance instead, and
-    bands that are too wide (docs/evidence.md). All starts have a flat prior, as have
+    bands that are too wide (docs/evidence.md), unless a `teacher` is given whose
+    process explains the data better. All starts have a flat prior, as have
     constants and parametric environments unless a prior is given. The rollout is a
     strong constraint: no process noise. The result needs neither velocities nor regular
     times. A constant force along the thrust is hard to tell from a wide slope of the
@@ -71,6 +75,8 @@ def fit_bayes(
             ones; None keeps them.
         max_iterations: after which the fit counts as stalled.
         on_step: called after each step.
+        teacher: of a network: a fit of the same data, of kernels with structured terms
+            or without. Kernels of the same kind are fitted first unless given.
         throw: raise where the fit did not converge.
 
     Raises:
@@ -86,15 +92,18 @@ def fit_bayes(
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
         specification = FitSpecification(model, trajectories, learn, noise, solver)
-        problem = _first_problem(specification, refine)
-        ended = iterate_refined(
-            problem,
-            specification.problem,
-            refine,
-            trajectories,
-            max_iterations,
-            on_step,
-        )
+        if teacher is None:
+            ended = iterate_refined(
+                _first_problem(specification, refine),
+                specification.problem,
+                refine,
+                trajectories,
+                max_iterations,
+                on_step,
+            )
+        else:
+            fitted = Teacher.of_fit(teacher)
+            ended = _learn(specification, fitted, max_iterations, on_step)
         return evidence_fit(
             *ended, not_finite=NOT_FINITE, advice=ADVICE if throw else {}
         )
@@ -135,11 +144,56 @@ def _first_problem(
     )
     if outcome is Outcome.DIVERGED:
         return specification.problem(model)
-    return specification.distill(kernels, steps[-1])
+    teacher = Teacher.of_step(kernels, steps[-1])
+    distilled = specification.distill(teacher)
+    if environment.is_static:
+        return specification.by_process(teacher, distilled)
+    return specification.by_weights(teacher, distilled)
 
 
 KERNEL_STEPS = 20
 """Of the kernel fit at most."""
+
+
+def _learn(
+    specification: FitSpecification,
+    teacher: Teacher,
+    max_iterations: int,
+    on_step: Callable[[EvidenceProgress], None] | None,
+) -> tuple[AbstractProblem, Outcome, list[Step]]:
+    """Fit a network that is distilled from a given teacher.
+
+    The process of a teacher does not change with time. A network that sees the time has
+    it as its prior where the evidence does not prefer weights of one variance, as it
+    does where the force changes.
+    """
+    distilled = specification.distill(teacher)
+    still = specification.by_process(teacher, distilled)
+    outcome, steps = iterate(still, max_iterations, on_step)
+    if distilled.network.is_static:
+        return still, outcome, steps
+    best = _evidence(still, steps)
+
+    def has_lost(step: Step) -> bool:
+        return step.hyperparameters.log_evidence < best - CLEAR
+
+    free = specification.by_weights(teacher, distilled)
+    freed = iterate(free, max_iterations, on_step, has_lost)
+    if outcome is not Outcome.DIVERGED and best >= _evidence(free, freed[1]):
+        return still, outcome, steps
+    return free, *freed
+
+
+CLEAR = 100.0
+"""Nats before the cost of hyperparameters by which a prior has lost to another."""
+
+
+def _evidence(problem: AbstractProblem, steps: list[Step]) -> float:
+    """Log evidence after the last of some steps; of none that of no model."""
+    if not steps:
+        return -np.inf
+    linear, chosen = problem.linear_fit(steps[-1]), steps[-1].hyperparameters
+    return model_evidence(linear, chosen).log_evidence
 
 
 def _check(model: Any, noise: float | None, max_iterations: int) -> None:

@@ -29,7 +29,11 @@ from jaxtyping import Array, Float, Int
 
 from pinav.arguments import Scalar, Vector
 from pinav.fitting.bayes.distillation import DistillationTargets, forces
-from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
+from pinav.fitting.engine.parametric_model import (
+    ParametricModel,
+    ravel_model,
+    selected_entries,
+)
 from pinav.fitting.evidence.evidence import Hyperparameters, root
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, Inference, WeightPosterior
@@ -50,8 +54,11 @@ LEAST_MISFIT = 1e-5
 class Process(eqx.Module):
     """The prior of a kernel environment, by the forces of its directions.
 
+    Terms beside the kernels are linear in their weights, but not in their geometry. Of
+    that they are linear about where it is, with its wide prior; the data narrow it.
+
     Attributes:
-        kernels: what the process is made of; their weights do not matter.
+        kernels: what the process is made of; weights matter only beside a geometry.
         directions: $B$; `directions @ directions.T` is the covariance of the forces.
         shapes: changes of the forces by one standard deviation of the prior's shape.
         chosen: noise, and shape and amplitude of the prior.
@@ -74,16 +81,26 @@ class Process(eqx.Module):
         """The process of these kernels at given places.
 
         Args:
-            kernels: an environment that is linear in its weights.
+            kernels: an environment that is linear in its weights, fitted where it has a
+                geometry.
             prior: of these weights.
             chosen: its hyperparameters.
             places: where the forces act.
             shapes: changes of the weights by a standard deviation of the shape.
         """
-        free, zero = ravel_model(kernels, lambda force: force.parameters)
-        slopes = np.asarray(_slopes(free, jnp.zeros_like(zero), places))
+        free, theta = ravel_model(kernels, lambda force: force.trainable)
+        slopes = np.asarray(_slopes(free, theta, places))
+        count = len(theta)
+        is_shaping = selected_entries(free, count, lambda force: force.geometry)
+        deviations = np.ones(count)
+        for index, scale in enumerate(kernels.geometry_scales):
+            leaf = selected_entries(free, count, lambda f, i=index: f.geometry[i])
+            deviations[leaf] = scale
+        bends = (slopes * deviations)[:, is_shaping]
+        straight = slopes[:, ~is_shaping]
         columns = chosen.amplitude * root(prior.covariance(chosen.shape))
-        return cls(kernels, slopes @ columns, slopes @ shapes, chosen)
+        directions = np.column_stack([straight @ columns, bends])
+        return cls(kernels, directions, straight @ shapes, chosen)
 
     def nearest(
         self, values: Float[np.ndarray, " force"]

@@ -1,9 +1,10 @@
 """Networks distilled from kernels: the force to start from, and a prior of forces.
 
-The kernel environment of the same kind is fitted to the same data first. A static
-network gets the Gaussian process of these kernels as the prior of its forces
-(`tangent`); one that sees the time, which the kernels do not, keeps a prior of one
-variance for all its weights.
+A teacher is fitted to the same data first: kernels of the same kind, with structured
+terms beside them where `fit_structured` finds a structure. A static network gets the
+Gaussian process of its teacher as the prior of its forces (`function_prior`); one that
+sees the time, which the teacher does not, may have a prior of one variance for all its
+weights instead.
 """
 
 from typing import Any
@@ -15,18 +16,24 @@ from jaxtyping import Float
 
 from pinav.dynamics import FixedStep
 from pinav.fitting.bayes.distillation import (
+    OF_KERNELS,
+    OF_STRUCTURE,
     DistillationTargets,
+    Grid,
     distil,
+    distil_closely,
     distillation_targets,
 )
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
 from pinav.fitting.bayes.parameters import Learn, num_positions
 from pinav.fitting.bayes.problem import BayesProblem
+from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.environments.kernels import lay_kernels
 from pinav.fitting.evidence.evidence import Hyperparameters, LinearisedObservations
 from pinav.fitting.evidence.hyperparameter_uncertainty import shape_changes
-from pinav.forces import AbstractLearnedForce
+from pinav.fitting.evidence.model_evidence import LinearFit
+from pinav.forces import AbstractForce, AbstractLearnedForce, split_structure
 from pinav.trajectories import Trajectories
 
 
@@ -68,30 +75,94 @@ class FitSpecification(eqx.Module):
         kernels = self.kernels()
         return self.problem(eqx.tree_at(lambda m: m.environment, self.model, kernels))
 
-    def distill(self, problem: AbstractProblem, step: Step) -> BayesProblem:
-        """The fit of the network, after the last step of the fit of the kernels."""
-        teacher = problem.parametric(jnp.asarray(step.move.theta))
-        states = np.asarray(step.move.states)
-        places = distillation_targets(
-            teacher.environment,
+    def distill(self, teacher: "Teacher") -> "Distilled":
+        """The network, from the force of its teacher."""
+        force: Any = teacher.model.environment
+        targets = distillation_targets(
+            force,
             self.trajectories,
-            states,
+            teacher.states,
             dim=self.dim,
-            width=float(teacher.environment.width),
+            width=float(force.kernels.width),
+            grid=_grid_of(force),
         )
-        network = distil(self.model.environment, places)
-        weights, chosen = None, step.inference.hyperparameters
-        if network.is_static:
-            prior = teacher.environment.prior()
-            data = LinearisedObservations.of(step.quadratic)
-            shapes = shape_changes(data, prior, chosen, self.noise)
-            process = Process.of(teacher.environment, prior, chosen, places, shapes)
-            wanted = np.asarray(places.forces).ravel()
-            weights = TangentWeights.of(network, places, process, wanted)
-        start = eqx.tree_at(lambda m: m.environment, teacher, network)
+        teach = distil_closely if split_structure(force)[0] else distil
+        return Distilled(teach(self.model.environment, targets), targets)
+
+    def by_process(self, teacher: "Teacher", distilled: "Distilled") -> BayesProblem:
+        """The fit of a network whose forces have the process of its teacher."""
+        force, targets = teacher.model.environment, distilled.targets
+        prior, chosen = force.prior(), teacher.chosen
+        data = LinearisedObservations.of(teacher.linear.quadratic)
+        shapes = shape_changes(data, prior, chosen, self.noise)
+        process = Process.of(force, prior, chosen, targets, shapes)
+        wanted = np.asarray(targets.forces).ravel()
+        weights = TangentWeights.of(distilled.network, targets, process, wanted)
+        return self._student(teacher, distilled, weights)
+
+    def by_weights(self, teacher: "Teacher", distilled: "Distilled") -> BayesProblem:
+        """The fit of a network whose weights have one variance."""
+        return self._student(teacher, distilled, None)
+
+    def _student(
+        self, teacher: "Teacher", distilled: "Distilled", weights: TangentWeights | None
+    ) -> BayesProblem:
         return self.problem(
-            start, states=states, weights=weights, teacher=problem.linear_fit(step)
+            eqx.tree_at(lambda m: m.environment, teacher.model, distilled.network),
+            states=teacher.states,
+            weights=weights,
+            teacher=teacher.linear,
         )
+
+
+def _grid_of(force: AbstractForce) -> Grid:
+    """Where a network is compared with a force."""
+    return OF_STRUCTURE if split_structure(force)[0] else OF_KERNELS
+
+
+class Distilled(eqx.Module):
+    """A network that was taught a force, and what it was taught.
+
+    Attributes:
+        network: the neural force.
+        targets: the force of its teacher.
+    """
+
+    network: Any
+    targets: DistillationTargets
+
+
+class Teacher(eqx.Module):
+    """A fit of kernels, with terms beside them or alone, that a network learns from.
+
+    Attributes:
+        model: the fitted model.
+        states: the smoothed states.
+        chosen: hyperparameters of the fit.
+        linear: the linear problem in which it ended.
+    """
+
+    model: Any
+    states: Float[np.ndarray, "trajectory time state"]
+    chosen: Hyperparameters
+    linear: LinearFit
+
+    @classmethod
+    def of_step(cls, problem: AbstractProblem, step: Step) -> "Teacher":
+        """After a step of its fit."""
+        return cls(
+            model=problem.parametric(jnp.asarray(step.move.theta)),
+            states=np.asarray(step.move.states),
+            chosen=step.hyperparameters,
+            linear=problem.linear_fit(step),
+        )
+
+    @classmethod
+    def of_fit(cls, fit: EvidenceFit) -> "Teacher":
+        """At the end of its fit, which is one of trajectories."""
+        if fit.states is None:
+            raise ValueError("Teacher.of_fit: expected the fit of trajectories")
+        return cls(fit.model, fit.states, fit.hyperparameters, fit.linear)
 
 
 def function_prior(
@@ -116,7 +187,8 @@ def function_prior(
         request.trajectories,
         states,
         dim=request.dim,
-        width=float(made.width),
+        width=float(made.kernels.width),
+        grid=_grid_of(made),
     )
     prior = made.prior()
     none = np.zeros((len(prior.covariance(chosen.shape)), 0))

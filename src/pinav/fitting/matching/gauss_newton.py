@@ -152,17 +152,23 @@ def low_rank(
     Float[Array, "parameter direction"],
 ]:
     """U, S, V of a random projection of the row space; exact up to its rank."""
-    rows, columns = jacobian.shape
-    if columns <= rank:
-        basis = jnp.eye(columns, dtype=jacobian.dtype)
-    else:
-        # A random projection of the rows finds the directions that matter without the
-        # decomposition of the whole Jacobian.
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], (rank, rows))
-        basis = _orthonormal((jnp.asarray(signs, jacobian.dtype) @ jacobian).T)
+    basis = row_space(jacobian, rank)
     left, triangle = jnp.linalg.qr(jacobian @ basis)
     inner, scale, outer = jnp.linalg.svd(triangle)
     return left @ inner, scale, basis @ outer.T
+
+
+def row_space(
+    jacobian: Float[Array, "residual parameter"], rank: int
+) -> Float[Array, "parameter direction"]:
+    """Orthonormal directions of the parameters that matter, `rank` of them at most."""
+    rows, columns = jacobian.shape
+    if columns <= rank:
+        return jnp.eye(columns, dtype=jacobian.dtype)
+    # A random projection of the rows finds the directions that matter without the
+    # decomposition of the whole Jacobian.
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (rank, rows))
+    return _orthonormal((jnp.asarray(signs, jacobian.dtype) @ jacobian).T)
 
 
 def _orthonormal(

@@ -1,18 +1,21 @@
 """`fit_structured`: the structure that the evidence prefers; whether a force turns.
 
 Where the data are worth it the structure is sought first (`Search`); in a plane it is
-also asked whether a mixture, which may turn, explains more than a potential.
+also asked whether a mixture, which may turn, explains more than a potential. A network
+learns from the fit of kernels that this gives.
 """
 
 import functools
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 
 from pinav.dynamics import FixedStep, Swimmer
 from pinav.errors import FitError
+from pinav.fitting.bayes.fit_bayes import fit_bayes
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.parameters import Learn
 from pinav.fitting.engine.evidence_fit import EvidenceFit
@@ -28,9 +31,14 @@ from pinav.fitting.structure.search import (
     evidence_of,
     needs_no_search,
 )
-from pinav.fitting.structure.survey import Survey, is_worth_a_search, may_turn
+from pinav.fitting.structure.survey import (
+    Survey,
+    is_network,
+    is_worth_a_search,
+    may_turn,
+)
 from pinav.fitting.structure.trials import Proposal
-from pinav.forces import split_structure
+from pinav.forces import AbstractLearnedForce, KernelPotential, split_structure
 from pinav.numerics import free_programs
 from pinav.trajectories import Trajectories, with_velocities
 
@@ -49,9 +57,13 @@ def fit_structured(
 ) -> StructuredFit:
     """Fit kernels, and a structured force where the data show one; see `fit_bayes`.
 
+    A network is distilled from such a fit of kernels, in place of one of free kernels.
+    One that may turn, or that sees the time, learns in a plane from whichever of a
+    potential and a mixture the evidence prefers, any other from kernels of its kind.
+
     Args:
         model: dynamics whose environment is a `KernelPotential`, a `KernelForce` or a
-            `KernelMixture`.
+            `KernelMixture`, or a network.
         trajectories: what was observed.
         learn: constants to learn too.
         noise: standard deviation of the observations; estimated unless given.
@@ -60,7 +72,7 @@ def fit_structured(
         on_step: called after each step.
         weigh_rotation: fit a `KernelMixture` in place of a `KernelPotential` where the
             evidence of planar data, however few, prefers a rotational part, or the
-            potential alone diverges.
+            potential alone diverges. Of a network its kind decides.
         throw: raise where the fit did not converge.
 
     Raises:
@@ -72,6 +84,8 @@ def fit_structured(
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
         specification = FitSpecification(model, trajectories, learn, noise, solver)
+        if is_network(model):
+            return _fit_student(specification, max_iterations, on_step, throw=throw)
         search = Search(specification, max_iterations, on_step, throw)
         weigh_rotation &= may_turn(model)
         if not is_worth_a_search(model, trajectories):
@@ -87,6 +101,61 @@ def fit_structured(
             if _explains(fit_free().fit, survey):
                 search, survey = _about(search, fit_free().fit)
         return search.best(survey.proposal(rotational=not is_still), fit_free)
+
+
+def _fit_student(
+    specification: FitSpecification,
+    max_iterations: int,
+    on_step: Callable[[EvidenceProgress], None] | None,
+    *,
+    throw: bool,
+) -> StructuredFit:
+    """The fit of a network, taught by that of kernels where data are worth a search."""
+    data = specification.trajectories
+    options: dict[str, Any] = {
+        "learn": specification.learn,
+        "noise": specification.noise,
+        "solver": specification.solver,
+        "max_iterations": max_iterations,
+        "on_step": on_step,
+    }
+    fit = functools.partial(
+        fit_bayes, specification.model, data, throw=throw, **options
+    )
+    if not is_worth_a_search(specification.model, data):
+        return StructuredFit(fit(), np.nan)
+    kernels, weigh_rotation = kernels_of_teacher(specification)
+    taught = fit_structured(
+        eqx.tree_at(lambda m: m.environment, specification.model, kernels),
+        data,
+        weigh_rotation=weigh_rotation,
+        throw=False,
+        **options,
+    )
+    if taught.fit.outcome is Outcome.DIVERGED:
+        return StructuredFit(fit(), np.nan)
+    return StructuredFit(
+        fit(teacher=taught.fit), taught.gain, taught.rotation, taught.fit
+    )
+
+
+def kernels_of_teacher(
+    specification: FitSpecification,
+) -> tuple[AbstractLearnedForce, bool]:
+    """Untrained kernels for a network to learn from; whether to weigh a rotation.
+
+    Components of a force that are independent of each other have no structure to be
+    found, so that where a rotation can be weighed a potential is the first choice.
+    """
+    kernels: Any = specification.kernels()
+    if kernels.is_conservative or kernels.dim != PLANE:
+        return kernels, False
+    centers, width = kernels.kernels
+    return KernelPotential.with_zero_weights(np.asarray(centers), float(width)), True
+
+
+PLANE = 2
+"""Dimension in which a rotation is weighed."""
 
 
 def _survey(search: Search) -> tuple[Search, Survey, bool]:

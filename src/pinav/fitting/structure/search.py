@@ -78,16 +78,20 @@ class StructuredFit(eqx.Module):
         rotation: log evidence of a rotational part beside a potential [nats]: of the
             fit where it has one, of the data linearised before it where it has none;
             NaN where none was weighed.
+        teacher: of a network: the fit from which it was distilled, to which `gain` and
+            `rotation` belong; None of kernels.
     """
 
     fit: EvidenceFit
     gain: float
     rotation: float = np.nan
+    teacher: EvidenceFit | None = None
 
     @property
     def structure(self) -> StructuredForce | None:
-        """The structured force, where one was preferred."""
-        force: Any = self.force
+        """The structured force, where one was preferred; of a network, its teacher."""
+        fit = self.fit if self.teacher is None else self.teacher
+        force: Any = fit.model.environment
         return force if split_structure(force)[0] else None
 
     @property

@@ -148,9 +148,13 @@ LEAST_TRAJECTORIES, LEAST_SAMPLES = 6, 600
 
 
 def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
-    """Whether the data could tell a structure of a force that does not change."""
+    """Whether the data could tell a structure of a force that does not change.
+
+    A network is told of it by a teacher whose force does not change.
+    """
+    has_teacher = is_network(model) and model.environment.dim in GRID
     return (
-        _static_field(model) is not None
+        (has_teacher or _static_field(model) is not None)
         and len(trajectories) >= LEAST_TRAJECTORIES
         and trajectories.num_observed >= LEAST_SAMPLES
     )
@@ -160,6 +164,12 @@ def may_turn(model: Any) -> bool:
     """Whether a rotational part can be weighed beside the potential of a model."""
     field = _static_field(model)
     return field is not None and field.is_conservative and field.dim == 2
+
+
+def is_network(model: Any) -> bool:
+    """Whether the environment of a model is a network, which a teacher must show it."""
+    force = as_learned_force(model.environment)
+    return force is not None and not force.is_linear
 
 
 def _static_field(model: Any) -> AbstractLearnedForce | None:
