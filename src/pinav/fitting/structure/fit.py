@@ -7,7 +7,7 @@ learns from the fit of kernels that this gives.
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -103,6 +103,9 @@ def fit_structured(
         return search.best(survey.proposal(rotational=not is_still), fit_free)
 
 
+Result = TypeVar("Result")
+
+
 def _fit_student(
     specification: FitSpecification,
     max_iterations: int,
@@ -112,25 +115,26 @@ def _fit_student(
 ) -> StructuredFit:
     """The fit of a network, taught by that of kernels where data are worth a search."""
     data = specification.trajectories
-    options: dict[str, Any] = {
-        "learn": specification.learn,
-        "noise": specification.noise,
-        "solver": specification.solver,
-        "max_iterations": max_iterations,
-        "on_step": on_step,
-    }
-    fit = functools.partial(
-        fit_bayes, specification.model, data, throw=throw, **options
-    )
+
+    def of(fit_model: Callable[..., Result]) -> Callable[..., Result]:
+        return functools.partial(
+            fit_model,
+            trajectories=data,
+            learn=specification.learn,
+            noise=specification.noise,
+            solver=specification.solver,
+            max_iterations=max_iterations,
+            on_step=on_step,
+        )
+
+    fit = functools.partial(of(fit_bayes), specification.model, throw=throw)
     if not is_worth_a_search(specification.model, data):
         return StructuredFit(fit(), np.nan)
     kernels, weigh_rotation = kernels_of_teacher(specification)
-    taught = fit_structured(
+    taught = of(fit_structured)(
         eqx.tree_at(lambda m: m.environment, specification.model, kernels),
-        data,
         weigh_rotation=weigh_rotation,
         throw=False,
-        **options,
     )
     if taught.fit.outcome is Outcome.DIVERGED:
         return StructuredFit(fit(), np.nan)
