@@ -36,7 +36,7 @@ from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.profiles import MobilitySummary
 from pinav.fitting.environments.summary import DataSummary
-from pinav.forces import AbstractLearnedForce, split_structure
+from pinav.forces import as_learned_force, split_structure
 from pinav.runs import RunFolder
 from pinav.systems import System, WanderingVelocity
 from pinav.trajectories import Trajectories, load, save
@@ -258,9 +258,10 @@ def write_teacher(
         data: to which both were fitted.
         structure: what the search came to.
     """
-    _, kernels = split_structure(fit.model.environment)
-    name = kernels.kind if isinstance(kernels, AbstractLearnedForce) else ""
-    choice = ModelChoice(name, learn=header.choice.learn)
+    _, rest = split_structure(fit.model.environment)
+    kernels = as_learned_force(rest)
+    assert kernels is not None
+    choice = ModelChoice(kernels.kind, learn=header.choice.learn)
     header = msgspec.structs.replace(header, choice=choice)
     written = TEACHER_POSTERIOR_FILE
     write_evidence(folder, choice, fit, data, structure, name=written)
