@@ -258,9 +258,10 @@ def write_teacher(
         data: to which both were fitted.
         structure: what the search came to.
     """
-    kernels = as_learned_force(split_structure(fit.model.environment)[1])
-    name = "" if kernels is None else kernels.kind
-    choice = ModelChoice(name, learn=header.choice.learn)
+    _, rest = split_structure(fit.model.environment)
+    kernels = as_learned_force(rest)
+    assert kernels is not None
+    choice = ModelChoice(kernels.kind, learn=header.choice.learn)
     header = msgspec.structs.replace(header, choice=choice)
     written = TEACHER_POSTERIOR_FILE
     write_evidence(folder, choice, fit, data, structure, name=written)

@@ -7,7 +7,7 @@ learns from the fit of kernels that this gives.
 
 import functools
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -103,9 +103,6 @@ def fit_structured(
         return search.best(survey.proposal(rotational=not is_still), fit_free)
 
 
-Result = TypeVar("Result")
-
-
 def _fit_student(
     specification: FitSpecification,
     max_iterations: int,
@@ -114,33 +111,39 @@ def _fit_student(
     throw: bool,
 ) -> StructuredFit:
     """The fit of a network, taught by that of kernels where data are worth a search."""
-    data = specification.trajectories
-
-    def of(fit_model: Callable[..., Result]) -> Callable[..., Result]:
-        return functools.partial(
-            fit_model,
-            trajectories=data,
+    data, model = specification.trajectories, specification.model
+    learning = functools.partial(
+        fit_bayes,
+        model,
+        data,
+        learn=specification.learn,
+        noise=specification.noise,
+        solver=specification.solver,
+        max_iterations=max_iterations,
+        on_step=on_step,
+        throw=throw,
+    )
+    if not is_worth_a_search(model, data):
+        return StructuredFit(learning(), np.nan)
+    kernels, weigh_rotation = kernels_of_teacher(specification)
+    try:
+        taught = fit_structured(
+            eqx.tree_at(lambda m: m.environment, model, kernels),
+            data,
             learn=specification.learn,
             noise=specification.noise,
             solver=specification.solver,
             max_iterations=max_iterations,
             on_step=on_step,
+            weigh_rotation=weigh_rotation,
+            throw=False,
         )
-
-    fit = functools.partial(of(fit_bayes), specification.model, throw=throw)
-    if not is_worth_a_search(specification.model, data):
-        return StructuredFit(fit(), np.nan)
-    kernels, weigh_rotation = kernels_of_teacher(specification)
-    taught = of(fit_structured)(
-        eqx.tree_at(lambda m: m.environment, specification.model, kernels),
-        weigh_rotation=weigh_rotation,
-        throw=False,
-    )
+    except FitError:  # as of a potential, where the force turns
+        return StructuredFit(learning(), np.nan)
     if taught.fit.outcome is Outcome.DIVERGED:
-        return StructuredFit(fit(), np.nan)
-    return StructuredFit(
-        fit(teacher=taught.fit), taught.gain, taught.rotation, taught.fit
-    )
+        return StructuredFit(learning(), np.nan)
+    fit = learning(teacher=taught.fit)
+    return StructuredFit(fit, taught.gain, taught.rotation, taught.fit)
 
 
 def kernels_of_teacher(
