@@ -25,6 +25,7 @@ from pinav.analysis.discovery.laws import (
     SumLaw,
     latex,
     sympy_text,
+    terms_of,
 )
 from pinav.analysis.discovery.learned_fit import Learned
 from pinav.analysis.discovery.refit import Refit, refit
@@ -105,12 +106,7 @@ class Candidate(eqx.Module):
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the laws that it is the sum of."""
-        law = self.law
-        return (
-            tuple(term.name for term in law.terms)
-            if isinstance(law, SumLaw)
-            else (law.name,)
-        )
+        return tuple(term.name for term in terms_of(self.law))
 
 
 class Verdict(enum.Enum):

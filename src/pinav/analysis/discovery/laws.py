@@ -103,7 +103,7 @@ class AbstractLaw(abc.ABC):
 
     def __add__(self, other: "AbstractLaw") -> "SumLaw":
         """The law of the sum of two forces."""
-        return SumLaw((*_terms(self), *_terms(other)))
+        return SumLaw((*terms_of(self), *terms_of(other)))
 
     def contains(self, other: "AbstractLaw") -> bool:
         """Whether the other law is this one with special values of its constants.
@@ -196,7 +196,7 @@ class SumLaw(AbstractLaw):
         Args:
             other: a law, or a sum of no more terms.
         """
-        theirs = _terms(other)
+        theirs = terms_of(other)
         return self != other and any(
             all(
                 mine == term or mine.contains(term)
@@ -325,7 +325,8 @@ def _of_rotation(constant: Constant) -> Constant:
     return dataclasses.replace(constant, name=name, symbol=symbol)
 
 
-def _terms(law: AbstractLaw) -> tuple[AbstractLaw, ...]:
+def terms_of(law: AbstractLaw) -> tuple[AbstractLaw, ...]:
+    """The laws that a law is the sum of; itself where it is no sum."""
     return law.terms if isinstance(law, SumLaw) else (law,)
 
 

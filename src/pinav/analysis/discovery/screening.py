@@ -17,7 +17,7 @@ from pinav.analysis.discovery.law_regression import (
     fit_law,
     fit_sum,
 )
-from pinav.analysis.discovery.laws import AbstractLaw, SumLaw
+from pinav.analysis.discovery.laws import AbstractLaw, SumLaw, terms_of
 from pinav.analysis.discovery.term_laws import MOST_TERMS, TermLaws
 from pinav.threads import map_on_cores
 
@@ -51,7 +51,9 @@ def screen(sample: ForceSample, laws: Sequence[AbstractLaw]) -> list[FieldFit]:
     everything += exchange_terms(best, laws, sample)
     ranking = sorted(everything, key=lambda fit: fit.bic, reverse=True)
     # of sums of the same terms in another order the best one stays
-    distinct = {tuple(sorted(fit.law.name.split(" + "))): fit for fit in ranking}
+    distinct = {
+        tuple(sorted(term.name for term in terms_of(fit.law))): fit for fit in ranking
+    }
     return sorted(distinct.values(), key=lambda fit: fit.bic)
 
 
