@@ -41,6 +41,7 @@ from pinav.analysis.discovery.profiles import (
 )
 from pinav.analysis.discovery.rotations import (
     GAUSSIAN_SWIRL,
+    ROTATIONS,
     SHEAR_LAYERS,
     SWIRLS,
 )
@@ -49,13 +50,13 @@ from pinav.forces import GaussianBarrier
 
 SWIRL = GAUSSIAN_SWIRL
 STRUCTURED = (
-    *profile_laws(Line()),
+    ProfileLaw(Gaussian(), Line()),
     ProfileLaw(InversePower(), Ellipse()),
     ProfileLaw(Lorentzian(), Centers(3)),
     *LATTICES[1:],
     ANISOTROPIC_TRAP,
 )
-TURNING = (*SWIRLS, *SHEAR_LAYERS)
+TURNING = (*ROTATIONS, SWIRLS[-1], SHEAR_LAYERS[-1])
 LAWS = (*POTENTIALS, *STRUCTURED, *TURNING, GAUSSIAN + GAUSSIAN, GAUSSIAN + SWIRL)
 IDS = [law.name for law in LAWS]
 POINTS = jnp.array([[0.3, -0.7], [1.9, 2.2], [-1.1, 0.4]])

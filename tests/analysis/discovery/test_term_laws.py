@@ -102,15 +102,6 @@ def test_the_waves_of_a_lattice_are_its_strongest_harmonics():
     assert term_landscape(lattice, sample).wave_vectors == ((1.0, 1.0), (1.0, -1.0))
 
 
-def test_terms_without_laws_leave_the_whole_force():
-    ends = jnp.array([[1.0, 1.0], [4.0, 4.0]])
-    segment = SegmentTerm(jnp.ones(5), ends, PLACES, 0.8)
-    linear = LinearTerm(jnp.ones(5), jnp.zeros(2), 1.0)
-    assert laws_of(segment) == ()
-    for terms in ([], [segment], [linear] * 4):
-        assert term_laws(terms, None) is None
-
-
 def test_a_swirl_is_asked_for_swirls():
     assert laws_of(hill(rotational=True)) == SWIRLS
     assert GAUSSIAN in laws_of(hill())
@@ -170,6 +161,16 @@ def structured():
     model = scenario.truth.with_environment(force)
     with jax.enable_x64(new_val=True):
         return laplace_posterior(model, data, learned_part), data
+
+
+def test_terms_without_laws_leave_the_whole_force(structured):
+    ends = jnp.array([[1.0, 1.0], [4.0, 4.0]])
+    segment = SegmentTerm(jnp.ones(5), ends, PLACES, 0.8)
+    linear = LinearTerm(jnp.ones(5), jnp.zeros(2), 1.0)
+    assert laws_of(segment) == ()
+    sampling = Sampling.of(*structured, 10.0)
+    for terms in ([], [segment], [linear] * 4):
+        assert term_laws(terms, sampling) is None
 
 
 def test_discovery_begins_with_the_structure(structured):

@@ -8,6 +8,8 @@ import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
@@ -160,7 +162,7 @@ def _lengths(term: AbstractProfileTerm, sample: ForceSample) -> tuple[float, ...
     A force about a centre is strongest at about that distance; one along a line is
     felt over about that width.
     """
-    z = np.array([np.asarray(term.coordinates(x)) for x in sample.positions])
+    z = np.asarray(jax.vmap(term.coordinates)(jnp.asarray(sample.positions)))
     size = np.linalg.norm(sample.force, axis=1)
     if term.is_odd:
         strong = size >= np.quantile(size, 0.9)
