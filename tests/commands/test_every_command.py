@@ -11,6 +11,7 @@ from tests.commands.test_truth import trap_folder
 from tests.fitted_runs import blank_figures
 
 from pinav import analysis, cli
+from pinav.analysis.discovery import screening
 from pinav.analysis.discovery.potentials import POTENTIALS
 from pinav.analysis.discovery.rotations import ROTATIONS
 from pinav.commands import COMMANDS
@@ -92,6 +93,7 @@ def little_work(monkeypatch):
     """Few laws, few starts of a map, blank figures: other tests have them all."""
     few = functools.partial(analysis.discover, laws=(*POTENTIALS[:2], *ROTATIONS[:1]))
     monkeypatch.setattr(discover_job, "discover_law", few)
+    monkeypatch.setattr(screening, "MOST_TERMS", 1)
     monkeypatch.setattr(rollouts, "LYAPUNOV_POINTS", 5)
     with blank_figures():
         yield

@@ -66,6 +66,7 @@ def test_a_centre_is_polished_from_nearby():
     assert made.noise == pytest.approx(0.01, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_polish_begins_anew_until_that_gains_nothing():
     data = response(HILL + SoftWall(6.0, 0.7, 9.0, 0.8))
     terms = central_term(REGION, np.array([4.8, 5.0])), wall_term(REGION, 0.5)
@@ -140,6 +141,7 @@ SEGMENT = GaussianRidge(3.0, [4.4, 6.4], 4.9, 0.7, 2.0)
 """Seven times as long as wide: half the logarithm of that is 0.97."""
 
 
+@pytest.mark.slow
 def test_a_segment_is_a_long_ellipse_along_the_layers_of_a_wall():
     data = response(SEGMENT)
     normal = 2.0 - 0.5 * np.pi
@@ -153,6 +155,7 @@ def test_a_segment_is_a_long_ellipse_along_the_layers_of_a_wall():
     assert made.noise == pytest.approx(0.01, rel=0.2)
 
 
+@pytest.mark.slow
 def test_an_ellipse_is_found_beside_the_wall_of_a_pair():
     ridge = GaussianRidge(3.0, [4.0, 5.0], 3.0, 1.1, 0.6)
     data = response(ridge + SoftWall(6.0, 0.7, 9.5, 0.8))
