@@ -28,7 +28,7 @@ from pinav.forces import (
     forces_at,
     split_structure,
 )
-from pinav.forces.profile_laws import HillLaw, RingLaw
+from pinav.forces.profile_laws import HillLaw
 from pinav.scenarios import fibres, many_barriers, random_system
 from pinav.scenarios.spaces import box
 from pinav.systems.files import parse_system
@@ -372,16 +372,6 @@ def test_a_hill_that_ends_follows_its_law_beyond_the_data():
     np.testing.assert_allclose(law.constants()["tail"], -1 / 3, atol=0.02)
     places = jnp.asarray(np.random.default_rng(1).uniform(0.0, 10.0, (200, 2)))
     assert relative_error(force, truth, places) < 0.01
-
-
-@pytest.mark.slow
-def test_the_force_of_a_wide_ring_does_not_vanish_at_its_centre():
-    """Kernels miss it, and other terms had been sought to make up for that."""
-    truth, force, _ = fitted_law("ring", 79, RingLaw)
-    angles = jnp.linspace(0.0, 2 * jnp.pi, 8, endpoint=False)
-    around = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
-    places = jnp.asarray(truth.center)[None] + 0.3 * around
-    assert relative_error(force, truth, places) < 0.02
 
 
 @pytest.mark.slow
