@@ -113,9 +113,11 @@ class FittedRun:
         if folder.has(POSTERIOR_FILE):
             evidence = read_evidence(folder, choice, models["model"])
         data = load(folder.path / DATA_FILE)
-        if evidence is None or evidence.structure is None:
-            return cls(folder, system, data, models, choice, evidence)
-        if not is_network(models["model"]):
+        if (
+            evidence is None
+            or evidence.structure is None
+            or not is_network(models["model"])
+        ):
             return cls(folder, system, data, models, choice, evidence)
         folder.check_file(TEACHER_MODEL_FILE)
         teacher = folder.read_model(TEACHER_MODEL_FILE, build_untrained)

@@ -181,11 +181,11 @@ def discover(
             trajectories are not planar or too short.
         FitError: the learned force does not explain the trajectories.
     """
-    if refits < 1 or (laws is not None and not laws):
+    library = LIBRARY if laws is None else laws
+    if refits < 1 or not library:
         raise InputError(
             "discover: expected one or more candidates and refits, got "
-            f"{'no' if laws is not None and not laws else 'some'} candidates and "
-            f"{refits} refits"
+            f"{len(library)} and {refits}"
         )
     solver = FixedStep() if solver is None else solver
     model = posterior.model
@@ -200,10 +200,7 @@ def discover(
     sampling = Sampling.of(posterior, trajectories, learned.num_effective)
     sample = sampling.of_force()
     terms = None if laws is not None else _terms_of(sampling)
-    if terms is None:
-        screened = screen(sample, LIBRARY if laws is None else laws)
-    else:
-        screened = screen_terms(terms, sample)
+    screened = screen(sample, library) if terms is None else screen_terms(terms, sample)
     refitted = _refit_best(screened, model, learned, refits)
     candidates = _rank(refitted, learned, inertia=isinstance(model, Swimmer))
     return Discovery(

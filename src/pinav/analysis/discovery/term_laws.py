@@ -21,7 +21,13 @@ from pinav.analysis.discovery.geometries import (
     Line,
     ProfileLaw,
 )
-from pinav.analysis.discovery.laws import AbstractLaw, Landscape, SumLaw, Turned
+from pinav.analysis.discovery.laws import (
+    AbstractLaw,
+    AbstractPotential,
+    Landscape,
+    SumLaw,
+    Turned,
+)
 from pinav.analysis.discovery.potentials import (
     ANISOTROPIC_TRAP,
     CHANNEL,
@@ -101,16 +107,16 @@ def laws_of(term: AbstractTerm) -> tuple[AbstractLaw, ...]:
             return SWIRLS if turned else (*profile_laws(Center()), RING)
         case EllipticTerm():
             laws = (*profile_laws(Ellipse()), ProfileLaw(Ring(), Ellipse()))
-            return _turned(laws) if turned else laws
+            return _swirls_of(laws) if turned else laws
         case WallTerm():
             straight = (*profile_laws(Line()), WALL, CHANNEL, PLANE_WAVE)
             return SHEAR_LAYERS if turned else straight
         case ObstaclesTerm():
             places = Centers(len(term.centers))
             laws = tuple(ProfileLaw(profile, places) for profile in EVEN_PROFILES)
-            return _turned(laws) if turned else laws
+            return _swirls_of(laws) if turned else laws
         case LatticeTerm():
-            return _turned(LATTICES) if turned else LATTICES
+            return _swirls_of(LATTICES) if turned else LATTICES
         case LinearTerm():
             potentials = (CONSTANT_FORCE, HARMONIC, SADDLE, ANISOTROPIC_TRAP)
             return (SOLID_ROTATION,) if turned else potentials
@@ -120,7 +126,7 @@ def laws_of(term: AbstractTerm) -> tuple[AbstractLaw, ...]:
             return ()
 
 
-def _turned(laws: Sequence) -> tuple[AbstractLaw, ...]:
+def _swirls_of(laws: Sequence[AbstractPotential]) -> tuple[AbstractLaw, ...]:
     return tuple(Turned(law, f"{law.name} swirl") for law in laws)
 
 

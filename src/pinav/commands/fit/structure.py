@@ -118,10 +118,8 @@ class StructureRow(msgspec.Struct, frozen=True):
     def text(self) -> str:
         """One line for a terminal, and one on the rotation where it was weighed."""
         whose = "the network's teacher: " if self.of_teacher else ""
-        return "\n".join(f"{whose}{line}" for line in self._lines())
-
-    def _lines(self) -> list[str]:
-        return [self._structure(), *self._rotation()]
+        lines = [self._structure(), *self._rotation()]
+        return "\n".join(f"{whose}{line}" for line in lines)
 
     def _rotation(self) -> list[str]:
         if self.rotation is None:

@@ -185,7 +185,8 @@ def _learn(
 
 
 CLEAR = 100.0
-"""Nats before the cost of hyperparameters by which a prior has lost to another."""
+"""Nats before the cost of hyperparameters by which a fit has lost to another, converged
+or not."""
 
 
 def _evidence(problem: AbstractProblem, steps: list[Step]) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 
 from pinav.arguments import on_device
 from pinav.errors import FitError
-from pinav.fitting.bayes.fit_bayes import ADVICE, NOT_FINITE
+from pinav.fitting.bayes.fit_bayes import ADVICE, CLEAR, NOT_FINITE
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.problem import BayesProblem, States
 from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
@@ -48,10 +48,6 @@ from pinav.forces import (
     forces_at,
     split_structure,
 )
-
-CLEAR = 100.0
-"""Nats before the cost of hyperparameters by which a fit has lost to another, converged
-or not; and those that hills must gain."""
 
 TIED = 2 * DECISIVE
 """Nats by which terms that need nothing beside them may lose to free kernels. Kernels
