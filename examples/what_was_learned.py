@@ -71,7 +71,7 @@ print(f"rotational fraction {split.rotational_fraction:.1%} ± {spread:.1%} (sd)
 print(f"what no potential explains: {split.least_fraction:.1%}")
 
 with tempfile.TemporaryDirectory() as folder:
-    figure = helmholtz_figure(split, field, spread=spread)
+    figure = helmholtz_figure(split, field, spread=spread).draw()
     print("drawn:", save_figure(figure, Path(folder), "helmholtz").png.name)
 
 # %% [markdown]

@@ -8,8 +8,8 @@ from docs.figures.workshop import Workshop
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from pinav.analysis import LyapunovMap
-from pinav.commands.discover.metrics import DiscoveryMetrics
+from pinav.analysis import Discovery
+from pinav.commands.analyse.result import Analysis
 from pinav.commands.identify.metrics import IdentifyMetrics, as_float
 from pinav.commands.identify.report import DRAWN
 from pinav.evaluation import ErrorCurve, FieldMap
@@ -176,21 +176,19 @@ def analysis(workshop: Workshop) -> Figure:
     """Parts of the learned force of `swirl`, where it is known, and growth."""
     folder = swirl(workshop, "kernel-mixture")
     workshop.once(folder / "analysis.npz", "analyse", folder.name)
-    arrays, path = read(folder, "analysis.npz"), observed_paths(folder)
-    x, y, force, distance = (arrays[n] for n in ("x", "y", "force", "distance"))
-    field = FieldMap(x, y, force, distance)
+    found = RunFolder.open(folder).load("analysis", Analysis)
+    field, split, path = found.field, found.split, observed_paths(folder)
     figure = new_figure(WIDTH, 6.2)
     axes = np.ravel(figure.subplots(2, 2))
-    top = largest_near(np.linalg.norm(force, axis=-1), field)
-    for ax, letter, part in zip(axes, "ab", ("gradient", "rotational"), strict=False):
-        shown = field.showing(arrays[f"split/{part}"])
-        force_map(shown, path=path, limit=top, ax=ax)
-        title_panel(ax, f"({letter}) {part} part")
-    trust_map(field, arrays["sd"], path=path, ax=axes[2])
+    top = largest_near(np.linalg.norm(field.force, axis=-1), field)
+    parts = {"(a) gradient": split.gradient, "(b) rotational": split.rotational}
+    for ax, (title, part) in zip(axes, parts.items(), strict=False):
+        force_map(field.showing(part), path=path, limit=top, ax=ax)
+        title_panel(ax, f"{title} part")
+    assert found.doubt is not None
+    trust_map(field, found.doubt.sd, path=path, ax=axes[2])
     title_panel(axes[2], "(c) signal to noise")
-    names = ("x", "y", "separation", "final")
-    exponents = LyapunovMap(*(arrays[f"lyapunov/{n}"] for n in names), horizon=20.0)
-    growth_map(exponents, ax=axes[3])
+    growth_map(found.lyapunov, ax=axes[3])
     title_panel(axes[3], "(d) growth of separations")
     one_legend(figure, axes[::-1])
     return figure
@@ -202,21 +200,14 @@ def discovery(workshop: Workshop) -> Figure:
     workshop.run("crossings.csv", *words)
     folder = workshop.run("crossings", "fit", "crossings.csv")
     workshop.once(folder / "laws.npz", "discover", folder.name)
-    arrays = read(folder, "laws.npz")
-    metrics = RunFolder.open(folder).read_metrics("laws.json", DiscoveryMetrics)
-    laws = metrics.laws
+    found = RunFolder.open(folder).load("laws", Discovery)
     figure = new_figure(WIDTH, 5.6)
     above, below = figure.subplots(2, 1)
-    law_ranking(
-        [law.name for law in laws],
-        [law.difference for law in laws],
-        [law in metrics.close_laws for law in laws],
-        ax=above,
-    )
-    law_agreement(arrays["learned"], arrays["sd"], arrays["law"], ax=below)
+    law_ranking(found, ax=above)
+    law_agreement(found, ax=below)
     below.set(aspect="equal", adjustable="datalim", ylabel="learned force")
     title_panel(above, "(a) candidate laws")
-    title_panel(below, f"(b) the law '{laws[0].name}' at visited places")
+    title_panel(below, f"(b) the law '{found.best.name}' at visited places")
     return figure
 
 

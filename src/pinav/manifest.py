@@ -50,8 +50,14 @@ class Manifest:
     def record(self, *names: str) -> None:
         """Note that the run wrote these files."""
         made = {name: Entry(REPAIR.get(), self._hash(name)) for name in names}
-        entries = msgspec.to_builtins(self.entries() | made)
-        text = json.dumps(entries, indent=1)
+        self._write(self.entries() | made)
+
+    def forget(self, name: str) -> None:
+        """Note that the run has removed a file."""
+        self._write({n: e for n, e in self.entries().items() if n != name})
+
+    def _write(self, entries: dict[str, Entry]) -> None:
+        text = json.dumps(msgspec.to_builtins(entries), indent=1)
         write_text(self.folder / MANIFEST_FILE, text, overwrite=True)
 
     def check(self, name: str) -> None:

@@ -9,6 +9,7 @@
 | `model-*.eqx` | a fitted model: one JSON line, then its leaves |
 | `data.npz`, `results.npz` | trajectories; arrays behind the figures |
 | `metrics.json`, `*.csv` | result tables |
+| `NAME.json`, `NAME.npz` | a result by `store`: its document, and its long arrays |
 | `figures/`, `report.html` | what people look at |
 | `manifest.json` | the files that the run wrote, with their hashes |
 
@@ -17,6 +18,7 @@ written; nothing is pickled.
 """
 
 import csv
+import hashlib
 import io
 import json
 import platform
@@ -32,19 +34,24 @@ import tomli_w
 
 from pinav import __version__
 from pinav.checkpoints import FileCheckpoint, Tree, read_tree, write_tree
+from pinav.codec import decode, encode, kebab
 from pinav.errors import InputError
 from pinav.files import append_line, atomic_write, is_temporary, write_text
 from pinav.manifest import MANIFEST_FILE, Manifest
 
 Metrics = TypeVar("Metrics", bound=msgspec.Struct)
+Result = TypeVar("Result")
 
 METRICS_FILE = "metrics.json"
 
 LOCK_FILE = ".lock"
 """Held by the process that is at work on a run of many cells."""
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of what a run folder holds; a run of another one is not read."""
+
+FORMAT = 1
+"""Version of the files of `store`; a result of another one is not read."""
 
 FIRST_FILES = (
     *("config.toml", "environment.json", "system.toml", "system-code.json"),
@@ -53,6 +60,22 @@ FIRST_FILES = (
 """Files that a run has before it has computed anything worth keeping."""
 
 REPORTED_PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optax", "numpy", "scipy")
+
+
+class Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The document of a result.
+
+    Attributes:
+        format: version of the file.
+        kind: of the result.
+        value: its fields.
+        arrays: hash of the file with its long arrays; empty where it has none.
+    """
+
+    format: int
+    kind: str
+    value: Any
+    arrays: str = ""
 
 
 class RunFolder:
@@ -189,6 +212,12 @@ class RunFolder:
         """The files that the run wrote."""
         return Manifest(self.path)
 
+    def remove(self, name: str) -> None:
+        """Remove a file that the run wrote, if there is one."""
+        if name in self.manifest.entries():
+            (self.path / name).unlink(missing_ok=True)
+            self.manifest.forget(name)
+
     def record(self, *names: str) -> None:
         """Note that the run wrote these files; `--overwrite` deletes no others."""
         self.manifest.record(*names)
@@ -240,6 +269,55 @@ class RunFolder:
         except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
             raise InputError(
                 f"{path} cannot be read ({error}); {self.repair(name)}"
+            ) from error
+
+    def store(self, name: str, result: Any) -> None:
+        """Write a result: `NAME.npz` where it has long arrays, then `NAME.json`.
+
+        The document holds the hash of the arrays, so that those of another result are
+        not read with it, wherever a writer was killed.
+        """
+        document, arrays = encode(result)
+        digest = ""
+        if arrays:
+            self.write_arrays(f"{name}.npz", arrays)
+            digest = _hash(self.path / f"{name}.npz")
+        else:
+            self.remove(f"{name}.npz")
+        kind = kebab(type(result))
+        self.write_json(f"{name}.json", Stored(FORMAT, kind, document, digest))
+
+    def load(self, name: str, wanted: type[Result]) -> Result:
+        """Read what `store` wrote.
+
+        Raises:
+            InputError: a file is missing, damaged or of another result.
+        """
+        file = f"{name}.json"
+        self.check_file(file)
+        repair = self.repair(file)
+        try:
+            stored = msgspec.convert(self.read_json(file), Stored)
+        except msgspec.ValidationError as error:
+            raise InputError(
+                f"{self.path / file} is damaged ({error}); {repair}"
+            ) from error
+        if (stored.format, stored.kind) != (FORMAT, kebab(wanted)):
+            raise InputError(
+                f"{self.path / file} was written by another version of pinav; {repair}"
+            )
+        arrays = {}
+        if stored.arrays:
+            arrays = self.read_arrays(f"{name}.npz")
+            if _hash(self.path / f"{name}.npz") != stored.arrays:
+                raise InputError(
+                    f"{self.path / name}.npz does not belong to {file}; {repair}"
+                )
+        try:
+            return decode(wanted, stored.value, arrays)
+        except InputError as error:
+            raise InputError(
+                f"{self.path / file} is damaged ({error}); {repair}"
             ) from error
 
     def write_metrics(self, name: str, metrics: msgspec.Struct) -> None:
@@ -354,6 +432,10 @@ class RunFolder:
             for file in folder.glob(".*.tmp"):
                 if is_temporary(file):
                     file.unlink()
+
+
+def _hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
 def environment() -> dict[str, Any]:

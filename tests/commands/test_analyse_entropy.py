@@ -1,11 +1,15 @@
 """Entropy production of thermal runs in `pinav analyse`."""
 
+import numpy as np
 import pytest
 
 from pinav import cli
+from pinav.analysis import EntropyProduction
 from pinav.commands.analyse.job import produce_entropy
-from pinav.commands.analyse.metrics import EntropyMetrics
+from pinav.commands.analyse.sections import entropy_sentence
 from pinav.commands.fitted_run import FittedRun
+from pinav.errors import InputError
+from pinav.fitting import Estimate
 
 TRAP = """
 name = "trap"
@@ -34,13 +38,17 @@ samples = 2001
 """
 
 
+def production(rate):
+    current = np.array([[1.4, 0.0], [0.0, -1.4]])
+    return EntropyProduction(Estimate(rate, 0.3), 0.1, 0.0 * current, current)
+
+
 def test_the_sentence_says_whether_equilibrium_is_excluded():
-    out = EntropyMetrics(2.0, 0.3, 1.4)
-    assert out.sentence() == (
-        "entropy production of a steady state: 2 ± 0.3 (sd) k_B per unit of time: out "
-        "of equilibrium; current velocity 1.4 (rms)"
+    assert entropy_sentence(production(2.0)) == (
+        "Entropy production of a steady state: 2 ± 0.3 (sd) k_B per unit of time: out "
+        "of equilibrium; current velocity 1.4 (rms)."
     )
-    assert "equilibrium is not excluded" in EntropyMetrics(0.5, 0.3, 1.4).sentence()
+    assert "equilibrium is not excluded" in entropy_sentence(production(0.5))
 
 
 @pytest.mark.slow
@@ -50,12 +58,10 @@ def test_a_trap_is_not_out_of_equilibrium_and_a_potential_is_left_out(tmp_path):
     assert cli.run(["simulate", str(tmp_path / "trap.toml"), "--out", data]) == 0
     assert cli.run(["fit", data, "--out", str(run)]) == 0
     fitted = FittedRun.open(run)
-    entropy, arrays, left_out = produce_entropy(fitted)
-    assert not left_out
-    assert abs(entropy.rate) < 3 * entropy.sd
-    assert arrays["entropy/current"].shape == arrays["entropy/positions"].shape
+    entropy = produce_entropy(fitted)
+    assert abs(entropy.rate.value) < 3 * entropy.rate.sd
+    assert entropy.current.shape == entropy.positions.shape
     potential = ["fit", data, "--out", str(run), "--model", "kernel-potential"]
     assert cli.run([*potential, "--overwrite"]) == 0
-    entropy, _, left_out = produce_entropy(FittedRun.open(run))
-    assert entropy is None
-    assert "the model is a potential" in left_out[0]
+    with pytest.raises(InputError, match="the model is a potential"):
+        produce_entropy(FittedRun.open(run))

@@ -4,19 +4,17 @@ import shutil
 
 import equinox as eqx
 import jax
-import msgspec
 import numpy as np
 import pytest
 
 from pinav import cli
+from pinav.analysis import LyapunovMap, helmholtz_split
 from pinav.commands.analyse import rollouts
-from pinav.commands.analyse.metrics import (
-    AnalysisMetrics,
-    HelmholtzMetrics,
-    LyapunovMetrics,
-)
+from pinav.commands.analyse.result import Analysis
+from pinav.commands.analyse.sections import growth_sentence, rotation_sentence
 from pinav.commands.analyse.settings import AnalyseSettings
 from pinav.errors import InputError
+from pinav.evaluation import FieldMap, Regions
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import save, simulate
@@ -50,30 +48,32 @@ def inferred(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_analysis_of_a_posterior_is_whole(inferred):
-    found = RunFolder.open(inferred).read_json("analysis.json")
-    assert "left_out" not in found
-    parts = found["helmholtz"]
-    assert parts["least"] <= parts["rotational"] <= parts["greatest"]
-    assert parts["least"] < 0.01  # a potential was learned
-    assert parts["rotational"] + parts["gradient"] == pytest.approx(1.0)
-    assert found["potential"] == "learned"
-    assert [row["trajectory"] for row in found["influence"]] == [0, 1, 2]
-    assert all(row["leverage"] > 0 for row in found["influence"])
-    learned = {row["constant"]: row["learned"] for row in found["constants"]}
+    found = RunFolder.open(inferred).load("analysis", Analysis)
+    assert not found.left_out
+    split = found.split
+    fractions = split.least_fraction, split.rotational_fraction, split.greatest_fraction
+    assert list(fractions) == sorted(fractions)
+    assert split.least_fraction < 0.01  # a potential was learned
+    assert found.is_potential_learned
+    assert [row.trajectory for row in found.influence] == [0, 1, 2]
+    assert all(row.leverage > 0 for row in found.influence)
+    learned = {row.constant: row.learned for row in found.constants}
     assert learned == {"damping": True, "gain": False}
-    outcomes = {row["outcome"] for row in found["sobol"]}
-    assert {"final x", "final y", "least distance"} <= outcomes
-    assert found["lyapunov"]["horizon"] == pytest.approx(3.0)
+    assert {"final x", "final y", "least distance"} <= set(found.sobol.outcomes)
+    assert found.lyapunov.horizon == pytest.approx(3.0)
 
 
 @pytest.mark.slow
-def test_tables_say_what_the_json_says(inferred):
-    found = RunFolder.open(inferred).read_json("analysis.json")
-    for name in ("influence", "constants", "sobol"):
+def test_tables_say_what_the_result_says(inferred):
+    found = RunFolder.open(inferred).load("analysis", Analysis)
+    counts = {"influence": 3, "constants": 2, "sobol": found.sobol.total.size}
+    for name, count in counts.items():
         with open(inferred / f"analysis-{name}.csv", newline="") as file:
-            rows = list(csv.DictReader(file))
-        assert len(rows) == len(found[name])
-        assert list(rows[0]) == list(found[name][0])
+            rows = list(csv.reader(file))
+        assert len(rows) == 1 + count
+    with open(inferred / "analysis-influence.csv", newline="") as file:
+        cells = [float(row["Cook's distance"]) for row in csv.DictReader(file)]
+    assert cells == [row.cook for row in found.influence]
 
 
 @pytest.mark.slow
@@ -96,27 +96,43 @@ def test_without_a_posterior_the_rest_is_done_and_said(tiny_fit, tmp_path, capsy
     shutil.copytree(tiny_fit[0], copy)
     assert cli.run(["analyse", str(copy), *SMALL, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert not found["posterior"]
+    assert "doubt" not in found
     assert len(found["left_out"]) == 2
     assert "the run has no posterior; fit with --recipe bayes" in found["left_out"][0]
     assert "influence" not in found
-    assert np.isfinite(found["helmholtz"]["rotational"])
+    assert np.isfinite(found["split"]["rotational_fraction"])
     page = (copy / "report.html").read_text(encoding="utf-8")
     assert "Left out of the analysis" in page
-    assert "left out: standard deviations" in (
-        msgspec.convert(found, AnalysisMetrics).text({})
+    assert "standard deviations: the run has no posterior" in page
+
+
+def analysis(units, separation=2.0):
+    axis = np.linspace(-60.0, 60.0, 9)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1)
+    field = FieldMap(axis, axis, grid, 0.0 * grid[..., 0], Regions(10.0, 31.2213))
+    split = helmholtz_split(field)
+    growth = LyapunovMap(axis, axis, np.full((9, 9), separation), grid, 10.23)
+    return Analysis(
+        model="kernel-force",
+        settings=AnalyseSettings(),
+        units=units,
+        paths=(grid[0],),
+        field=field,
+        split=split,
+        potential=split.potential,
+        is_potential_learned=False,
+        lyapunov=growth,
     )
 
 
 def test_the_findings_are_stated_in_the_units_of_the_data():
-    split = HelmholtzMetrics(31.2213, 0.02, 0.98, 0.0, 0.4, 1e-3)
-    units = {"x": "um", "t": "s"}
-    assert "of the learned field within 31.2 um of the data." in split.sentence(units)
-    assert "within 31.2 of the data." in split.sentence({})
-    growth = LyapunovMetrics(10.23, 1.0, 6.85, 0.1)
-    assert "over 10.2 s; median" in growth.sentence("s")
-    missing = LyapunovMetrics(10.23, None, None, None)
-    assert "no finite growth" in missing.sentence("s")
+    found = analysis({"x": "um", "t": "s"})
+    words = "of the learned field within 31.2 um of the data."
+    assert words in rotation_sentence(found)
+    assert "within 31.2 of the data." in rotation_sentence(analysis({}))
+    assert "over 10.2 s; median" in growth_sentence(found.lyapunov, "s")
+    missing = analysis({}, separation=np.nan)
+    assert "no finite growth" in growth_sentence(missing.lyapunov, "s")
 
 
 def test_what_cannot_be_analysed_is_refused(tiny_fit, tmp_path, capsys):

@@ -54,7 +54,7 @@ def stop(*args, **options):
 
 STAGES = (
     (evaluate_job, "clean_trajectories"),
-    (analyse_job, "split_force"),
+    (analyse_job, "helmholtz_split"),
     (discover_job, "discover_law"),
     (navigate_job, "controller_of"),
     (reproduce_job, "matching"),

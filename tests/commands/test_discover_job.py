@@ -1,77 +1,91 @@
-import msgspec
+import dataclasses
+import re
+
+import equinox as eqx
 import numpy as np
 import pytest
 from matplotlib.mathtext import MathTextParser
 
 from pinav import cli
+from pinav.analysis import (
+    Candidate,
+    CentralTest,
+    Discovery,
+    EstimatedConstant,
+    ForceSample,
+    Verdict,
+)
+from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.laws import latex
-from pinav.analysis.discovery.potentials import GAUSSIAN, POTENTIALS
-from pinav.commands.discover.job import LAWS_FILE, SAMPLE_FILE, text
-from pinav.commands.discover.metrics import DiscoveryMetrics
-from pinav.commands.discover.report import law_sections
-from pinav.commands.system_choice import write_system_of
+from pinav.analysis.discovery.potentials import GAUSSIAN, POTENTIALS, SADDLE
+from pinav.analysis.discovery.profiles import Yukawa
+from pinav.analysis.discovery.rotations import GAUSSIAN_SWIRL
+from pinav.commands.discover import DISCOVER
+from pinav.commands.discover.sections import central_sentence, sections, sentences
+from pinav.commands.results import sections_of
+from pinav.figures.images import Figures
+from pinav.fitting import Outcome
+from pinav.report.text import sections_text
 from pinav.runs import RunFolder
-from pinav.scenarios import paper
-from pinav.trajectories import save, simulate
 
 
 def constant(name, value, sd):
-    return {
-        "name": name,
-        "symbol": name[0],
-        "unit": "1",
-        "value": value,
-        "sd": sd,
-        "low": None if sd is None else value - 1.96 * sd,
-        "high": None if sd is None else value + 1.96 * sd,
-        "identifiable": sd is not None,
-    }
+    half = np.inf if sd is None else 1.96 * sd
+    return EstimatedConstant(
+        name=name,
+        symbol=name[0],
+        unit="1",
+        value=value,
+        sd=np.inf if sd is None else sd,
+        low=value - half,
+        high=value + half,
+        identifiable=sd is not None,
+    )
 
 
-def law(name, delta, constants):
-    return {
-        "name": name,
-        "num_constants": len(constants),
-        "bic": None if delta is None else delta - 100.0,
-        "delta_bic": delta,
-        "noise": 0.02,
-        "outcome": "diverged" if delta is None else "converged",
-        "fits": delta is not None,
-        "latex": "U = U_0",
-        "sympy": "(0, 0)",
-        "constants": constants,
-    }
+def law(law, delta, *constants):
+    return Candidate(
+        name=law.name,
+        law=law,
+        constants=constants,
+        bic=delta - 100.0,
+        delta_bic=delta,
+        field_bic=3.0,
+        noise=0.02,
+        outcome=Outcome.CONVERGED if np.isfinite(delta) else Outcome.DIVERGED,
+        fits=bool(np.isfinite(delta)),
+        extends_best=False,
+        latex="U = U_0",
+        sympy="(0, 0)",
+    )
 
 
-METRICS = msgspec.convert(
-    {
-        "verdict": "identified",
-        "laws": [
-            law("Gaussian", 0.0, [constant("height", 5.25, 0.01)]),
-            law("Yukawa", 3.0, [constant("core", 7.0, None)]),
-            law("soft disc", 800.0, [constant("edge", 1.0, 0.1)]),
-            law("double well", None, [constant("height", 1.0, 0.1)]),
-        ],
-        "screened": [],
-        "central": {
-            "verdict": "central",
-            "center": [5.0, 5.0],
-            "center_sd": [0.1, 0.1],
-            "ratio": 0.01,
-            "noise_ratio": 0.02,
-            "p_value": 0.7,
-        },
-        "noise": 0.02,
-        "num_effective": 9.0,
-    },
-    DiscoveryMetrics,
+FORCE = np.linspace(-1.0, 1.0, 20).reshape(10, 2)
+FOUND = Discovery(
+    candidates=(
+        law(GAUSSIAN, 0.0, constant("height", 5.25, 0.01)),
+        law(ProfileLaw(Yukawa(), Center()), 3.0, constant("core", 7.0, None)),
+        law(GAUSSIAN + SADDLE, 800.0, constant("edge", 1.0, 0.1)),
+        law(GAUSSIAN_SWIRL, np.inf, constant("height", 1.0, 0.1)),
+    ),
+    screened=(("Gaussian", 1.5),),
+    verdict=Verdict.IDENTIFIED,
+    central=CentralTest((5.0, 5.0), (0.1, 0.1), 0.01, 0.02, 0.7, 8.0),
+    learned_noise=0.02,
+    num_effective=9.0,
+    sample=ForceSample(FORCE, FORCE, 0.01 * np.eye(20), 9.0),
+    best_force=1.1 * FORCE,
 )
 
 
+def text(found):
+    return sections_text(sections(found))
+
+
 def test_text_lists_the_close_laws_with_their_intervals():
-    printed = text(METRICS)
-    assert "height = 5.25, 95 % from 5.2304 to 5.2696" in printed
-    assert "core = 7: not identifiable" in printed
+    printed = text(FOUND)
+    assert re.search(r"height +1 +5\.25000 .* 5\.23040 +5\.26960 +yes", printed)
+    assert re.search(r"core .* not identifiable", printed)
     assert "edge" not in printed
     assert "p = 0.7" in printed
 
@@ -79,49 +93,59 @@ def test_text_lists_the_close_laws_with_their_intervals():
 @pytest.mark.parametrize(
     ("verdict", "words"),
     [
-        ("identified", "law: Gaussian, Yukawa"),
-        ("not identifiable", "not identifiable from these data (Gaussian, Yukawa)"),
-        ("no law fits", "no candidate explains the data"),
+        (Verdict.IDENTIFIED, "Law: Gaussian, Yukawa"),
+        (Verdict.NOT_IDENTIFIABLE, "identifiable from these data (Gaussian, Yukawa)"),
+        (Verdict.NO_LAW_FITS, "no candidate explains the data"),
     ],
 )
 def test_every_verdict_is_a_sentence(verdict, words):
-    assert words in msgspec.structs.replace(METRICS, verdict=verdict).sentences()[0]
+    assert words in sentences(dataclasses.replace(FOUND, verdict=verdict))[0]
 
 
 def test_a_law_that_extends_the_best_one_is_no_rival():
-    extension = msgspec.structs.replace(METRICS.laws[1], extends_best=True)
-    laws = (METRICS.laws[0], extension, *METRICS.laws[2:])
-    metrics = msgspec.structs.replace(METRICS, laws=laws)
-    assert metrics.close_laws == METRICS.laws[:1]
-    assert "core" not in text(metrics)
+    best, second, *others = FOUND.candidates
+    laws = (best, dataclasses.replace(second, extends_best=True), *others)
+    found = dataclasses.replace(FOUND, candidates=laws)
+    assert [law.name for law in found.close] == ["Gaussian"]
+    assert "core" not in text(found)
 
 
 def test_the_candidates_are_those_of_the_structure():
-    assert "has no structure" in text(METRICS)
-    structured = msgspec.structs.replace(METRICS, structure=("wall", "central"))
+    assert "has no structure" in text(FOUND)
+    structured = dataclasses.replace(FOUND, structure=("wall", "central"))
     assert "the structure of the fit (wall + central)" in text(structured)
 
 
 def test_a_force_that_is_not_central_has_no_centre():
-    central = msgspec.structs.replace(METRICS.central, verdict="not central")
-    assert "centre (5 ± 0.1, 5 ± 0.1)" in METRICS.central.sentence()
-    assert "centre" not in central.sentence()
+    assert "centre (5 ± 0.1, 5 ± 0.1)" in central_sentence(FOUND.central)
+    off = dataclasses.replace(FOUND.central, p_value=0.001)
+    assert "centre" not in central_sentence(off)
+    unknown = dataclasses.replace(FOUND.central, center_sd=(9.0, 0.1))
+    assert "do not determine a centre" in central_sentence(unknown)
 
 
-def test_report_section_holds_figure_and_tables(tmp_path):
-    folder = RunFolder.create(
-        tmp_path / "run", {"run": {"command": "fit"}}, overwrite=False
-    )
-    assert law_sections(folder) == []
-    save(simulate(paper()), folder.path / "data.npz")
-    write_system_of(folder, paper())
-    folder.write_json(LAWS_FILE, msgspec.to_builtins(METRICS))
-    force = np.linspace(-1.0, 1.0, 20).reshape(10, 2)
-    arrays = {"learned": force, "sd": 0.1 + 0.0 * force, "law": 1.1 * force}
-    folder.write_arrays(SAMPLE_FILE, arrays | {"positions": force})
-    (section,) = law_sections(folder)
+@pytest.fixture
+def folder(tmp_path):
+    run = {"run": {"command": "fit"}}
+    return RunFolder.create(tmp_path / "run", run, overwrite=False)
+
+
+def test_a_discovery_comes_back_as_it_was(folder):
+    folder.store(DISCOVER.file, FOUND)
+    found = folder.load(DISCOVER.file, Discovery)
+    assert eqx.tree_equal(found, FOUND)
+    assert [one.law for one in found.candidates] == [c.law for c in FOUND.candidates]
+    assert text(found) == text(FOUND)
+
+
+def test_report_section_holds_figure_and_tables(folder):
+    assert sections_of(DISCOVER, folder) == []
+    folder.store(DISCOVER.file, FOUND)
+    (section,) = sections_of(DISCOVER, folder)
     assert section.heading == "The law behind the force"
-    assert (folder.path / "figures" / "laws.svg").is_file()
+    Figures(folder.path).saved(section)
+    for name in ("laws", "law-0", "law-1"):
+        assert (folder.path / "figures" / f"{name}.svg").is_file()
 
 
 def test_messages(tmp_path, capsys):
@@ -170,9 +194,9 @@ def test_the_law_of_a_swimmer_without_inertia_is_a_force(tmp_path):
         ["discover", run, "--refits", "2"],
     ):
         assert cli.run(words) == 0
-    best = RunFolder.open(tmp_path / "run").read_metrics(LAWS_FILE, DiscoveryMetrics)
-    assert best.laws[0].name == "harmonic"
-    stiffness = best.laws[0].constants[0]
+    best = RunFolder.open(tmp_path / "run").load("laws", Discovery).best
+    assert best.name == "harmonic"
+    stiffness = best.constants[0]
     assert stiffness.low < 2.0 < stiffness.high
     assert stiffness.unit == "F L⁻¹"
 

@@ -15,11 +15,11 @@ from pinav.commands.fitted_run import FittedRun
 from pinav.commands.force_units import units_of
 from pinav.dynamics import paper_black_box
 from pinav.errors import InputError
-from pinav.figures.style import force_unit
 from pinav.recordings import read_recording
 from pinav.scenarios import scenario
 from pinav.systems import Units
 from pinav.trajectories import simulate
+from pinav.units import force_unit
 
 
 @pytest.fixture(scope="module")

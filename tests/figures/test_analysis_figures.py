@@ -4,7 +4,8 @@ import pytest
 from pinav import figures
 from pinav.analysis import LyapunovMap, SobolIndices, helmholtz_split
 from pinav.evaluation import FieldMap
-from pinav.figures.style import force_unit, with_order, with_unit
+from pinav.figures.style import with_unit
+from pinav.units import force_unit, with_order
 
 UNITS = {"x": "um", "y": "um", "t": "s", "vx": "um/s", "vy": "um/s"}
 AXIS = np.linspace(-3.0, 3.0, 21)
@@ -39,23 +40,25 @@ def trust():
 def parts():
     own = field()
     split = helmholtz_split(own)
-    return figures.helmholtz_figure(split, own, spread=0.01, path=PATH, units=UNITS)
+    shown = figures.helmholtz_figure(split, own, spread=0.01, path=PATH, units=UNITS)
+    return shown.draw()
 
 
 def influence():
     changes = np.stack([k * field().force for k in (0.1, 0.3, 0.2)])
-    return figures.influence_figure(changes, field(), [PATH] * 3, most=2, units=UNITS)
+    paths = [PATH] * 3
+    return figures.influence_figure(changes, field(), paths, most=2, units=UNITS).draw()
 
 
 def constants():
     slopes = {"damping": field().force, "gain": -field().force}
-    return figures.constants_figure(slopes, field(), path=PATH, units=UNITS)
+    return figures.constants_figure(slopes, field(), path=PATH, units=UNITS).draw()
 
 
 def exponents():
     values = np.geomspace(0.5, 40.0, AXIS.size**2).reshape(AXIS.size, AXIS.size)
     growth = LyapunovMap(AXIS, AXIS, values, GRID, 20.0)
-    return figures.lyapunov_figure(growth, path=PATH, units=UNITS)
+    return figures.lyapunov_figure(growth, path=PATH, units=UNITS).draw()
 
 
 FIGURES = {
@@ -116,7 +119,7 @@ def test_bars_have_intervals_and_leave_out_what_does_not_vary():
         confidence=0.9,
         variance=np.array([1.0, 0.0]),
     )
-    figure = figures.sobol_figure(indices)
+    figure = figures.sobol_figure(indices).draw()
     shown = [ax for ax in figure.axes if ax.get_visible()]
     assert [ax.get_title(loc="left") for ax in shown] == ["final x"]
     widths = [bar.get_width() for bar in shown[0].patches]

@@ -56,6 +56,11 @@ class EntropyProduction(eqx.Module):
     current: Float[np.ndarray, "sample dim"]
 
     @property
+    def speed(self) -> float:
+        """Root mean square of the current velocity [L T⁻¹]."""
+        return float(np.sqrt(np.mean(np.sum(self.current**2, axis=-1))))
+
+    @property
     def is_significant(self) -> bool:
         """Whether no equilibrium explains the force, at two standard deviations."""
         return self.rate.value > 2 * self.rate.sd

@@ -16,6 +16,8 @@ References:
     and Wright, IMA J. Numer. Anal. 37, 774 (2017), radial basis functions.
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -50,6 +52,8 @@ class HelmholtzSplit(eqx.Module):
         greatest_fraction: rotational fraction where they are all rotational.
         misfit: relative L2 norm of what neither part explains, over the region.
     """
+
+    DERIVED: ClassVar = ("gradient_fraction",)
 
     gradient: Float[np.ndarray, "rows columns 2"]
     rotational: Float[np.ndarray, "rows columns 2"]

@@ -28,6 +28,10 @@ class Command:
             none.
         report: the function that takes a run folder and returns the sections that this
             command adds to the report of a run; none for a command that adds none.
+        result: the class of what it stores in a run; none where it stores nothing so.
+        file: name of the files of the result, without ending.
+        sections: the function that takes this result and returns the sections that a
+            terminal and the report show.
         resumable: a killed run can be continued with `--resume`.
         forwards: the words after the first one are parsed by what the command runs.
         compiler_flags: XLA compiles the large programs of this command faster with the
@@ -41,6 +45,9 @@ class Command:
     run: str
     title: str = ""
     report: str | None = None
+    result: str | None = None
+    file: str = ""
+    sections: str = ""
     resumable: bool = False
     forwards: bool = False
     compiler_flags: bool = True

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from pinav.figures.style import with_order
 from pinav.systems import System
 from pinav.trajectories import Trajectories
+from pinav.units import with_order
 
 
 def units_of(data: Trajectories, system: System) -> Mapping[str, str]:

@@ -4,8 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pinav.commands import COMMANDS
-from pinav.commands.command import Command, resolve
+from pinav.commands.command import Command
+from pinav.commands.results import sections_of
 from pinav.errors import InputError
+from pinav.figures.images import Figures
 from pinav.report import Code, Image, Section, Table, render
 from pinav.runs import RunFolder
 from pinav.sweeps.store import FOLDER as CELLS
@@ -35,11 +37,11 @@ def write_report(folder: RunFolder) -> Path:
     for name in folder.manifest.entries():
         if name.endswith((".eqx", ".npz")) and not name.startswith("checkpoint-"):
             folder.check_file(name)
-    additions = [c for c in COMMANDS if c.report is not None and not c.title]
+    figures = Figures(folder.path)
     content = [
-        section
-        for command in (maker, *additions)
-        for section in resolve(str(command.report))(folder)
+        figures.saved(section)
+        for command in (maker, *(c for c in COMMANDS if not c.title))
+        for section in sections_of(command, folder)
     ]
     page = render(maker.title, _subtitle(folder), [*content, *_provenance(folder)])
     folder.write_text("report.html", page)

@@ -4,6 +4,7 @@ from pinav.figures.analysis import constants_figure as constants_figure
 from pinav.figures.analysis import helmholtz_figure as helmholtz_figure
 from pinav.figures.analysis import influence_figure as influence_figure
 from pinav.figures.analysis import lyapunov_figure as lyapunov_figure
+from pinav.figures.analysis import potential_figure as potential_figure
 from pinav.figures.analysis import potential_map as potential_map
 from pinav.figures.analysis import sobol_figure as sobol_figure
 from pinav.figures.analysis import trust_map as trust_map
@@ -14,6 +15,7 @@ from pinav.figures.force_maps import force_comparison as force_comparison
 from pinav.figures.force_maps import force_error_map as force_error_map
 from pinav.figures.force_maps import force_map as force_map
 from pinav.figures.force_maps import force_sd_map as force_sd_map
+from pinav.figures.images import Picture as Picture
 from pinav.figures.laws import formula_figure as formula_figure
 from pinav.figures.laws import law_agreement as law_agreement
 from pinav.figures.laws import law_figure as law_figure

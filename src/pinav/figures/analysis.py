@@ -1,4 +1,8 @@
-"""Figures of what was learned: potential, parts, trust, influence and sensitivity."""
+"""Figures of what was learned: potential, parts, trust, influence and sensitivity.
+
+Functions of a map take axes and return them; the others return the picture with its
+words, which is drawn when somebody looks at it.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -17,6 +21,7 @@ from pinav.figures.force_maps import (
     largest_near,
     overlay,
 )
+from pinav.figures.images import Picture
 from pinav.figures.palette import (
     BLACK,
     BLUE,
@@ -32,7 +37,6 @@ from pinav.figures.style import (
     SMALL,
     TEXT,
     add_legend,
-    force_unit,
     label_axes,
     new_figure,
     prepare_axes,
@@ -40,6 +44,8 @@ from pinav.figures.style import (
     title_panel,
     with_unit,
 )
+from pinav.report import quantity
+from pinav.units import force_unit
 
 Path = Float[np.ndarray, "time 2"]
 
@@ -110,6 +116,50 @@ SIGNIFICANT = 2.0
 """Below this ratio of size to standard deviation a force may as well be zero."""
 
 
+def potential_figure(
+    potential: Float[np.ndarray, "rows columns"],
+    field: FieldMap,
+    *,
+    origin: str,
+    sd: Float[np.ndarray, "rows columns 2"] | None = None,
+    path: Path | None = None,
+    units: Mapping[str, str] = DIMENSIONLESS,
+) -> Picture:
+    """A potential, and where the field is known.
+
+    Args:
+        potential: as for `potential_map`.
+        field: as there.
+        origin: of the potential, in words.
+        sd: of the field; without it the signal to noise is left out.
+        path: as there.
+        units: as there.
+    """
+
+    def draw() -> Figure:
+        figure = new_figure(3.8 if sd is None else 7.5, 4.6)
+        axes = np.ravel(figure.subplots(1, 1 if sd is None else 2))
+        potential_map(potential, field, path=path, units=units, ax=axes[0])
+        title_panel(axes[0], f"(a) potential, {origin}")
+        if sd is not None:
+            trust_map(field, sd, path=path, units=units, ax=axes[1])
+            title_panel(axes[1], "(b) signal to noise")
+        one_legend(figure, axes)
+        return figure
+
+    known = (
+        " Right: size of the field over its standard deviation; outside the marked "
+        "line it is not significantly different from zero. Away from the data the "
+        "standard deviation is that of the assumed prior and is not to be trusted."
+    )
+    return Picture(
+        "analysis-potential",
+        draw,
+        "Potential up to a constant." + ("" if sd is None else known),
+        "Potential, and where the field is known",
+    )
+
+
 def helmholtz_figure(
     split: HelmholtzSplit,
     field: FieldMap,
@@ -117,7 +167,7 @@ def helmholtz_figure(
     spread: float | None = None,
     path: Path | None = None,
     units: Mapping[str, str] = DIMENSIONLESS,
-) -> Figure:
+) -> Picture:
     """Gradient part, rotational part and potential of a force, with their fractions.
 
     Args:
@@ -127,21 +177,33 @@ def helmholtz_figure(
         path: as for `potential_map`.
         units: unit of each channel; "1" means dimensionless.
     """
-    figure = new_figure(7.5, 3.9)
-    axes = figure.subplots(1, 3)
-    top = largest_near(np.linalg.norm(field.force, axis=-1), field)
-    plus = "" if spread is None else f" ± {spread:.1%}"
-    for ax, part, title in (
-        (axes[0], split.gradient, f"(a) gradient: {split.gradient_fraction:.1%}"),
-        (axes[1], split.rotational, f"(b) rotational: {split.rotational_fraction:.1%}"),
-    ):
-        shown = field.showing(part)
-        force_map(shown, path=path, limit=top, units=units, ax=ax)
-        title_panel(ax, title + plus)
-    potential_map(split.potential, field, path=path, units=units, ax=axes[2])
-    title_panel(axes[2], "(c) potential of (a)")
-    one_legend(figure, axes)
-    return figure
+    fractions = (
+        (split.gradient, f"(a) gradient: {split.gradient_fraction:.1%}"),
+        (split.rotational, f"(b) rotational: {split.rotational_fraction:.1%}"),
+    )
+
+    def draw() -> Figure:
+        figure = new_figure(7.5, 3.9)
+        axes = figure.subplots(1, 3)
+        top = largest_near(np.linalg.norm(field.force, axis=-1), field)
+        plus = "" if spread is None else f" ± {spread:.1%}"
+        for ax, (part, title) in zip(axes, fractions, strict=False):
+            force_map(field.showing(part), path=path, limit=top, units=units, ax=ax)
+            title_panel(ax, title + plus)
+        potential_map(split.potential, field, path=path, units=units, ax=axes[2])
+        title_panel(axes[2], "(c) potential of (a)")
+        one_legend(figure, axes)
+        return figure
+
+    reach = quantity(field.regions.near, units.get("x", ""))
+    return Picture(
+        "analysis-helmholtz",
+        draw,
+        "Helmholtz split of the learned field, by least squares in the region within "
+        f"{reach} of the data. Fractions are of the square of the field there. "
+        "Harmonic fields are both; they are shared equally.",
+        "Gradient part and rotational part of the learned field",
+    )
 
 
 def influence_figure(
@@ -151,7 +213,7 @@ def influence_figure(
     *,
     most: int = 4,
     units: Mapping[str, str] = DIMENSIONLESS,
-) -> Figure:
+) -> Picture:
     """How the force would change without each of the most influential trajectories.
 
     Args:
@@ -167,17 +229,27 @@ def influence_figure(
     top = float(sizes[order][:, near].max()) or 1.0
     columns = min(2, len(order))
     rows = -(-len(order) // columns)
-    figure = new_figure(2.9 * 2, 3.6 * rows)
-    axes = np.ravel(figure.subplots(rows, columns))
     label = with_unit(r"$|\Delta F|$", force_unit(units))
-    for ax, index in zip(axes, order, strict=False):
-        change = field.showing(changes[index])
-        _draw_change(ax, change, label, top, paths[index], units)
-        title_panel(ax, f"without trajectory {index}")
-    for ax in axes[len(order) :]:
-        ax.set_visible(False)
-    one_legend(figure, axes)
-    return figure
+
+    def draw() -> Figure:
+        figure = new_figure(2.9 * 2, 3.6 * rows)
+        axes = np.ravel(figure.subplots(rows, columns))
+        for ax, index in zip(axes, order, strict=False):
+            change = field.showing(changes[index])
+            _draw_change(ax, change, label, top, paths[index], units)
+            title_panel(ax, f"without trajectory {index}")
+        for ax in axes[len(order) :]:
+            ax.set_visible(False)
+        one_legend(figure, axes)
+        return figure
+
+    return Picture(
+        "analysis-influence",
+        draw,
+        "Change of the learned field where the trajectory that is drawn is left out of "
+        "the fit, to first order, the hyperparameters held.",
+        "Change of the field where one trajectory is left out",
+    )
 
 
 def constants_figure(
@@ -186,7 +258,7 @@ def constants_figure(
     *,
     path: Path | None = None,
     units: Mapping[str, str] = DIMENSIONLESS,
-) -> Figure:
+) -> Picture:
     """How the force changes where a constant is one percent larger.
 
     Args:
@@ -195,15 +267,25 @@ def constants_figure(
         path: as for `potential_map`.
         units: unit of each channel; "1" means dimensionless.
     """
-    figure = new_figure(max(2.7 * len(slopes), 4.0), 3.9)
-    axes = np.ravel(figure.subplots(1, len(slopes)))
     label = with_unit(r"$|\Delta F|$ per percent", force_unit(units))
-    for ax, (name, change) in zip(axes, slopes.items(), strict=True):
-        top = largest_near(np.linalg.norm(change, axis=-1), field)
-        _draw_change(ax, field.showing(change), label, top, path, units)
-        title_panel(ax, f"{name} one percent larger")
-    one_legend(figure, axes)
-    return figure
+
+    def draw() -> Figure:
+        figure = new_figure(max(2.7 * len(slopes), 4.0), 3.9)
+        axes = np.ravel(figure.subplots(1, len(slopes)))
+        for ax, (name, change) in zip(axes, slopes.items(), strict=True):
+            top = largest_near(np.linalg.norm(change, axis=-1), field)
+            _draw_change(ax, field.showing(change), label, top, path, units)
+            title_panel(ax, f"{name} one percent larger")
+        one_legend(figure, axes)
+        return figure
+
+    return Picture(
+        "analysis-constants",
+        draw,
+        "Change of the learned field where a constant is one percent larger and "
+        "everything else is fitted anew.",
+        "Change of the field with known constants",
+    )
 
 
 def _draw_change(
@@ -224,23 +306,38 @@ def _draw_change(
 def lyapunov_figure(
     exponents: LyapunovMap,
     *,
+    trajectory: int = 0,
     path: Path | None = None,
     units: Mapping[str, str] = DIMENSIONLESS,
-) -> Figure:
+) -> Picture:
     r"""Growth $e^{\lambda T}$ of separations, over the starts of rollouts.
 
     $\lambda$ is the finite-time Lyapunov exponent.
 
     Args:
         exponents: the map.
+        trajectory: index of the one whose first velocity all starts have.
         path: as for `potential_map`.
         units: unit of each channel; "1" means dimensionless.
     """
-    figure = new_figure(4.2, 4.6)
-    ax = growth_map(exponents, path=path, units=units, ax=figure.subplots())
-    horizon = with_unit(f"$T$ = {exponents.horizon:.4g}", units.get("t", "1"))
-    title_panel(ax, f"Growth of separations, {horizon}")
-    return figure
+
+    def draw() -> Figure:
+        figure = new_figure(4.2, 4.6)
+        ax = growth_map(exponents, path=path, units=units, ax=figure.subplots())
+        horizon = with_unit(f"$T$ = {exponents.horizon:.4g}", units.get("t", "1"))
+        title_panel(ax, f"Growth of separations, {horizon}")
+        return figure
+
+    return Picture(
+        "analysis-lyapunov",
+        draw,
+        "Growth of the separation of two rollouts of the model that start side by "
+        f"side, with the velocity of trajectory {trajectory} at its start; its "
+        "logarithm over the time is the finite-time Lyapunov exponent. Ridges separate "
+        "starts with different fates.",
+        "Growth of separations over starts",
+        width=0.6,
+    )
 
 
 def growth_map(
@@ -271,26 +368,32 @@ def growth_map(
     return ax
 
 
-def sobol_figure(indices: SobolIndices) -> Figure:
+def sobol_figure(indices: SobolIndices, caption: str = "") -> Picture:
     """First-order and total Sobol' indices with intervals, one panel per outcome.
 
     Args:
         indices: of all outcomes; those that do not vary are left out.
+        caption: what was varied, and what the outcomes are.
     """
-    varying = np.flatnonzero(np.isfinite(indices.total).all(axis=1))
-    count = max(len(varying), 1)
-    height = 1.2 + 0.34 * len(indices.factors)
-    columns = min(count, 2)
-    rows = -(-count // columns)
-    figure = new_figure(2.9 * 2, height * rows)
-    axes = np.ravel(figure.subplots(rows, columns, sharey=True))
-    for ax, outcome in zip(axes, varying, strict=False):
-        _bars(prepare_axes(ax), indices, int(outcome))
-    for ax in axes[len(varying) :]:
-        ax.set_visible(False)
-    handles, labels = axes[0].get_legend_handles_labels()
-    share_legend(figure, handles, labels=labels)
-    return figure
+
+    def draw() -> Figure:
+        varying = np.flatnonzero(np.isfinite(indices.total).all(axis=1))
+        count = max(len(varying), 1)
+        height = 1.2 + 0.34 * len(indices.factors)
+        columns = min(count, 2)
+        rows = -(-count // columns)
+        figure = new_figure(2.9 * 2, height * rows)
+        axes = np.ravel(figure.subplots(rows, columns, sharey=True))
+        for ax, outcome in zip(axes, varying, strict=False):
+            _bars(prepare_axes(ax), indices, int(outcome))
+        for ax in axes[len(varying) :]:
+            ax.set_visible(False)
+        handles, labels = axes[0].get_legend_handles_labels()
+        share_legend(figure, handles, labels=labels)
+        return figure
+
+    alt = "Sobol' indices of the outcome of a rollout"
+    return Picture("analysis-sobol", draw, caption, alt)
 
 
 def _bars(ax: Axes, indices: SobolIndices, outcome: int) -> None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import io
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -54,6 +55,15 @@ def save_figure(figure: Figure, folder: str | Path, name: str) -> FigureFiles:
             lambda to: vector.print_svg(to, metadata={"Date": None, "Creator": None}),
         )
     return files
+
+
+def svg_text(figure: Figure) -> str:
+    """The figure as SVG, as `save_figure` writes it."""
+    text = io.StringIO()
+    with file_settings(), _drawing(figure):
+        metadata = {"Date": None, "Creator": None}
+        FigureCanvasSVG(figure).print_svg(text, metadata=metadata)
+    return text.getvalue()
 
 
 @contextlib.contextmanager

@@ -37,7 +37,6 @@ from pinav.figures.style import (
     SMALL,
     TEXT,
     file_settings,
-    force_unit,
     label_plane,
     new_figure,
     prepare_axes,
@@ -45,6 +44,7 @@ from pinav.figures.style import (
     title_panel,
     with_unit,
 )
+from pinav.units import force_unit
 
 ARROWS = 15
 """Most arrows along each side of a map."""

@@ -1,13 +1,12 @@
 """Candidate laws of a learned force: their ranking, and the best one against it."""
 
-from collections.abc import Sequence
-
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pinav.analysis import Discovery
 from pinav.evaluation import normal_quantile
+from pinav.figures.images import Picture
 from pinav.figures.palette import (
     BLUE,
     GREY,
@@ -23,32 +22,28 @@ from pinav.figures.style import (
     title_panel,
     with_unit,
 )
+from pinav.units import force_unit
 
 CLOSE, FLOOR = 6.0, 0.5
 """Difference up to which laws are not told apart, and the shortest bar."""
 
 
-def law_ranking(
-    names: Sequence[str],
-    differences: Sequence[float],
-    close: Sequence[bool],
-    *,
-    ax: Axes | None = None,
-) -> Axes:
+def law_ranking(found: Discovery, *, ax: Axes | None = None) -> Axes:
     """Bars of the difference in BIC to the best law, on a logarithmic scale.
 
+    Laws that are not told apart from the best one are blue, the others grey; those
+    whose refit diverged are left out.
+
     Args:
-        names: of the laws, the best one first.
-        differences: of their BIC to that of the best one; what is not finite is left
-            out.
-        close: whether each one is not told apart from the best one: blue, else grey.
+        found: the laws.
         ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
+    close = [law.name for law in found.close]
     shown = [
-        (name, max(difference, FLOOR), BLUE if is_close else GREY)
-        for name, difference, is_close in zip(names, differences, close, strict=True)
-        if np.isfinite(difference)
+        (law.name, max(law.delta_bic, FLOOR), BLUE if law.name in close else GREY)
+        for law in found.candidates
+        if np.isfinite(law.delta_bic)
     ]
     labels, lengths = [n for n, _, _ in shown], [d for _, d, _ in shown]
     colors = [color for _, _, color in shown]
@@ -62,23 +57,16 @@ def law_ranking(
     return ax
 
 
-def law_agreement(
-    learned: Float[np.ndarray, "point 2"],
-    sd: Float[np.ndarray, "point 2"],
-    law: Float[np.ndarray, "point 2"],
-    *,
-    unit: str = "1",
-    ax: Axes | None = None,
-) -> Axes:
-    """The learned force against that of a law, both components, at the same points.
+def law_agreement(found: Discovery, *, ax: Axes | None = None) -> Axes:
+    """The learned force against that of the best law, both components.
 
     Args:
-        learned: force at points in visited regions.
-        sd: its standard deviation; bars are 95 % intervals.
-        law: force of the law there.
-        unit: of a force; "1" means dimensionless.
+        found: the laws, with the force at points in visited regions; bars are 95 %
+            intervals.
         ax: where to draw; a new figure unless given.
     """
+    learned, sd, law = found.sample.force, found.sample.sd, found.best_force
+    unit = force_unit(found.units)
     ax = prepare_axes(ax)
     for column, (label, color) in enumerate((("$F_x$", BLUE), ("$F_y$", ORANGE))):
         ax.errorbar(
@@ -98,45 +86,43 @@ def law_agreement(
     return ax
 
 
-def law_figure(
-    names: Sequence[str],
-    differences: Sequence[float],
-    close: Sequence[bool],
-    learned: Float[np.ndarray, "point 2"],
-    sd: Float[np.ndarray, "point 2"],
-    law: Float[np.ndarray, "point 2"],
-    *,
-    unit: str = "1",
-) -> Figure:
-    """Ranking of the laws beside the best one's agreement with the learned force.
+def law_figure(found: Discovery) -> Picture:
+    """Ranking of the laws beside the best one's agreement with the learned force."""
 
-    Args:
-        names: as for `law_ranking`.
-        differences: as for `law_ranking`.
-        close: as for `law_ranking`.
-        learned: as for `law_agreement`.
-        sd: as for `law_agreement`.
-        law: as for `law_agreement`.
-        unit: as for `law_agreement`.
-    """
-    figure = new_figure(7.5, 3.0)
-    left, right = figure.subplots(1, 2)
-    law_ranking(names, differences, close, ax=left)
-    law_agreement(learned, sd, law, unit=unit, ax=right)
-    title_panel(left, "(a) candidate laws")
-    title_panel(right, f"(b) {names[0]} in visited regions")
-    left.tick_params(axis="y", labelsize=SMALL)
-    return figure
+    def draw() -> Figure:
+        figure = new_figure(7.5, 3.0)
+        left, right = figure.subplots(1, 2)
+        law_ranking(found, ax=left)
+        law_agreement(found, ax=right)
+        title_panel(left, "(a) candidate laws")
+        title_panel(right, f"(b) {found.best.name} in visited regions")
+        left.tick_params(axis="y", labelsize=SMALL)
+        return figure
+
+    return Picture(
+        "laws",
+        draw,
+        "(a) Difference in BIC of laws refitted to the trajectories; laws in blue are "
+        "not told apart, those in grey are, or extend the best one. (b) The best law "
+        "and the learned force at points in visited regions, bars 95 %.",
+        "Ranking of candidate laws, and the best one against the learned force",
+    )
 
 
-def formula_figure(formula: str) -> Figure | None:
+def formula_figure(formula: str, name: str, law: str) -> Picture | None:
     """A formula, drawn; none where matplotlib cannot draw it.
 
     Args:
         formula: in LaTeX.
+        name: of the files, without ending.
+        law: name of the law.
     """
     if not formula or "matrix" in formula:
         return None
-    figure = new_figure(6.5, 0.5)
-    figure.text(0.5, 0.5, f"${formula}$", fontsize=11, ha="center", va="center")
-    return figure
+
+    def draw() -> Figure:
+        figure = new_figure(6.5, 0.5)
+        figure.text(0.5, 0.5, f"${formula}$", fontsize=11, ha="center", va="center")
+        return figure
+
+    return Picture(name, draw, f"Formula of the law: {law}.", width=0.8)

@@ -14,13 +14,13 @@ from pinav.figures.palette import (
 from pinav.figures.style import (
     DIMENSIONLESS,
     channel_label,
-    force_unit,
     label_axes,
     new_figure,
     prepare_axes,
     title_panel,
     with_unit,
 )
+from pinav.units import force_unit
 
 Arrays = Mapping[str, np.ndarray]
 

@@ -33,7 +33,6 @@ from pinav.figures.style import (
     THIN,
     WIDE,
     file_settings,
-    force_unit,
     label_axes,
     new_figure,
     prepare_axes,
@@ -42,6 +41,7 @@ from pinav.figures.style import (
     title_panel,
     with_unit,
 )
+from pinav.units import force_unit
 
 
 class Course:

@@ -35,7 +35,6 @@ from pinav.figures.style import (
     add_legend,
     channel_label,
     finite,
-    force_unit,
     label_axes,
     label_plane,
     new_figure,
@@ -46,6 +45,7 @@ from pinav.figures.style import (
     title_panel,
     with_unit,
 )
+from pinav.units import force_unit
 
 PHASE_NAMES = 13.5
 """Height [pt] of the phase names above a loss curve, with what keeps them apart."""

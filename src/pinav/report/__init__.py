@@ -1,6 +1,7 @@
 """One self-contained HTML page of sections, tables and figures."""
 
 from pinav.report.page import NO_UNIT as NO_UNIT
+from pinav.report.page import AbstractBlock as AbstractBlock
 from pinav.report.page import Cell as Cell
 from pinav.report.page import Code as Code
 from pinav.report.page import Image as Image

@@ -152,6 +152,7 @@ class Table(AbstractBlock):
         header: name of each column.
         rows: the cells of each row.
         caption: what the table shows.
+        name: of a file that keeps it, too, without ending; empty for none.
 
     Raises:
         InputError: a row has not as many cells as the header.
@@ -160,6 +161,7 @@ class Table(AbstractBlock):
     header: Sequence[str]
     rows: Sequence[Sequence[Cell]]
     caption: str = ""
+    name: str = ""
 
     @classmethod
     def of(
@@ -167,6 +169,7 @@ class Table(AbstractBlock):
         items: Iterable[Item],
         columns: Mapping[str, Callable[[Item], Cell]],
         caption: str = "",
+        name: str = "",
     ) -> "Table":
         """A table with a row for each item.
 
@@ -174,9 +177,10 @@ class Table(AbstractBlock):
             items: what the rows are about.
             columns: the cell of an item in each column, by the name of the column.
             caption: what the table shows.
+            name: of a file that keeps it, too, without ending; empty for none.
         """
         rows = [[cell(item) for cell in columns.values()] for item in items]
-        return cls(tuple(columns), rows, caption)
+        return cls(tuple(columns), rows, caption, name)
 
     def __post_init__(self) -> None:
         for index, row in enumerate(self.rows):
@@ -247,17 +251,24 @@ class Image(AbstractBlock):
     def html(self) -> str:
         path = Path(self.path)
         try:
-            data = base64.b64encode(path.read_bytes()).decode("ascii")
+            content = path.read_bytes()
         except OSError as error:
             reason = error.strerror or error
             raise InputError(f"image {path}: cannot be read: {reason}") from error
-        source = f"data:{_MEDIA_TYPES[path.suffix.lower()]};base64,{data}"
-        caption = f"<figcaption>{escape(self.caption)}</figcaption>"
-        return (
-            f'<figure><img src="{source}" alt="{escape(self.alt)}" '
-            f'style="width: {self.width:.0%}">'
-            f"{caption if self.caption else ''}</figure>"
-        )
+        return figure_html(content, path.suffix, self.alt, self.caption, self.width)
+
+
+def figure_html(
+    content: bytes, suffix: str, alt: str, caption: str, width: float
+) -> str:
+    """The content of an image file as HTML, embedded."""
+    data = base64.b64encode(content).decode("ascii")
+    source = f"data:{_MEDIA_TYPES[suffix.lower()]};base64,{data}"
+    words = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
+    return (
+        f'<figure><img src="{source}" alt="{escape(alt)}" '
+        f'style="width: {width:.0%}">{words}</figure>'
+    )
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,9 +1,11 @@
-"""Tables of a report as plain text."""
+"""Blocks of a report as plain text."""
 
-from pinav.report import Table, number
+from collections.abc import Sequence
 
-DIGITS = 3
-"""Significant digits on a terminal."""
+from pinav.report import Code, Paragraph, Section, Table, number
+
+DIGITS, MOST_ROWS = 3, 25
+"""Significant digits on a terminal, and the rows of a table that it shows."""
 
 
 def as_text(table: Table) -> str:
@@ -20,3 +22,32 @@ def as_text(table: Table) -> str:
         for row in rows
     ]
     return "\n".join([*lines, *([f"({table.caption})"] if table.caption else [])])
+
+
+def sections_text(sections: Sequence[Section]) -> str:
+    """What a terminal shows of a report: paragraphs, tables and code, no pictures.
+
+    A long table loses its last rows, and says so.
+    """
+    return "\n\n".join(
+        f"{section.heading}\n{'-' * len(section.heading)}\n{_section(section)}"
+        for section in sections
+    )
+
+
+def _section(section: Section) -> str:
+    parts: list[str] = []
+    for block in section.blocks:
+        if isinstance(block, Paragraph | Code):
+            parts.append(block.text)
+        elif isinstance(block, Table):
+            parts.append(f"\n{as_text(_beginning(block))}\n")
+    return "\n".join(parts).strip().replace("\n\n\n", "\n\n")
+
+
+def _beginning(table: Table) -> Table:
+    left_out = len(table.rows) - MOST_ROWS
+    if left_out <= 0:
+        return table
+    note = f"{left_out} more rows stand in the report. {table.caption}"
+    return Table(table.header, table.rows[:MOST_ROWS], note)

@@ -11,10 +11,9 @@ import importlib
 import inspect
 import math
 import pkgutil
-import re
 import types
 import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ import numpy as np
 
 import pinav.forces
 import pinav.systems
+from pinav.codec import kebab, members
 from pinav.errors import InputError
 from pinav.systems.python import load_name, python_reference
 
@@ -42,31 +42,12 @@ class Context(typing.NamedTuple):
     folder: Path | None
 
 
-def kebab(cls: type) -> str:
-    """The `kind` of a class: `gaussian-barrier` of `GaussianBarrier`."""
-    return re.sub(
-        r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", cls.__name__
-    ).lower()
-
-
 def kinds(family: type) -> dict[str, type]:
     """The concrete classes of a family that pinav defines, by their kind."""
     for package in (pinav.forces, pinav.systems):
         for module in pkgutil.iter_modules(package.__path__):
             importlib.import_module(f"{package.__name__}.{module.name}")
-    return {
-        kebab(cls): cls
-        for cls in _descendants(family)
-        if cls.__module__.startswith("pinav.")
-        and not inspect.isabstract(cls)
-        and not cls.__name__.startswith("_")
-    }
-
-
-def _descendants(family: type) -> Iterator[type]:
-    yield family
-    for child in family.__subclasses__():
-        yield from _descendants(child)
+    return members(family)
 
 
 def encode(key: str, value: Any) -> Any:

@@ -8,8 +8,8 @@ import enum
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from pinav.analysis.discovery.force_sample import (
     CentralTest,
@@ -17,7 +17,7 @@ from pinav.analysis.discovery.force_sample import (
     Sampling,
     central_test,
 )
-from pinav.analysis.discovery.law_regression import FieldFit
+from pinav.analysis.discovery.law_regression import FieldFit, law_force
 from pinav.analysis.discovery.laws import (
     AbstractLaw,
     LawForce,
@@ -32,6 +32,7 @@ from pinav.analysis.discovery.refit import Refit, refit
 from pinav.analysis.discovery.rotations import LIBRARY
 from pinav.analysis.discovery.screening import screen, screen_terms
 from pinav.analysis.discovery.term_laws import TermLaws, term_laws
+from pinav.arguments import on_device
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
@@ -75,7 +76,6 @@ class Candidate(eqx.Module):
         name: of the law.
         law: the formula.
         constants: their values and intervals.
-        force: the law with these values.
         bic: Bayesian information criterion on the trajectories.
         delta_bic: that of this law less that of the best one.
         field_bic: the criterion on the learned force, by which the laws to be refitted
@@ -92,7 +92,6 @@ class Candidate(eqx.Module):
     name: str
     law: AbstractLaw = eqx.field(static=True)
     constants: tuple[EstimatedConstant, ...]
-    force: LawForce
     bic: float
     delta_bic: float
     field_bic: float
@@ -102,6 +101,16 @@ class Candidate(eqx.Module):
     extends_best: bool
     latex: str
     sympy: str
+
+    @property
+    def values(self) -> Float[np.ndarray, " constant"]:
+        """The values of its constants, in their order."""
+        return np.array([constant.value for constant in self.constants])
+
+    @property
+    def force(self) -> LawForce:
+        """The law with these values."""
+        return LawForce(self.law, on_device(self.values))
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -130,8 +139,10 @@ class Discovery(eqx.Module):
         learned_noise: standard deviation of the observations about the learned force.
         num_effective: independent numbers that the data tell about the force.
         sample: the learned force that the candidates were fitted to first.
+        best_force: of the best law at the points of the sample [L T⁻²].
         structure: kinds of the terms whose laws were sought; none where the laws are
             those of the whole force.
+        units: of the channels of the data; "1" means dimensionless.
     """
 
     candidates: tuple[Candidate, ...]
@@ -141,7 +152,9 @@ class Discovery(eqx.Module):
     learned_noise: float
     num_effective: float
     sample: ForceSample
+    best_force: Float[np.ndarray, "point dim"]
     structure: tuple[str, ...] = eqx.field(static=True, default=())
+    units: dict[str, str] = eqx.field(default_factory=dict)
 
     @property
     def best(self) -> Candidate:
@@ -203,6 +216,7 @@ def discover(
     screened = screen(sample, library) if terms is None else screen_terms(terms, sample)
     refitted = _refit_best(screened, model, learned, refits)
     candidates = _rank(refitted, learned, inertia=isinstance(model, Swimmer))
+    best = candidates[0]
     return Discovery(
         candidates=candidates,
         screened=tuple((fit.law.name, fit.bic) for fit in screened),
@@ -211,6 +225,8 @@ def discover(
         learned_noise=learned.noise,
         num_effective=learned.num_effective,
         sample=sample,
+        best_force=law_force(best.law, best.values, sample.positions),
+        units=dict(trajectories.units),
         structure=() if terms is None else tuple(term.kind for term in terms),
     )
 
@@ -262,7 +278,6 @@ def _rank(
             name=result.law.name,
             law=result.law,
             constants=estimates(result, learned.problem.extent, inertia=inertia),
-            force=LawForce(result.law, jnp.asarray(result.constants)),
             bic=result.bic,
             delta_bic=result.bic - least if np.isfinite(result.bic) else np.inf,
             field_bic=field.bic,

@@ -6,7 +6,7 @@ as independent: everything is weighted by the joint covariance of the force.
 
 import enum
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -68,6 +68,12 @@ class ForceSample(eqx.Module):
                 f"and a covariance of twice that size, got {self.positions.shape}, "
                 f"{self.force.shape} and {self.covariance.shape}"
             )
+
+    @property
+    def sd(self) -> Float[np.ndarray, "point dim"]:
+        """Standard deviation of each component [L T⁻²]."""
+        variances = np.maximum(np.diag(self.covariance), 0.0)
+        return np.sqrt(variances).reshape(self.force.shape)
 
     @property
     def strength(self) -> float:
@@ -299,6 +305,8 @@ class CentralTest(eqx.Module):
         p_value: probability of a ratio this large if the force is central.
         extent: of the points [L].
     """
+
+    DERIVED: ClassVar = ("verdict",)
 
     center: tuple[float, float]
     center_sd: tuple[float, float]

@@ -35,6 +35,7 @@ from pinav.analysis.discovery.profiles import (
 
 
 @final
+@dataclasses.dataclass(frozen=True)
 class ConstantForce(AbstractPotential):
     r"""$U = -a x - b y$: a slope, the same force everywhere."""
 
@@ -52,6 +53,7 @@ class ConstantForce(AbstractPotential):
 
 
 @final
+@dataclasses.dataclass(frozen=True)
 class Saddle(AbstractPotential):
     r"""$U = -\tfrac12 a (u^2 - w^2) - b\, u w$ about a centre: a linear force."""
 
@@ -71,6 +73,7 @@ class Saddle(AbstractPotential):
 
 
 @final
+@dataclasses.dataclass(frozen=True)
 class AnisotropicTrap(AbstractPotential):
     r"""$U = \tfrac12 (k_x u^2 + k_y w^2) - b\, u w$ about a centre."""
 
@@ -94,6 +97,7 @@ class AnisotropicTrap(AbstractPotential):
 
 
 @final
+@dataclasses.dataclass(frozen=True)
 class PlaneWave(AbstractPotential):
     r"""$U = U_0\cos(k_x x + k_y y) + U_1\sin(k_x x + k_y y)$: a washboard."""
 
@@ -171,6 +175,7 @@ class Lattice(AbstractPotential):
 
 
 @final
+@dataclasses.dataclass(frozen=True)
 class DoubleWell(AbstractPotential):
     r"""$U = U_0 (u^2/a^2 - 1)^2 + \tfrac12 k w^2$ with axes turned by φ."""
 

@@ -1,5 +1,6 @@
 """The library of candidate laws: forces without a potential."""
 
+import dataclasses
 from typing import final
 
 from pinav.analysis.discovery.functions import Expr, Functions
@@ -24,6 +25,7 @@ from pinav.analysis.discovery.profiles import Harmonic
 
 
 @final
+@dataclasses.dataclass(frozen=True)
 class SolidRotation(AbstractRotation):
     r"""$\psi = -\tfrac12 \Omega r^2$: $\Omega\,(-(y - c_y),\ x - c_x)$."""
 

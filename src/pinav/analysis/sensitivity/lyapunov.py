@@ -11,6 +11,7 @@ References:
 """
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -120,11 +121,31 @@ class LyapunovMap(eqx.Module):
         horizon: $T$ [T].
     """
 
+    DERIVED: ClassVar = ("median", "greatest", "median_exponent")
+
     x: Float[np.ndarray, " columns"]
     y: Float[np.ndarray, " rows"]
     separation: Float[np.ndarray, "rows columns"]
     final: Float[np.ndarray, "rows columns 2"]
     horizon: float
+
+    @property
+    def median(self) -> float:
+        """Median growth of separations; NaN where none is finite."""
+        known = self.separation[np.isfinite(self.separation)]
+        return float(np.median(known)) if known.size else float("nan")
+
+    @property
+    def greatest(self) -> float:
+        """Greatest growth of separations; NaN where none is finite."""
+        known = self.separation[np.isfinite(self.separation)]
+        return float(known.max()) if known.size else float("nan")
+
+    @property
+    def median_exponent(self) -> float:
+        """Median finite-time Lyapunov exponent [T⁻¹]; NaN where none is finite."""
+        known = self.exponent[np.isfinite(self.separation)]
+        return float(np.median(known)) if known.size else float("nan")
 
     @property
     def exponent(self) -> Float[np.ndarray, "rows columns"]:

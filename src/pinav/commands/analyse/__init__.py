@@ -7,5 +7,7 @@ ANALYSE = Command(
     summary="map what a fit learned, and what it depends on",
     options="pinav.commands.analyse.settings:AnalyseOptions",
     run="pinav.commands.analyse.job:run",
-    report="pinav.commands.analyse.report:analysis_sections",
+    result="pinav.commands.analyse.result:Analysis",
+    file="analysis",
+    sections="pinav.commands.analyse.sections:sections",
 )

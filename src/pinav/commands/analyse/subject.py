@@ -14,8 +14,6 @@ from pinav.forces import as_learned_force
 COMMANDED_SAMPLES = 250
 """Samples of the reference trajectory that a model driven by commands is rolled out."""
 
-Arrays = dict[str, np.ndarray]
-
 
 @dataclasses.dataclass(frozen=True)
 class Subject:
@@ -64,3 +62,11 @@ class Subject:
         """The learned force is the gradient of a learned potential."""
         learned = as_learned_force(self.model.environment)
         return learned is not None and learned.is_conservative
+
+    def top_of(
+        self, potential: Float[np.ndarray, "rows columns"]
+    ) -> Float[np.ndarray, "2"]:
+        """The place near the data where a potential on the grid is highest [L]."""
+        top = np.where(self.near, potential, -np.inf).argmax()
+        row, column = np.unravel_index(top, potential.shape)
+        return np.array([self.field.x[column], self.field.y[row]])

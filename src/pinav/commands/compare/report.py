@@ -2,8 +2,8 @@
 
 from pinav.commands.compare.metrics import CompareMetrics
 from pinav.figures import evidence_bars
+from pinav.figures.images import Figures
 from pinav.report import Paragraph, Section
-from pinav.report.images import Figures
 from pinav.runs import RunFolder
 
 

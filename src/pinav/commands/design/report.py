@@ -6,8 +6,8 @@ import numpy as np
 
 from pinav.commands.design.metrics import DesignMetrics
 from pinav.figures.design import bounds_figure, recordings_figure
+from pinav.figures.images import Figures
 from pinav.report import Image, Paragraph, Section, Table
-from pinav.report.images import Figures
 from pinav.runs import RunFolder
 
 

@@ -7,5 +7,7 @@ DISCOVER = Command(
     summary="find the law behind the learned force of a run",
     options="pinav.commands.discover.settings:DiscoverOptions",
     run="pinav.commands.discover.job:run",
-    report="pinav.commands.discover.report:law_sections",
+    result="pinav.analysis:Discovery",
+    file="laws",
+    sections="pinav.commands.discover.sections:sections",
 )

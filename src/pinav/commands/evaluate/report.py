@@ -9,9 +9,9 @@ from pinav.commands.evaluate.metrics import EvaluationMetrics
 from pinav.commands.evaluate.tables import tables
 from pinav.evaluation import ErrorCurve
 from pinav.figures.errors import error_over_time, residual_autocorrelation
+from pinav.figures.images import Figures
 from pinav.figures.style import new_figure, title_panel
 from pinav.report import Image, Paragraph, Section, capitalise
-from pinav.report.images import Figures
 from pinav.runs import RunFolder
 
 

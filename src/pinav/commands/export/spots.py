@@ -13,10 +13,10 @@ from pinav.commands.fitted_run import FittedRun
 from pinav.commands.force_units import units_of
 from pinav.dynamics import with_dtype
 from pinav.errors import InputError
-from pinav.figures.style import force_unit
 from pinav.fitting import Posterior
 from pinav.forces import AbstractForce, as_learned_force, forces_at
 from pinav.trajectories import POSITION_CHANNELS
+from pinav.units import force_unit
 
 
 class SpotTable(NamedTuple):

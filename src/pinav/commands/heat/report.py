@@ -31,9 +31,9 @@ from pinav.figures.heat import (
     profiles,
     protocol_figure,
 )
+from pinav.figures.images import Figures
 from pinav.figures.style import SMALL, new_figure, title_panel
 from pinav.report import Image, Paragraph, Section
-from pinav.report.images import Figures
 from pinav.runs import RunFolder
 
 Arrays = dict[str, np.ndarray]

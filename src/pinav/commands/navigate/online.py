@@ -15,7 +15,6 @@ from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.steering import observe_positions, system_task
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-from pinav.figures.style import with_order
 from pinav.navigation import Task, task
 from pinav.navigation.adaptive.prior import with_prior_of
 from pinav.navigation.adaptive.scores import FlightRecord, Outcome, judge_flights
@@ -31,6 +30,7 @@ from pinav.navigation.adaptive.strategies import (
 from pinav.runs import RunFolder
 from pinav.scenarios import find_system
 from pinav.systems import Units
+from pinav.units import with_order
 
 STRATEGIES: Mapping[str, AbstractStrategy] = {
     "certain": Certain(),

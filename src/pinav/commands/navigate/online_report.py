@@ -7,11 +7,11 @@ import numpy as np
 from pinav.commands.navigate.online import OnlineMetrics
 from pinav.commands.navigate.online_tables import online_table, sentences
 from pinav.figures.animation import Trails, save_animation
+from pinav.figures.images import Figures
 from pinav.figures.learning import bands_figure, moments_figure
 from pinav.figures.navigation import Course, field_of, outcome_bars, paths_map
 from pinav.figures.style import new_figure
 from pinav.report import Image, Paragraph, Section
-from pinav.report.images import Figures
 from pinav.runs import RunFolder
 
 DRAWN = 8

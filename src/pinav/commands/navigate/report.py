@@ -12,12 +12,13 @@ from pinav.commands.navigate.tables import (
     sentences,
 )
 from pinav.figures.animation import Trails, save_animation
+from pinav.figures.images import Figures
 from pinav.figures.navigation import Course, closed_loop_figure, outcome_bars, plan_map
 from pinav.figures.space import space_figure
-from pinav.figures.style import new_figure, with_order
+from pinav.figures.style import new_figure
 from pinav.report import Image, Paragraph, Section
-from pinav.report.images import Figures
 from pinav.runs import RunFolder
+from pinav.units import with_order
 
 DRAWN = 8
 """Runs of each controller on a map."""

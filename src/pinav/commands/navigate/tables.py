@@ -8,9 +8,9 @@ from pinav.commands.navigate.metrics import (
     NavigationMetrics,
     SuggestionRow,
 )
-from pinav.figures.style import force_unit, with_order
 from pinav.report import Table, quantity
 from pinav.report.text import as_text
+from pinav.units import force_unit, with_order
 
 
 def controller_table(

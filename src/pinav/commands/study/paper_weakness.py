@@ -35,13 +35,13 @@ from pinav.evaluation import (
     summarise,
 )
 from pinav.figures.errors import error_over_time, errors_by_region
+from pinav.figures.images import Figures
 from pinav.figures.style import new_figure, style_of, title_panel
 from pinav.fitting import Outcome, fit_bayes
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice, learned_part
 from pinav.fitting.environments.summary import summarise_data, summarise_for
 from pinav.report import Paragraph, Section, Table
-from pinav.report.images import Figures
 from pinav.runs import RunFolder
 from pinav.scenarios import paper
 from pinav.trajectories import Trajectories, simulate

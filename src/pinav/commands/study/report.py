@@ -16,8 +16,8 @@ from pinav.commands.study.metrics import (
 )
 from pinav.commands.study.paper_weakness import weakness_sections, weakness_table
 from pinav.figures.errors import scaling_figure
+from pinav.figures.images import Figures
 from pinav.report import Paragraph, Section, Table
-from pinav.report.images import Figures
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 

@@ -3,8 +3,8 @@
 from pinav.commands.truth.job import curve_file
 from pinav.commands.truth.metrics import TruthCase, TruthMetrics, case_table
 from pinav.figures import truth_band
+from pinav.figures.images import Figures
 from pinav.report import Paragraph, Section, capitalise
-from pinav.report.images import Figures
 from pinav.runs import RunFolder
 
 

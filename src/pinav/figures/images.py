@@ -1,13 +1,39 @@
 """Figures as blocks of a page: saved beside it, then embedded."""
 
+import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pinav.errors import InputError
-from pinav.figures import save_figure
-from pinav.report.page import Image
+from pinav.figures.files import save_figure, svg_text
+from pinav.report.page import AbstractBlock, Image, Section, figure_html
+
+
+@dataclasses.dataclass(frozen=True)
+class Picture(AbstractBlock):
+    """A figure with its words, drawn when somebody looks at it.
+
+    Attributes:
+        name: of its files, without ending.
+        draw: draws it.
+        caption: the words below it.
+        alt: what it shows, for those who do not see it; the first sentence of the
+            caption unless given.
+        width: share of the page's width, in (0, 1].
+    """
+
+    name: str
+    draw: Callable[[], Figure]
+    caption: str
+    alt: str = ""
+    width: float = 1.0
+
+    def html(self) -> str:
+        drawn = svg_text(self.draw()).encode()
+        return figure_html(drawn, ".svg", self.alt, self.caption, self.width)
 
 
 class Figures:
@@ -44,3 +70,13 @@ class Figures:
             raise InputError(f"figure {name}: expected axes that belong to a figure")
         files = save_figure(figure, self.folder, name)
         return Image(files.svg, alt or caption.partition(". ")[0], caption, width)
+
+    def saved(self, section: Section) -> Section:
+        """The section with its pictures drawn and written."""
+        blocks = [
+            self.image(b.name, b.draw(), b.caption, alt=b.alt, width=b.width)
+            if isinstance(b, Picture)
+            else b
+            for b in section.blocks
+        ]
+        return Section(section.heading, blocks)

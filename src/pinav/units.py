@@ -1,0 +1,48 @@
+"""The units of data, the order of the dynamics, and the unit of a force."""
+
+from collections.abc import Mapping
+
+ORDER = "order"
+"""Entry of the units that says of which order in time the dynamics are."""
+
+FORCE = "force"
+"""Entry of the units that says in which a force is, where that is no velocity."""
+
+
+def with_order(
+    units: Mapping[str, str], order: int, force: str = "1"
+) -> Mapping[str, str]:
+    """The units of data, and the order of the dynamics that were fitted to them.
+
+    Args:
+        units: of each channel.
+        order: 2 where a force is an acceleration, 1 where it is a velocity.
+        force: its unit where the mobility makes a velocity of it.
+    """
+    forces = {FORCE: force} if order == 1 and force not in ("1", "?") else {}
+    return {**units, ORDER: str(order), **forces}
+
+
+def force_unit(units: Mapping[str, str], *, lengths: int = 1) -> str:
+    """Unit of a mass-specific force, from those of position and time.
+
+    A velocity for dynamics of first order (`with_order`) unless their mobility takes a
+    force in a unit of its own, such as pN; else an acceleration; "?"
+    where the data do not state a unit.
+
+    Args:
+        units: of each channel.
+        lengths: power of the length; 2 for an energy.
+    """
+    length, time = units.get("x", "1"), units.get("t", "1")
+    if "?" in (length, time):
+        return "?"
+    if force := units.get(FORCE):
+        return force if lengths == 1 else f"{force} {length}"
+    power = {1: "", 2: "²"}[lengths]
+    rate = {"1": "⁻¹", "2": "⁻²"}[units.get(ORDER, "2")]
+    parts = (
+        "" if length == "1" else length + power,
+        "" if time == "1" else time + rate,
+    )
+    return " ".join(part for part in parts if part) or "1"
