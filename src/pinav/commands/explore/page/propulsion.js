@@ -52,7 +52,8 @@ function followed(times, asked, lag) {
  */
 export function rollingPropulsion(tree) {
   const programme = tree.commands ?? tree.programme;
-  const gain = arrayOf(tree.gain);
+  let gain = arrayOf(tree.gain); // a matrix, or one number, or one for each axis
+  if (gain.length < 4) gain = [gain[0], 0, 0, gain[gain.length - 1]];
   const response = responseOf(tree.response);
   const [delay, lag] = [first(tree.delay), first(tree.lag)];
   const [times, frequency, heading] = programme
