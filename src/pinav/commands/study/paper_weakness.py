@@ -12,7 +12,6 @@ import numpy as np
 
 from pinav.commands.cells import RolloutRow, as_cell, percent
 from pinav.commands.fitted_run import ModelHeader, build_model, write_model
-from pinav.commands.held_out import held_out
 from pinav.commands.matching import CurriculumSettings, matching
 from pinav.commands.progress import BayesReporter, FitReporter
 from pinav.commands.study.job import clean_data, with_noise
@@ -28,6 +27,7 @@ from pinav.evaluation import (
     extent,
     field_map,
     force_agreement,
+    held_out,
     position_errors,
     predict,
     score,
