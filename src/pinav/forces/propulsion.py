@@ -22,8 +22,11 @@ from pinav.arguments import Scalar, Vector, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractCommandedForce, AbstractForce
 
+Gain = Float[Array, "_ _"] | Float[Array, "_"] | Float[Array, ""]
+"""A matrix, which a file states; one number for each axis; one number."""
 
-def _as_gain(value: ArrayLike) -> Float[Array, "*shape"]:
+
+def _as_gain(value: ArrayLike) -> Gain:
     if np.shape(value) not in ((), (2,), (2, 2)):
         raise InputError(
             "RollingPropulsion.gain: expected a matrix of 2 rows and 2 columns, or one "
@@ -111,7 +114,7 @@ class RollingPropulsion(AbstractCommandedForce):
         Sokolich et al., arXiv:2406.02722, eq. (1), with scalar gain and no delay.
     """
 
-    gain: Float[Array, "*shape"] = eqx.field(converter=_as_gain)
+    gain: Gain = eqx.field(converter=_as_gain)
     response: AbstractResponse = LinearResponse()
     programme: AbstractProgramme | None = None
     delay: Scalar = 0.0

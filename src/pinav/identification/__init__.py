@@ -2,8 +2,14 @@
 
 from pinav.identification.baselines import Baseline as Baseline
 from pinav.identification.baselines import least_squares as least_squares
+from pinav.identification.candidates import drift_only as drift_only
+from pinav.identification.candidates import gain_matrix as gain_matrix
+from pinav.identification.candidates import with_learned as with_learned
+from pinav.identification.candidates import with_response as with_response
+from pinav.identification.candidates import with_slow_drift as with_slow_drift
 from pinav.identification.commanded_fit import fit_commanded as fit_commanded
 from pinav.identification.error_growth import ErrorGrowth as ErrorGrowth
+from pinav.identification.estimates import estimates as estimates
 from pinav.identification.findings import DelayFindings as DelayFindings
 from pinav.identification.findings import delay_findings as delay_findings
 from pinav.identification.findings import finding_sentences as finding_sentences
@@ -14,10 +20,17 @@ from pinav.identification.forecast import Coverage as Coverage
 from pinav.identification.forecast import Errors as Errors
 from pinav.identification.forecast import Forecast as Forecast
 from pinav.identification.forecast import FrameJitter as FrameJitter
+from pinav.identification.forecast import Predictor as Predictor
 from pinav.identification.forecast import Rollouts as Rollouts
 from pinav.identification.forecast import coverage as coverage
 from pinav.identification.forecast import errors as errors
 from pinav.identification.forecast import path_of as path_of
+from pinav.identification.identify import Identification as Identification
+from pinav.identification.identify import IdentifiedTrack as IdentifiedTrack
+from pinav.identification.identify import Paths as Paths
+from pinav.identification.identify import SpeedLaw as SpeedLaw
+from pinav.identification.identify import identify as identify
+from pinav.identification.identify import identify_track as identify_track
 from pinav.identification.residual_field import ResidualFit as ResidualFit
 from pinav.identification.residual_field import fit_residual as fit_residual
 from pinav.identification.selection import Row as Row
@@ -31,10 +44,3 @@ from pinav.identification.tracks import Blocks as Blocks
 from pinav.identification.tracks import Track as Track
 from pinav.identification.tracks import tracks as tracks
 from pinav.identification.tracks import trajectories_of as trajectories_of
-from pinav.identification.candidates import drift_only as drift_only
-from pinav.identification.candidates import gain_matrix as gain_matrix
-from pinav.identification.candidates import with_learned as with_learned
-from pinav.identification.candidates import with_response as with_response
-from pinav.identification.candidates import with_slow_drift as with_slow_drift
-from pinav.identification.estimates import estimates as estimates
-from pinav.identification.forecast import Predictor as Predictor

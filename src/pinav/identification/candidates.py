@@ -5,6 +5,7 @@ in every fit.
 """
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -19,7 +20,7 @@ from pinav.actuation import (
     SlippingResponse,
     StepOutResponse,
 )
-from pinav.dynamics import OverdampedSwimmer
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import RollingPropulsion, UniformFlow, ZeroFlow, ZeroForce
 from pinav.identification.parameters import CORNER, DRIFT, DRIVE, GAIN, RESIDUAL
@@ -49,7 +50,7 @@ def scalar_gain() -> System:
 
 def axis_gains() -> System:
     """The candidate with a gain for each axis, which turns no heading, and drift."""
-    return _candidate("gains", [1.0, 1.0], drift=True)
+    return _candidate("gains", np.ones(2), drift=True)
 
 
 def gain_matrix() -> System:
@@ -59,7 +60,7 @@ def gain_matrix() -> System:
 
 def _candidate(name: str, gain: ArrayLike | None, *, drift: bool) -> System:
     with jax.enable_x64(new_val=True):
-        propulsion = ZeroForce() if gain is None else RollingPropulsion(gain)
+        propulsion = ZeroForce() if gain is None else RollingPropulsion(gain=gain)
         flow = UniformFlow(jnp.zeros(2)) if drift else ZeroFlow()
         learn = (
             *(() if gain is None else (FreeNumber(GAIN),)),
@@ -119,7 +120,7 @@ def like(base: System, other: System) -> System:
     )
 
 
-def response_name(swimmer: OverdampedSwimmer) -> str:
+def response_name(swimmer: Swimmer | OverdampedSwimmer) -> str:
     """Name of the response of a swimmer among `RESPONSES`; linear without propulsion.
 
     Raises:
@@ -137,7 +138,7 @@ def response_name(swimmer: OverdampedSwimmer) -> str:
     return names[type(propulsion.response)]
 
 
-def response_place(swimmer: OverdampedSwimmer) -> int:
+def response_place(swimmer: Swimmer | OverdampedSwimmer) -> int:
     """Place of the response of a swimmer among `RESPONSES`."""
     return list(RESPONSES).index(response_name(swimmer))
 
@@ -152,7 +153,8 @@ def linear_basis(
     paths = {number.path for number in system.learn}
     gains, drifts = np.zeros((4, 2, 2)), np.zeros((2, 2))
     if GAIN in paths:
-        basis = gain_basis(np.ndim(system.swimmer.propulsion.gain))
+        propulsion: Any = system.swimmer.propulsion
+        basis = gain_basis(np.ndim(propulsion.gain))
         gains[: len(basis)] = basis
     if DRIFT in paths:
         drifts = np.eye(2)

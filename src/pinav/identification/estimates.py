@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from pinav.dynamics import OverdampedSwimmer
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.fitting import Estimate, EvidenceFit, Posterior, ravel_model
 from pinav.fitting.engine.parametric_model import selected_entries
 from pinav.forces import (
@@ -112,7 +112,7 @@ def constants_of(
 
 
 def posterior_over(
-    swimmer: OverdampedSwimmer,
+    swimmer: Swimmer | OverdampedSwimmer,
     numbers: list[LearnedNumber],
     covariance: Float[np.ndarray, "unknown unknown"],
 ) -> Posterior:

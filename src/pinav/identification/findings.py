@@ -223,7 +223,7 @@ def shortcomings(row: Row, baseline: Row) -> list[str]:
             f"held-out velocity's variance (R² {row.velocity_r2:.2f}): it predicts "
             "little of the motion."
         )
-    ours, theirs = row.errors.get(HORIZON), baseline.errors.get(HORIZON)
+    ours, theirs = row.over(HORIZON), baseline.over(HORIZON)
     if ours is None or theirs is None or not ours.rollouts:
         sentences.append(
             f"No held-out rollout of {HORIZON:g} s: the prediction is not judged."

@@ -90,31 +90,35 @@ def changes_along(
 
 
 class Errors(eqx.Module):
-    """End-point errors of rollouts.
+    """End-point errors of rollouts of one length.
 
     Attributes:
-        distance: between predicted and observed end [L].
-        path: length of the observed path [L].
+        relative: median of the distance between predicted and observed end over the
+            length of the observed path; NaN without rollouts.
+        median: median of that distance [L]; NaN without rollouts.
+        rollouts: number of rollouts.
     """
 
-    distance: Float[np.ndarray, " rollout"]
-    path: Float[np.ndarray, " rollout"]
+    relative: float
+    median: float
+    rollouts: int
 
-    @property
-    def relative(self) -> float:
-        """Median distance over path length; NaN without rollouts."""
-        ratio = self.distance / np.maximum(self.path, 1e-12)
-        return float(np.median(ratio)) if len(ratio) else float("nan")
+    @classmethod
+    def of(
+        cls,
+        distance: Float[np.ndarray, " rollout"],
+        path: Float[np.ndarray, " rollout"],
+    ) -> "Errors":
+        """The errors of rollouts.
 
-    @property
-    def rollouts(self) -> int:
-        """Number of rollouts."""
-        return len(self.distance)
-
-    @property
-    def median(self) -> float:
-        """Median distance [L]; NaN without rollouts."""
-        return float(np.median(self.distance)) if len(self.distance) else float("nan")
+        Args:
+            distance: between predicted and observed end [L].
+            path: length of the observed path [L].
+        """
+        if not len(distance):
+            return cls(float("nan"), float("nan"), 0)
+        relative = float(np.median(distance / np.maximum(path, 1e-12)))
+        return cls(relative, float(np.median(distance)), len(distance))
 
 
 def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Errors:
@@ -124,7 +128,7 @@ def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Erro
     """
     observed = changes_along(track, rollouts, lambda piece: piece.states)
     miss = observed - changes_along(track, rollouts, displacement)
-    return Errors(np.hypot(*miss.T), rollouts.lengths(track))
+    return Errors.of(np.hypot(*miss.T), rollouts.lengths(track))
 
 
 def _cumulated_length(piece: Trajectory) -> Float[np.ndarray, "time 1"]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pinav.dynamics import OverdampedSwimmer
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.fitting import EvidenceFit
 from pinav.forces import RollingPropulsion
 from pinav.identification.tracks import Track
@@ -137,7 +137,9 @@ def learned_parameters(
     )
 
 
-def drive_coordinates(swimmer: OverdampedSwimmer) -> Float[np.ndarray, "4"]:
+def drive_coordinates(
+    swimmer: Swimmer | OverdampedSwimmer,
+) -> Float[np.ndarray, "4"]:
     """Coordinates of the drive of a swimmer, absent ones without a propulsion."""
     drive = ABSENT[: len(DRIVE)].copy()
     propulsion = swimmer.propulsion

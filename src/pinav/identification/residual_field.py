@@ -177,9 +177,9 @@ class _BaseDesign(eqx.Module):
         left = np.asarray(self.residuals.target - moved)
         numbers = np.linalg.lstsq(self.rows, left, rcond=None)[0]
         if self.num_gains:
-            gain = jnp.reshape(
-                jnp.asarray(numbers[: self.num_gains]), swimmer.propulsion.gain.shape
-            )
+            gain = jnp.asarray(numbers[: self.num_gains])
+            propulsion: Any = swimmer.propulsion
+            gain = gain.reshape(propulsion.gain.shape)
             swimmer = eqx.tree_at(lambda s: s.propulsion.gain, swimmer, gain)
         if len(numbers) > self.num_gains:
             drift = jnp.asarray(numbers[self.num_gains :])
@@ -203,7 +203,7 @@ def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Error
         steps = np.hypot(*np.diff(piece.states, axis=0).T)
         total = np.concatenate([[0.0], np.cumsum(steps)])
         length.append(total[last] - total[first])
-    return Errors(
+    return Errors.of(
         np.concatenate(distance) if distance else np.zeros(0),
         np.concatenate(length) if length else np.zeros(0),
     )

@@ -10,7 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import FitError, InputError
-from pinav.fitting import EvidenceFit, KernelGrid, kernel_environment, neural_environment
+from pinav.fitting import (
+    EvidenceFit,
+    KernelGrid,
+    kernel_environment,
+    neural_environment,
+)
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.forces import KernelForce, KernelPotential, NeuralForce
 from pinav.identification.baselines import least_squares
@@ -62,19 +67,31 @@ class Row(eqx.Module):
 
     Attributes:
         name: candidate or baseline.
-        log_evidence: of the training part; NaN for baselines.
-        seconds: that the fit took, compilation included.
-        errors: by horizon, on the held-out part.
+        log_evidence: log evidence of the training part; NaN for baselines [nats].
+        seconds: duration of the fit, compilation included [s].
+        errors: errors of held-out rollouts by their length in seconds.
         velocity_r2: share of the held-out velocity's variance that is explained.
-        reason: why there are no results, where there are none.
+        reason: cause where there are no results; empty where there are.
+        tracks: number of tracks of which these are medians.
     """
 
     name: str = eqx.field(static=True)
     log_evidence: float
     seconds: float
-    errors: dict[float, Errors]
+    errors: dict[str, Errors]
     velocity_r2: float
     reason: str = eqx.field(static=True, default="")
+    tracks: int = 1
+
+    def over(self, horizon: float) -> Errors | None:
+        """Errors of rollouts of a length [s]; none where there are no results."""
+        return self.errors.get(f"{horizon:g}")
+
+    @property
+    def label(self) -> str:
+        """The name without the candidates that this one extends."""
+        first, *others = self.name.split(" + ")
+        return f"+ {others[-1]}" if others else first
 
 
 class Selection(eqx.Module):
@@ -273,7 +290,7 @@ class _Comparison:
             return
         seconds = time.perf_counter() - begin
         by_horizon = {
-            horizon: residual_errors(self.held_out, self._rollouts(horizon), fit)
+            f"{horizon:g}": residual_errors(self.held_out, self._rollouts(horizon), fit)
             for horizon in HORIZONS
         }
         r2 = self._r2_of_residual(fit)
@@ -319,7 +336,7 @@ class _Comparison:
     ) -> None:
         displacement = cache_by_segment(displacement)
         by_horizon = {
-            horizon: errors(self.held_out, self._rollouts(horizon), displacement)
+            f"{horizon:g}": errors(self.held_out, self._rollouts(horizon), displacement)
             for horizon in HORIZONS
         }
         r2 = velocity_r2(self.held_out, displacement)
