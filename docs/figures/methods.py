@@ -8,8 +8,7 @@ from docs.figures.workshop import Workshop
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from pinav.analysis import Discovery
-from pinav.commands.analyse.result import Analysis
+from pinav.analysis import Analysis, Discovery
 from pinav.commands.identify.metrics import IdentifyMetrics, as_float
 from pinav.commands.identify.report import DRAWN
 from pinav.evaluation import BASELINE, ErrorCurve, Evaluation, FieldMap
