@@ -123,7 +123,7 @@ def analyse(
             left_out.append(f"{what}: {str(error).removeprefix(f'{what}: ')}")
             return None
 
-    with tqdm(total=4, desc="analyse", unit="part") as bar:
+    with tqdm(total=4, desc="analysis", unit="part") as bar:
         subject = _subject(fit, points, reference)
         field = subject.field
         split = helmholtz_split(field)
