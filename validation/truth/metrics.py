@@ -1,18 +1,20 @@
-"""The results of `pinav truth`, as its files hold them."""
+"""What fits of recordings are judged by: quantities and fields beside their truths."""
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from typing import NamedTuple
 
-import msgspec
+import numpy as np
+from jaxtyping import Float
 
 from pinav.fitting import Estimate
-from pinav.report import Table, number
 
 BAND = 1.96
 """Standard deviations on either side of a band of 95 %."""
 
 
-class TruthRow(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TruthRow:
     """A learned quantity beside its truth.
 
     Attributes:
@@ -94,7 +96,46 @@ def error_row(
     )
 
 
-class TruthCase(msgspec.Struct, frozen=True, omit_defaults=True):
+class Curve(NamedTuple):
+    """A field beside its truth.
+
+    Attributes:
+        title: what is shown.
+        labels: of the two axes, with units.
+        places: along the field.
+        learned: the field.
+        sd: its standard deviation.
+        truth: at the same places.
+        truth_sd: standard deviation of the truth.
+    """
+
+    title: str
+    labels: tuple[str, str]
+    places: Float[np.ndarray, " place"]
+    learned: Float[np.ndarray, " place"]
+    sd: Float[np.ndarray, " place"]
+    truth: Float[np.ndarray, " place"]
+    truth_sd: Float[np.ndarray, " place"]
+
+
+class Judgement(NamedTuple):
+    """Rows, figures and remarks of one case.
+
+    Attributes:
+        rows: quantities beside their truths.
+        curves: fields beside theirs.
+        notes: what else the fit says, in sentences.
+        seconds: from reading to the last row, StochasticForceInference apart.
+    """
+
+    rows: tuple[TruthRow, ...]
+    curves: tuple[Curve, ...]
+    notes: tuple[str, ...]
+    seconds: float
+
+
+@dataclasses.dataclass(frozen=True)
+class TruthCase:
     """One recording.
 
     Attributes:
@@ -105,6 +146,7 @@ class TruthCase(msgspec.Struct, frozen=True, omit_defaults=True):
         seconds: from reading to the last row, StochasticForceInference apart.
         rows: its quantities.
         notes: what else the fit says, in sentences.
+        curves: fields beside their truths.
     """
 
     name: str
@@ -114,9 +156,11 @@ class TruthCase(msgspec.Struct, frozen=True, omit_defaults=True):
     seconds: float | None = None
     rows: tuple[TruthRow, ...] = ()
     notes: tuple[str, ...] = ()
+    curves: tuple[Curve, ...] = ()
 
 
-class TruthMetrics(msgspec.Struct, frozen=True):
+@dataclasses.dataclass(frozen=True)
+class Truth:
     """All cases of a folder.
 
     Attributes:
@@ -124,10 +168,6 @@ class TruthMetrics(msgspec.Struct, frozen=True):
     """
 
     cases: tuple[TruthCase, ...]
-
-    def case(self, name: str) -> TruthCase:
-        """The case of a folder."""
-        return next(case for case in self.cases if case.name == name)
 
     @property
     def failures(self) -> list[str]:
@@ -144,69 +184,3 @@ class TruthMetrics(msgspec.Struct, frozen=True):
             if case.status == "failed"
         ]
         return [*failed, *missed]
-
-
-def case_table(cases: Sequence[TruthCase]) -> Table:
-    """Quantity by quantity, with the seconds of each case in its first row."""
-    rows = []
-    for case in cases:
-        if case.status != "judged":
-            rows.append((case.name, f"{case.status}: {case.reason}", *["–"] * 8))
-        for index, row in enumerate(case.rows):
-            first = index == 0
-            rows.append(
-                (
-                    case.name if first else "",
-                    row.quantity,
-                    _with_error(row.truth, row.truth_sd),
-                    _with_band(row.learned, row.sd),
-                    WORDS[row.covered],
-                    row.bar or "–",
-                    WORDS[row.met],
-                    number(row.naive, 3),
-                    number(row.peer, 3),
-                    number(case.seconds, 2) if first else "–",
-                )
-            )
-    return Table(HEADER, rows, NOTE)
-
-
-HEADER = (
-    *("case", "quantity", "truth ± sd", "learned, 95 % band", "covered", "bar", "met"),
-    *("naive", "SFI", "seconds"),
-)
-NOTE = (
-    "The fit sees the recording alone. Covered: the truth lies in the 95 % band of "
-    "both errors. Naive: one lag, no blur. SFI: StochasticForceInference, where it is "
-    "installed."
-)
-
-
-def _with_error(value: float | None, sd: float | None) -> str:
-    if value is None:
-        return "–"
-    if sd is None:
-        return number(value)
-    shown, spread = _round_to_error((value, sd), sd)
-    return f"{shown} ± {spread}"
-
-
-def _with_band(value: float, sd: float | None) -> str:
-    if sd is None:
-        return number(value)
-    shown, low, high = _round_to_error(
-        (value, value - BAND * sd, value + BAND * sd), sd
-    )
-    return f"{shown} [{low}, {high}]"
-
-
-def _round_to_error(values: Sequence[float], sd: float) -> list[str]:
-    """Numbers with as many digits as their standard deviation allows."""
-    if not 1e-5 < sd < 1e5:
-        return [number(value) for value in values]
-    digits = max(0, 1 - math.floor(math.log10(sd)))
-    return [f"{value:.{digits}f}".replace("-", "−") for value in values]
-
-
-WORDS = {None: "–", True: "yes", False: "no"}
-"""Answers in a table."""

@@ -1,4 +1,4 @@
-"""Settings of `pinav truth`."""
+"""Settings of `python -m validation.truth`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +9,7 @@ from pinav.commands.settings import RunOptions, Settings
 
 
 class TruthSettings(Settings, frozen=True):
-    """Settings of `pinav truth`.
+    """Settings of `python -m validation.truth`.
 
     Attributes:
         only: Cases that are judged, by the names of their folders; all of them unless

@@ -18,11 +18,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
+from validation.truth.trap_fit.likelihood import (
+    TrapData,
+    TrapLikelihood,
+    trap_likelihood,
+)
+from validation.truth.trap_fit.model import TrapModel
 
 from pinav.errors import FitError, InputError
 from pinav.fitting.engine.posterior import Estimate
-from pinav.fitting.traps.likelihood import TrapData, TrapLikelihood, trap_likelihood
-from pinav.fitting.traps.model import TrapModel
 
 STEPS = 60
 """Scoring steps of one search at most."""

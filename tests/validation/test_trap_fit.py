@@ -4,16 +4,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import dblquad
-
-from pinav.errors import InputError
-from pinav.fitting import fit_trap
-from pinav.fitting.traps import (
+from validation.truth.trap_fit import (
     TrapData,
     TrapModel,
     blur_factor,
+    fit_trap,
     propagate,
     trap_likelihood,
 )
+
+from pinav.errors import InputError
 
 TRAP = TrapModel(*map(jnp.asarray, (0.4, 1.3, 0.6, 0.2, 0.5, 20.0)))
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from pinav.commands.truth.peer import infer_ring, infer_wall
+from validation.truth.peer import infer_ring, infer_wall
 
 pytestmark = pytest.mark.extras
 

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from validation.truth.cases import Recording
+from validation.truth.peer import PeerWall, infer_wall
 
-from pinav.commands.truth.cases import Recording
-from pinav.commands.truth.peer import PeerWall, infer_wall
 from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer
 from pinav.fitting import LangevinFit, fit_langevin, profile_environment
 from pinav.fitting.langevin import (

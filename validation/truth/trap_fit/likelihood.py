@@ -12,8 +12,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-
-from pinav.fitting.traps.model import Propagator, TrapModel, blur_factor, propagate
+from validation.truth.trap_fit.model import (
+    Propagator,
+    TrapModel,
+    blur_factor,
+    propagate,
+)
 
 SETTLED = 1024
 """Frames after which the gain of a filter with equal intervals has its last value."""

@@ -3,9 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-from pinav.errors import InputError
-from pinav.evaluation.truth import (
+from validation.truth.known import (
     boltzmann_force,
     measured_lag,
     ring_truth,
@@ -13,6 +11,8 @@ from pinav.evaluation.truth import (
     trap_truth,
     wall_score,
 )
+
+from pinav.errors import InputError
 from pinav.forces import brenner_mobility, parallel_mobility
 
 RANDOM = np.random.default_rng(4)

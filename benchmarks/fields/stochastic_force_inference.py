@@ -1,4 +1,4 @@
-"""StochasticForceInference as one more model of a study, where it is installed.
+"""StochasticForceInference as a contestant, where it is installed.
 
 It sees positions alone, and finds drag and thrust beside the force: the gradient of a
 radial basis, from which its criterion PASTIS selects. It assumes a stochastic motion

@@ -1,9 +1,9 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.fields.families import FAMILIES, random_system
 
 from pinav.errors import InputError
-from pinav.scenarios import FAMILIES, random_system
 
 
 @pytest.mark.parametrize("family", FAMILIES)

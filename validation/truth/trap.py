@@ -3,13 +3,12 @@
 import time
 
 import numpy as np
+from validation.truth.cases import Case, Recording
+from validation.truth.known import TrapTruth, measured_lag, trap_truth
+from validation.truth.metrics import BAND, Curve, Judgement, TruthRow, compare_estimates
+from validation.truth.trap_fit import TrapFit, blur_factor, fit_trap
 
-from pinav.commands.truth.cases import Case, Recording
-from pinav.commands.truth.judged import Curve, Judgement
-from pinav.commands.truth.metrics import BAND, TruthRow, compare_estimates
-from pinav.evaluation.truth import TrapTruth, measured_lag, trap_truth
-from pinav.fitting import Estimate, TrapFit, fit_trap
-from pinav.fitting.traps import blur_factor
+from pinav.fitting import Estimate
 
 OF_TRUTH, OWN_SD, RATE, DRAGGED_SD = 0.03, 0.02, 0.05, 0.04
 """Bars: stiffness off its truth, its own error, rate off its truth, the error where the

@@ -1,19 +1,24 @@
 """Judging a bead above a wall, held there by its weight."""
 
+import dataclasses
 import math
 import time
 
 import jax
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 from jaxtyping import Float
-
-from pinav.commands.truth.cases import Case, Constants, Recording
-from pinav.commands.truth.judged import Curve, Judgement
-from pinav.commands.truth.metrics import TruthRow, compare_estimates, error_row
-from pinav.commands.truth.peer import is_installed
-from pinav.commands.truth.wall_fields import (
+from validation.truth.cases import Case, Constants, Recording
+from validation.truth.known import WallScore, boltzmann_force, wall_score
+from validation.truth.metrics import (
+    Curve,
+    Judgement,
+    TruthRow,
+    compare_estimates,
+    error_row,
+)
+from validation.truth.peer import is_installed
+from validation.truth.wall_fields import (
     PeerFields,
     WallFields,
     ask_peer,
@@ -21,7 +26,7 @@ from pinav.commands.truth.wall_fields import (
     naive_fields,
     wall_fields,
 )
-from pinav.evaluation.truth import WallScore, boltzmann_force, wall_score
+
 from pinav.fitting import Estimate, LangevinFit
 from pinav.forces import Weight, stokes_drag
 
@@ -208,7 +213,7 @@ def _force_rows(
         theirs = other.force(places + contact) - true
         rest = float(np.sqrt(np.mean(theirs**2))), float(np.abs(theirs).max())
         peer = float(other.force(far + contact).mean())
-        row = msgspec.structs.replace(row, peer=peer)
+        row = dataclasses.replace(row, peer=peer)
     return [
         _small("force off the weight, rms [pN]", rms, RMS, rest[0]),
         _small("force off the weight, worst [pN]", worst, WORST, rest[1]),

@@ -1,22 +1,27 @@
 """Judging a bead that is driven round a ring."""
 
+import dataclasses
 import math
 import time
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 from jaxtyping import Float
+from validation.truth.cases import Case, Recording
+from validation.truth.known import RingTruth, ring_truth, steady_state
+from validation.truth.metrics import (
+    Curve,
+    Judgement,
+    TruthRow,
+    compare_estimates,
+    error_row,
+)
+from validation.truth.peer import PeerRing, infer_ring, is_installed
 
-from pinav.commands.truth.cases import Case, Recording
-from pinav.commands.truth.judged import Curve, Judgement
-from pinav.commands.truth.metrics import TruthRow, compare_estimates, error_row
-from pinav.commands.truth.peer import PeerRing, infer_ring, is_installed
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
-from pinav.evaluation.truth import RingTruth, ring_truth, steady_state
 from pinav.fitting import (
     Estimate,
     LangevinFit,
@@ -225,7 +230,7 @@ def _diffusion_row(
     )
     if other is None:
         return row
-    return msgspec.structs.replace(row, peer=scale * other.diffusion)
+    return dataclasses.replace(row, peer=scale * other.diffusion)
 
 
 def _relative(quantity: str, known: Estimate, learned: float, most: float) -> TruthRow:
