@@ -140,7 +140,7 @@ class TruthCase:
 
     Attributes:
         name: of its folder.
-        kind: what is known of it.
+        known: what is known of it, the kind of its description.
         status: "judged", "absent", "skipped" or "failed".
         reason: why it was not judged.
         seconds: from reading to the last row, StochasticForceInference apart.
@@ -150,7 +150,7 @@ class TruthCase:
     """
 
     name: str
-    kind: str
+    known: str
     status: str
     reason: str = ""
     seconds: float | None = None
