@@ -14,9 +14,14 @@ WITHOUT_FLAGS = ("heat",)
 
 
 def names() -> list[str]:
-    """The benchmarks, one module or package each, by the names that call them."""
-    places = Path(__file__).parent.glob("[a-z]*")
-    modules = {p.stem for p in places if p.suffix == ".py" or p.is_dir()}
+    """The benchmarks: modules and packages with a `main`, by the names that call them."""
+    folder = Path(__file__).parent
+    files = [*folder.glob("[a-z]*.py"), *folder.glob("[a-z]*/__init__.py")]
+    modules = [
+        path.stem if path.parent == folder else path.parent.name
+        for path in files
+        if "\ndef main(" in path.read_text(encoding="utf-8")
+    ]
     return sorted(name.replace("_", "-") for name in modules)
 
 

@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from pinav.commands.command import Command, CommandResult
 from pinav.commands.dispatch import execute
 from pinav.commands.fitted_run import ModelHeader, build_model, write_model
-from pinav.commands.held_out import held_out
 from pinav.commands.matching import CurriculumSettings, matching
 from pinav.commands.progress import BayesReporter, FitReporter
 from pinav.commands.results import keep
@@ -36,6 +35,7 @@ from pinav.evaluation import (
     extent,
     field_map,
     force_agreement,
+    held_out,
     position_errors,
     predict,
     score,

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pinav.errors import FitError as FitError
     from pinav.errors import InputError as InputError
     from pinav.evaluation import estimate_starts as estimate_starts
+    from pinav.evaluation import evaluate as evaluate
     from pinav.evaluation import field_map as field_map
     from pinav.evaluation import predict as predict
     from pinav.evaluation import score as score
@@ -52,7 +53,7 @@ _PUBLIC = {
     "commands.fitted_run": ("FittedRun",),
     "dynamics": ("OverdampedSwimmer", "Swimmer", "rollout"),
     "errors": ("FitError", "InputError"),
-    "evaluation": ("estimate_starts", "field_map", "predict", "score"),
+    "evaluation": ("estimate_starts", "evaluate", "field_map", "predict", "score"),
     "fitting": ("fit", "fit_bayes", "fit_langevin", "kernel_environment"),
     "forces": (
         *("AbstractForce", "ConstantForce", "GaussianBarrier", "HarmonicTrap"),

@@ -5,16 +5,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from pinav.commands.evaluate.job import evaluate
 from pinav.commands.fit.metrics import FitMetrics
 from pinav.commands.fit.remarks import REMARKS
-from pinav.commands.fitted_run import ModelHeader, build_model
+from pinav.commands.fitted_run import FittedRun, ModelHeader, build_model
+from pinav.evaluation import evaluate
 from pinav.fitting import Refinement
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.summary import summarise_for
 from pinav.scenarios import scenario
-from pinav.trajectories import simulate
+from pinav.trajectories import load, simulate
 
 MODELS = ("kernel-potential", "kernel-force", "kernel-mixture", "kernel-potential-time")
 
@@ -57,10 +57,9 @@ def test_a_coarse_fit_says_so():
 def test_an_evaluation_has_physics_alone_beside_its_models(tiny_fit):
     run, data = tiny_fit
     with jax.numpy_dtype_promotion("standard"):
-        metrics = evaluate(run, data)
-    assert metrics.force is not None
-    for table in (metrics.rmse, metrics.rollouts, metrics.force):
+        scores = evaluate(FittedRun.open(run), load(data))
+    for table in (scores.rmse, scores.rollouts, scores.force):
         assert list(table) == ["model", "physics-only"]
-    for region in metrics.force["physics-only"].values():
+    for region in scores.force["physics-only"].values():
         assert region.error == pytest.approx(1.0)
-        assert region.cosine is None
+        assert np.isnan(region.cosine)

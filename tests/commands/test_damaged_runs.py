@@ -31,13 +31,13 @@ from pinav import cli
 from pinav.commands import report_page
 from pinav.commands.analyse import job as analyse_job
 from pinav.commands.discover import job as discover_job
-from pinav.commands.evaluate import job as evaluate_job
 from pinav.commands.explore import job as explore_job
 from pinav.commands.heat.learn import LearnTask
 from pinav.commands.heat.simulate import SimulateTask
 from pinav.commands.navigate import job as navigate_job
 from pinav.commands.reproduce import job as reproduce_job
 from pinav.errors import FitError
+from pinav.evaluation import evaluation
 from pinav.live.messages import encode
 
 KEYS = range(300)
@@ -55,7 +55,7 @@ def stop(*args, **options):
 
 
 STAGES = (
-    (evaluate_job, "clean_trajectories"),
+    (evaluation, "clean_trajectories"),
     (analyse_job, "helmholtz_split"),
     (discover_job, "discover_law"),
     (navigate_job, "controller_of"),

@@ -1,5 +1,6 @@
 """Fitting: phases that minimise an objective, and the Bayesian fit of kernels."""
 
+from pinav.fitting.abstract_learned import AbstractLearned as AbstractLearned
 from pinav.fitting.bayes.derived import derive as derive
 from pinav.fitting.bayes.derived import principal_drags as principal_drags
 from pinav.fitting.bayes.derived import rotational_fraction as rotational_fraction

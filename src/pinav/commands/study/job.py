@@ -12,7 +12,6 @@ import jax
 import msgspec
 
 from pinav.commands.cells import as_cell
-from pinav.commands.held_out import held_out
 from pinav.commands.matching import CurriculumSettings, matching
 from pinav.commands.settings import ModelName
 from pinav.commands.study.metrics import (
@@ -30,6 +29,7 @@ from pinav.evaluation import (
     extent,
     field_map,
     force_agreement,
+    held_out,
     position_errors,
     predict,
     square,

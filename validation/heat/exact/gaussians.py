@@ -7,8 +7,7 @@ References:
 import numpy as np
 import scipy.integrate
 from jaxtyping import Float
-
-from pinav.thermal.exact.media import Medium, Number
+from validation.heat.exact.media import Medium, Number
 
 
 def gaussian_decay(

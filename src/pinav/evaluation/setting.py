@@ -1,79 +1,96 @@
-"""The setting of an evaluation: a run, the trajectories to score, and the truth."""
+"""The setting of an evaluation: a fit, the trajectories to score, and the truth."""
 
 import dataclasses
-from pathlib import Path
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from pinav.commands.data_file import read_data, with_all_channels
-from pinav.commands.fitted_run import FittedRun
-from pinav.commands.recording_settings import RecordingSettings
 from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-from pinav.evaluation import (
-    START_SAMPLES,
+from pinav.evaluation.force_fields import (
     FieldMap,
     Regions,
-    Starts,
     default_regions,
-    estimate_starts,
     extent,
     field_map,
-    predict,
+)
+from pinav.evaluation.scores import predict
+from pinav.evaluation.starts import (
+    START_SAMPLES,
+    Starts,
+    estimate_starts,
     without_first,
 )
+from pinav.fitting import AbstractLearned
 from pinav.scenarios import source_system
 from pinav.systems import System
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, with_all_channels
 
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """The run, the data and the truth by which all models of a run are judged.
+    """The fit, the data and the truth by which all models of a fit are judged.
 
     Attributes:
-        run: the fitted run.
+        fit: the fit.
         data: trajectories to score.
         truth: system that the data came from, where its environment is known.
         regions: lengths that tell visited from unvisited places.
         notes: sentences on what was left out.
     """
 
-    run: FittedRun
+    fit: AbstractLearned
     data: Trajectories
     truth: System | None
     regions: Regions
     notes: tuple[str, ...] = ()
 
+    @classmethod
+    def of(
+        cls, fit: AbstractLearned, data: Trajectories, regions: Regions | None
+    ) -> "Setting":
+        """The setting of a fit and trajectories, in the regions of the training data.
+
+        Raises:
+            InputError: the data are not those of the fitted system.
+        """
+        scored, notes = select_scored(data, fit)
+        truth = true_system(fit.system, scored, fit.data)
+        if truth is not None and fit.data.dim != 2:
+            notes += (
+                f"The data have {fit.data.dim} coordinates: maps, and with them the "
+                "errors of the force by region, are made for planar data alone.",
+            )
+        regions = default_regions(fit.data) if regions is None else regions
+        return cls(fit, scored, truth, regions, notes)
+
     @property
     def domain(self) -> float:
         """Extent of the training data [L]; rollouts that err by more diverged."""
-        return extent(self.run.data)
+        return extent(self.fit.data)
 
     @property
     def diffusion(self) -> float | None:
         """Diffusion coefficient that the fit found [L² T⁻¹], of stochastic paths."""
-        evidence = self.run.evidence
-        if evidence is None or "diffusion" not in evidence.constants:
+        if self.fit.evidence is None or "diffusion" not in self.fit.constants:
             return None
-        return evidence.constants["diffusion"].value
+        return self.fit.constants["diffusion"].value
 
     @property
-    def planar(self) -> bool:
+    def is_planar(self) -> bool:
         """The positions lie in the plane, so that there are maps."""
-        return self.run.data.dim == 2
+        return self.fit.data.dim == 2
 
     @property
-    def estimate(self) -> bool:
+    def estimates_starts(self) -> bool:
         """The first samples are no starts: incomplete, or noisy.
 
         Stochastic paths start at their first samples: no noise was found on them.
         """
         if not bool(self.data.observed[:, 0].all()):
             return True
-        return self.run.posterior is not None and self.diffusion is None
+        return self.fit.posterior is not None and self.diffusion is None
 
     def force_fields(
         self, model: Swimmer | OverdampedSwimmer
@@ -81,28 +98,12 @@ class Setting:
         """Learned and true force around the training data."""
         if self.truth is None or self.truth.environment is None:
             raise InputError("force: expected a system with a true environment")
-        true = field_map(self.truth.environment, self.run.data)
-        return field_map(model.environment, self.run.data), true
+        true = field_map(self.truth.environment, self.fit.data)
+        return field_map(model.environment, self.fit.data), true
 
 
-def read_setting(
-    run: Path, data: Path, regions: Regions | None, recording: RecordingSettings
-) -> Setting:
-    """The setting of a run and a file of trajectories.
-
-    Raises:
-        InputError: the run holds no model, or the file cannot be read.
-    """
-    fitted = FittedRun.open(run)
-    trajectories, notes = read_scored(data, fitted, recording)
-    truth = true_system(fitted.system, trajectories, fitted.data)
-    notes += _limits(fitted, truth)
-    regions = default_regions(fitted.data) if regions is None else regions
-    return Setting(fitted, trajectories, truth, regions, notes)
-
-
-def read_scored(
-    path: Path, run: FittedRun, recording: RecordingSettings
+def select_scored(
+    data: Trajectories, fit: AbstractLearned
 ) -> tuple[Trajectories, tuple[str, ...]]:
     """Trajectories to score, and what was left out of them.
 
@@ -110,14 +111,12 @@ def read_scored(
     estimate of their start are left out.
 
     Raises:
-        InputError: the file cannot be read, its channels are not the run's, or each
-            trajectory is too short.
+        InputError: the channels are not those of the fit.
     """
-    data = read_data(path, recording)
-    data, wanted = with_all_channels(data, run.system), run.data.channels
+    data, wanted = with_all_channels(data, fit.system), fit.data.channels
     if data.channels != wanted:
         raise InputError(
-            f"{path}: expected the channels {', '.join(wanted)} of the run, or the "
+            f"data: expected the channels {', '.join(wanted)} of the run, or the "
             f"positions among them, got {', '.join(data.channels)}"
         )
     long = np.flatnonzero(data.lengths > START_SAMPLES)
@@ -136,7 +135,7 @@ def true_system(
     """The system that the data, or else the training data, were simulated from.
 
     Raises:
-        InputError: its state is not that of the system of the run.
+        InputError: its state is not that of the fitted system.
     """
     for trajectories in (data, training):
         source = source_system(trajectories.provenance)
@@ -150,15 +149,6 @@ def true_system(
                 )
             return source
     return None
-
-
-def _limits(run: FittedRun, truth: System | None) -> tuple[str, ...]:
-    if truth is None or run.data.dim == 2:
-        return ()
-    return (
-        f"The data have {run.data.dim} coordinates: maps, and with them the errors of "
-        "the force by region, are made for planar data alone.",
-    )
 
 
 class Prediction(eqx.Module):
@@ -183,7 +173,7 @@ def predict_rollouts(
     """Roll a model out from each start.
 
     Args:
-        model: what predicts.
+        model: the dynamics that predict.
         data: what was observed.
         estimate: fit each start to the first samples, and score those after them.
     """

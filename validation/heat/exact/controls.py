@@ -2,9 +2,8 @@
 
 import numpy as np
 import scipy.integrate
-
-from pinav.thermal.exact import Medium
-from pinav.thermal.exact.spheres import kernel
+from validation.heat.exact import Medium
+from validation.heat.exact.spheres import kernel
 
 
 def lumped_by_perfusion(t: float, medium: Medium, source: float) -> float:

@@ -8,8 +8,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+from validation.heat import exact
+from validation.heat.checks import (
+    AMPLITUDE,
+    Check,
+    checks_at,
+    powers,
+    reference_model,
+)
+from validation.heat.exact import SET_S, Medium
+from validation.heat.steady_checks import (
+    interface_checks,
+    order_checks,
+    radius_checks,
+    rest_checks,
+)
+from validation.heat.waveform import Waveform
 
-from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import (
     Dirichlet,
@@ -19,31 +34,16 @@ from pinav.thermal.boundaries import (
     around,
     outer,
 )
-from pinav.thermal.checks import (
-    AMPLITUDE,
-    Check,
-    checks_at,
-    powers,
-    reference_model,
-)
 from pinav.thermal.dose import cem43_segment
-from pinav.thermal.exact import SET_S, Medium
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.magnetics import LinearResponse
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
-from pinav.thermal.protocols import Waveform
 from pinav.thermal.quantities import Number
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.schedule import plan_steps
 from pinav.thermal.solve import probes_at, run, solve
 from pinav.thermal.sources import PowerSource
 from pinav.thermal.starts import State
-from pinav.thermal.steady_checks import (
-    interface_checks,
-    order_checks,
-    radius_checks,
-    rest_checks,
-)
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 

@@ -16,8 +16,7 @@ import mpmath
 import numpy as np
 import scipy.integrate
 import scipy.special
-
-from pinav.thermal.exact.media import Medium, Number
+from validation.heat.exact.media import Medium, Number
 
 
 def kernel(r: Number, s: Number, medium: Medium, radius: Number) -> float:

@@ -1,11 +1,12 @@
 """What the solver is verified with: a reference medium, its powers, and one check."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 
+from pinav.report import Table
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import AbstractEnds, Dirichlet, around, outer
 from pinav.thermal.grids import AbstractGrid
@@ -97,3 +98,19 @@ def checks_at(
     for point, value, expected in zip(points, values, true, strict=True):
         name = f"{case}, {1e3 * point:g} mm"
         yield Check(name, float(value), float(expected), tolerance, unit)
+
+
+def table(checks: Sequence[Check]) -> Table:
+    """The errors of the solver, one row for each check."""
+    rows = [
+        (
+            f"{check.case} [{check.unit}]",
+            check.value,
+            check.exact,
+            f"{check.error:.1e}",
+            f"{check.tolerance:.0e}",
+            "yes" if check.within else "NO",
+        )
+        for check in checks
+    ]
+    return Table(("case", "value", "exact", "error", "tolerance", "within"), rows)

@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+from validation.heat import exact
+from validation.heat.checks import AMPLITUDE, Check, checks_at, reference_model
+from validation.heat.exact import SET_S, Medium
 
-from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Periodic, Robin, Sides, outer
-from pinav.thermal.checks import AMPLITUDE, Check, checks_at, reference_model
-from pinav.thermal.exact import SET_S, Medium
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import ConstantPerfusion
 from pinav.thermal.solve import probes_at

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import scipy.integrate
 import scipy.optimize
-
-from pinav.thermal.exact.media import Medium, Number
+from validation.heat.exact.media import Medium, Number
 
 
 def lumped_rise(t: Number, medium: Medium, source: Number) -> float:

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.special
 from jaxtyping import Float
-
-from pinav.thermal.exact.media import Medium, Number
+from validation.heat.exact.media import Medium, Number
 
 MODES = 400
 """Terms of a series; those beyond have decayed within a thousandth of a second."""
