@@ -14,7 +14,7 @@ WITHOUT_FLAGS = ("heat",)
 
 
 def names() -> list[str]:
-    """The benchmarks: modules and packages with a `main`, by the names that call them."""
+    """The benchmarks: modules and packages with a `main`, by their names."""
     folder = Path(__file__).parent
     files = [*folder.glob("[a-z]*.py"), *folder.glob("[a-z]*/__init__.py")]
     modules = [

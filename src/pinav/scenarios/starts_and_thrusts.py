@@ -1,9 +1,40 @@
-"""Schedules of the thrust with which recordings in space are made."""
+"""Starts that follow a rule, and schedules of the thrust, of built-in systems."""
+
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PRNGKeyArray
 
 from pinav.forces import ScheduledThrust
+from pinav.systems import System
+
+
+@runtime_checkable
+class Scenario(Protocol):
+    """A named system."""
+
+    def __call__(
+        self, key: PRNGKeyArray | None = None, count: int | None = None
+    ) -> System:
+        """The system, its starts drawn by its rule.
+
+        Args:
+            key: random key of the starts; `jax.random.key(0)` unless given.
+            count: number of trajectories; the scenario's own number unless given.
+        """
+        ...
+
+
+def with_random_starts(build: Callable[[], System]) -> Scenario:
+    """A scenario from a function that states a system and the rule of its starts."""
+
+    def scenario(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+        return build().with_starts(key, count)
+
+    scenario.__doc__, scenario.__name__ = build.__doc__, build.__name__
+    return scenario
 
 
 def out_and_back(
