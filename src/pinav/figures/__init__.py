@@ -28,4 +28,3 @@ from pinav.figures.trajectories import figure1 as figure1
 from pinav.figures.trajectories import loss_curve as loss_curve
 from pinav.figures.trajectories import trajectory as trajectory
 from pinav.figures.trajectories import velocity as velocity
-from pinav.figures.truths import truth_band as truth_band
