@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pinav.evaluation import ErrorCurve, Evaluation, Whiteness, normal_quantile
+from pinav.figures.bands import band
 from pinav.figures.images import Picture
 from pinav.figures.palette import (
     GREY,
@@ -55,8 +56,8 @@ def error_over_time(
         style = (styles or {}).get(name) or style_of(name, index)
         color, dash = style.color, style.dash
         median, high = _positive(curve.median), _positive(curve.high)
-        ax.fill_between(curve.elapsed, median, high, color=color, alpha=0.15, lw=0)
-        ax.plot(curve.elapsed, median, dash, color=color, lw=THIN, label=name)
+        drawn = {"color": color, "line": dash, "width": THIN, "alpha": 0.15}
+        band(curve.elapsed, median, (median, high), name=name, **drawn, ax=ax)
         ax.plot(curve.elapsed, high, ":", color=color, lw=0.8)
     _set_log_if_positive(ax, [c.high for c in curves.values()])
     if horizon is not None:
