@@ -4,7 +4,6 @@ from pinav.commands.command import CommandResult
 from pinav.commands.data.settings import DataOptions
 from pinav.recordings.public import PUBLIC, fetch_recording
 
-
 TOLD = ("name", "summary", "address", "licence", "sha256", "reference")
 """The facts of a recording that scripts are told."""
 
