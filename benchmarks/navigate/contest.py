@@ -8,6 +8,7 @@ import jax
 import msgspec
 import numpy as np
 
+from benchmarks.navigate.gaussian_process import gaussian_process
 from pinav.commands.fit.job import fit
 from pinav.commands.fit.plan import plan_fit
 from pinav.commands.fit.settings import FitSettings, ModelName
@@ -24,7 +25,6 @@ from pinav.navigation.control.simple import (
     physics_only,
     steered_swimmer,
 )
-from pinav.navigation.reference.gaussian_process import gaussian_process
 from pinav.navigation.task.catalogue import TASKS, task, training
 from pinav.navigation.task.objectives import FollowPath
 from pinav.navigation.task.steering import SteeredSwimmer

@@ -1,7 +1,7 @@
 """Planning and control of a swimmer whose environment was learned.
 
 A task says what is to be done; a plan and a controller do it with a model; trials say
-how well. `pinav.navigation.trials.gym` needs the extra `gym` and is imported by name.
+how well.
 """
 
 from pinav.navigation.control.compensation import DelayCompensation as DelayCompensation
@@ -39,11 +39,6 @@ from pinav.navigation.model.time_cost import TimeCost as TimeCost
 from pinav.navigation.planning.plan import Route as Route
 from pinav.navigation.planning.plan import TimeToGo as TimeToGo
 from pinav.navigation.planning.plan import time_to_go as time_to_go
-from pinav.navigation.reference.gaussian_process import (
-    gaussian_process as gaussian_process,
-)
-from pinav.navigation.reference.minimum_time import minimum_time as minimum_time
-from pinav.navigation.reference.zermelo import quickest_of_task as quickest_of_task
 from pinav.navigation.task.catalogue import TASKS as TASKS
 from pinav.navigation.task.catalogue import task as task
 from pinav.navigation.task.catalogue import training as training
