@@ -1,15 +1,13 @@
 """Judges what a flight has learned, by the truth."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.navigation.adaptive.flight import Flight
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.simple import physics_only
 from pinav.navigation.task.task import Task
@@ -53,8 +51,8 @@ def score_force(
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class FlightRecord:
-    """What counts of a flight; all of it are numbers and arrays.
+class Flight:
+    """The record of a flight, judged by the truth.
 
     Attributes:
         path: true positions at the frames [L].
@@ -64,6 +62,7 @@ class FlightRecord:
         clearance: least distance from forbidden places [L].
         consistency: mean of the squared error of the position over its variance.
         changed: commands that the safety filter changed.
+        stalls: frames at which no progress was noticed.
         learn_times: computing time of each frame [s].
         command_times: computing time of each command [s].
         replan_times: computing time of each later plan [s].
@@ -79,53 +78,13 @@ class FlightRecord:
     clearance: float
     consistency: float
     changed: int
+    stalls: int
     learn_times: Float[np.ndarray, " control"]
     command_times: Float[np.ndarray, " control"]
     replan_times: Float[np.ndarray, " plan"]
     memory: int
     force_error: float
     cover: float
-
-    @classmethod
-    def of(cls, flight: Flight, task: Task) -> "FlightRecord":
-        """The record of a flight.
-
-        Args:
-            flight: that ended.
-            task: which holds the truth.
-        """
-        path = flight.states[:, :2]
-        error, cover = score_force(path, flight.belief, task)
-        return cls(
-            path=path,
-            reached=flight.reached,
-            violated=flight.violated,
-            arrival_time=flight.arrival_time,
-            clearance=flight.clearance,
-            consistency=float(np.mean(flight.consistency[1:])),
-            changed=flight.changed,
-            learn_times=flight.learn_times,
-            command_times=flight.command_times,
-            replan_times=flight.replan_times,
-            memory=flight.belief.nbytes,
-            force_error=error,
-            cover=cover,
-        )
-
-    @classmethod
-    def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "FlightRecord":
-        """The record that `arrays` came from."""
-        fields: dict[str, Any] = {
-            name: array if array.ndim else array.item()
-            for name, array in arrays.items()
-        }
-        return cls(**fields)
-
-    @property
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Its fields, for a file."""
-        names = [field.name for field in dataclasses.fields(self)]
-        return {name: np.asarray(getattr(self, name)) for name in names}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -169,9 +128,9 @@ class Outcome:
 
 
 def judge_flights(
-    flights: Sequence[FlightRecord],
+    flights: Sequence[Flight],
     own_limit: float,
-    oracle: Sequence[FlightRecord] = (),
+    oracle: Sequence[Flight] = (),
 ) -> Outcome:
     """The outcome of some flights.
 

@@ -11,9 +11,9 @@ forbidden place is entered, and when time is up.
 import dataclasses
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import Generic
 
 import equinox as eqx
 import jax
@@ -137,6 +137,22 @@ def concatenate_episodes(parts: Sequence[Episodes]) -> Episodes:
     return eqx.tree_at(lambda episodes: episodes.ts, joined, first.ts)
 
 
+def mean_thrust(
+    task: Task, queue: Float[Array, "command dim"]
+) -> Float[np.ndarray, " dim"]:
+    """Mean thrust of a control step, by the commands that were in force.
+
+    Args:
+        task: whose delay counts.
+        queue: commands that were pending at its beginning, and later ones.
+    """
+    whole = math.floor(task.delay / task.step + 1e-9)
+    part = max(task.delay / task.step - whole, 0.0)
+    first, second = (queue[k] for k in ((0, 1) if part > 1e-9 or not whole else (0, 0)))
+    actuator = task.truth.actuator
+    return np.asarray(part * actuator(first) + (1 - part) * actuator(second), float)
+
+
 def control_steps(task: Task) -> int:
     """Control steps until the time is up."""
     return math.ceil(task.time_limit / task.step - 1e-9)
@@ -211,6 +227,86 @@ def advance(
     return later, allowed
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Step(Generic[Memory]):
+    """A control step of an episode.
+
+    Attributes:
+        before: the situation in which the controller decides.
+        memory: of the controller after its decision.
+        command: what was commanded, within the limits.
+        after: the situation at the end of the step.
+        seconds: computing time of the decision [s].
+    """
+
+    before: Situation
+    memory: Memory
+    command: Command
+    after: Situation
+    seconds: float
+
+
+class Compiled(AbstractController[Memory], Generic[Memory]):
+    """A controller whose decisions are compiled.
+
+    Attributes:
+        controller: what decides; it can be traced.
+    """
+
+    controller: AbstractController[Memory]
+
+    def start(self, observation: Observation) -> Memory:
+        return self.controller.start(observation)
+
+    def __call__(
+        self, observation: Observation, memory: Memory, *, key: PRNGKeyArray
+    ) -> tuple[Command, Memory]:
+        return _decide(self.controller, observation, memory, key)
+
+
+def episode(
+    task: Task,
+    controller: AbstractController[Memory],
+    *,
+    key: PRNGKeyArray,
+    truth: SteeredSwimmer | None = None,
+) -> Iterator[Step[Memory]]:
+    """The control steps of one episode, one after the other.
+
+    Args:
+        task: what is to be done.
+        controller: what decides, as it is; see `Compiled`.
+        key: random key of noise, sensor and controller.
+        truth: another true swimmer than that of the task.
+    """
+    truth = task.truth if truth is None else truth
+    now, memory = begin(task), None
+    while not _ended(now, task):
+        sensing, deciding, moving = _step_keys(key, now.step)
+        observed = observe_compiled(task, now, sensing)
+        memory = controller.start(observed) if memory is None else memory
+        began = time.perf_counter()
+        command, memory = controller(observed, memory, key=deciding)
+        jax.block_until_ready(command)
+        seconds = time.perf_counter() - began
+        before = now
+        now, allowed = advance_compiled(task, truth, now, command, moving)
+        yield Step(before, memory, allowed, now, seconds)
+
+
+def last_observation(
+    task: Task, situation: Situation, key: PRNGKeyArray
+) -> Observation:
+    """The observation that a controller would be told at the end of an episode.
+
+    Args:
+        task: what was to be done.
+        situation: at the end.
+        key: random key of the episode.
+    """
+    return observe_compiled(task, situation, _step_keys(key, situation.step)[0])
+
+
 def run(
     task: Task,
     controller: AbstractController,
@@ -226,25 +322,11 @@ def run(
         key: random key of noise, sensor and controller.
         truth: another true swimmer than that of the task.
     """
-    truth = task.truth if truth is None else truth
-    now, ended = begin(task), eqx.filter_jit(Situation.ended)
-    states, commands, compute = [now.state], [], []
-    memory: Any = None
-    while not ended(now, task):
-        sensing, deciding, moving = _step_keys(key, now.step)
-        observed = _observe(task, now, sensing)
-        if memory is None:
-            memory = controller.start(observed)
-        began = time.perf_counter()
-        command, memory = jax.block_until_ready(
-            _decide(controller, observed, memory, deciding)
-        )
-        compute.append(time.perf_counter() - began)
-        now, allowed = _advance(task, truth, now, command, moving)
-        states.append(now.state)
-        commands.append(allowed)
-    paths, controls = np.stack(states), np.asarray(commands, float)
-    return Episodes.of(task, now, paths, controls, compute)
+    steps = list(episode(task, Compiled(controller), key=key, truth=truth))
+    paths = np.stack([steps[0].before.state, *(step.after.state for step in steps)])
+    controls = np.asarray([step.command for step in steps], float)
+    compute = [step.seconds for step in steps]
+    return Episodes.of(task, steps[-1].after, paths, controls, compute)
 
 
 def run_many(
@@ -284,8 +366,9 @@ def _decide(
     return controller(observation, memory, key=key)
 
 
-_observe = eqx.filter_jit(observe)
-_advance = eqx.filter_jit(advance)
+observe_compiled = eqx.filter_jit(observe)
+advance_compiled = eqx.filter_jit(advance)
+_ended = eqx.filter_jit(Situation.ended)
 
 
 @eqx.filter_jit
