@@ -45,9 +45,9 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     only: Annotated[str, tyro.conf.arg(help="Only files whose path contains this.")] = (
         ""
     )
-    selection: Annotated[
-        bool, tyro.conf.arg(help="Fit residuals by position and all baselines too.")
-    ] = False
+    selection: Annotated[bool, tyro.conf.arg(help="Fit fields of position too.")] = (
+        False
+    )
 
 
 def main(argv: Sequence[str]) -> None:

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import pkgutil
 import re
 import subprocess
 import sys
@@ -237,13 +238,36 @@ def test_links_lead_somewhere(page):
         assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
+NAMING = [*PAGES, ROOT / "CONTRIBUTING.md", *sorted((DOCS / "api").glob("*.md"))]
+"""Pages that name files, folders and modules; the change log tells of earlier ones."""
+
+TOP = r"tests|validation|benchmarks|examples|src|docs"
+BELOW = "|".join(path.name for path in (ROOT / "src/pinav").iterdir() if path.is_dir())
+FILES = re.compile(
+    rf"(?<![\w/.-])((?:{TOP}|{BELOW}|formats)/[\w*/.-]+\.(?:py|toml|js))\b"
+)
+FOLDERS = re.compile(r"`((?:\w+/)+)`")
+MODULES = re.compile(r"\b(?:pinav|benchmarks|validation)(?:\.[A-Za-z]\w*)+")
 PLACES = (ROOT, ROOT / "src/pinav", ROOT / "src/pinav/recordings")
 """Folders from which the pages name files."""
 
+OF_RUNS = {"cells/", "figures/"}
+"""Folders below a run."""
 
-@pytest.mark.parametrize("page", PAGES, ids=page_id)
-def test_a_file_of_the_repository_that_a_page_names_is_there(page):
+
+@pytest.mark.parametrize("page", NAMING, ids=page_id)
+def test_what_a_page_names_of_the_repository_is_there(page):
     text = page.read_text(encoding="utf-8")
-    folders = r"tests|validation|benchmarks|examples|src|docs|forces|fitting|formats"
-    for name in re.findall(rf"\b((?:{folders})/[\w/-]+\.(?:py|toml|js))\b", text):
-        assert any((place / name).exists() for place in PLACES), name
+    names = {*FILES.findall(text), *FOLDERS.findall(text)} - OF_RUNS
+    gone = {n for n in names if not any(any(p.glob(n)) for p in PLACES)}
+    gone |= {n for n in MODULES.findall(text) if not is_importable(n)}
+    assert not gone
+
+
+def is_importable(name: str) -> bool:
+    """True for a module, and for what a module holds."""
+    try:
+        pkgutil.resolve_name(name)
+    except (ImportError, AttributeError):
+        return False
+    return True

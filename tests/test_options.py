@@ -62,6 +62,16 @@ def options_of(name: str) -> set[str]:
     return set(OPTION.findall(help_of(name)))
 
 
+MOST_OPTIONS = 303
+"""Options of all commands, that of the help included; lower it as options go."""
+
+
+def test_the_commands_have_no_more_options_than_before():
+    declared = re.compile(r"^\W*(?:-h, )?(--[a-z][a-z-]*)(?: |$)", re.MULTILINE)
+    counts = {c.name: len(declared.findall(help_of(c.name))) for c in COMMANDS}
+    assert sum(counts.values()) <= MOST_OPTIONS, counts
+
+
 NAMES = [command.name for command in COMMANDS] + [f"bench {n}" for n in BENCHMARKS]
 
 
