@@ -20,7 +20,7 @@ from pinav.errors import InputError
 from pinav.navigation.task.catalogue import task
 from pinav.navigation.task.steering import Command, SteeredSwimmer
 from pinav.navigation.task.task import Task
-from pinav.navigation.trials.closed_loop import (
+from pinav.navigation.trials.situation import (
     Situation,
     advance,
     begin,

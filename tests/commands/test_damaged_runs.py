@@ -56,7 +56,7 @@ STAGES = (
     (evaluate_job, "clean_trajectories"),
     (analyse_job, "helmholtz_split"),
     (discover_job, "discover_law"),
-    (navigate_job, "controller_of"),
+    (navigate_job, "navigate"),
     (reproduce_job, "matching"),
     (reproduce_job, "predict"),
     (truth_job, "judge_trap"),

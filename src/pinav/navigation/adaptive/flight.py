@@ -10,7 +10,8 @@ from jaxtyping import PRNGKeyArray
 from pinav.navigation.adaptive.scores import Flight, score_force
 from pinav.navigation.adaptive.steering import AdaptiveController, ControllerState
 from pinav.navigation.belief.belief import Belief
-from pinav.navigation.trials.closed_loop import Situation, episode, last_observation
+from pinav.navigation.trials.closed_loop import episode, last_observation
+from pinav.navigation.trials.situation import Situation
 
 
 class Visit(NamedTuple):

@@ -1,7 +1,7 @@
 """Judges what a flight has learned, by the truth."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,16 @@ from jaxtyping import Array, Float
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.simple import physics_only
 from pinav.navigation.task.task import Task
-from pinav.navigation.trials.metrics import Interval, median, proportion
+from pinav.navigation.trials.metrics import (
+    Interval,
+    Quantiles,
+    median,
+    proportion,
+    quantiles,
+)
+
+ORACLE = "oracle"
+"""The controller that knows the true force."""
 
 NOMINAL = 1.96
 """Half width of a band of 95 %, in standard deviations."""
@@ -96,7 +105,7 @@ class Outcome:
         success: proportion that arrived without a violation.
         in_time: proportion that arrived within the task's own time limit.
         violation: proportion that entered a forbidden place.
-        arrival: 5, 50 and 95 % quantile of the times of those that arrived [T].
+        arrival: arrival times of those that arrived [T].
         regret: median over pairs of arrival time / the oracle's; none for the oracle.
         clearance: least distance from forbidden places [L].
         force_error: median error of the force over the visited path; none for the
@@ -114,7 +123,7 @@ class Outcome:
     success: Interval
     in_time: Interval
     violation: Interval
-    arrival: tuple[float, float, float]
+    arrival: Quantiles
     regret: Interval | None
     clearance: float
     force_error: float | None
@@ -147,12 +156,6 @@ def judge_flights(
         best = np.array([flight.arrival_time for flight in oracle])
         pairs = np.isfinite(best)
         ratio = median(times[pairs] / best[pairs]) if pairs.any() else None
-    quantiles = (np.nan, np.nan, np.nan)
-    if len(arrived):
-        low, middle, high = np.quantile(
-            arrived, [0.05, 0.5, 0.95], method="inverted_cdf"
-        )
-        quantiles = float(low), float(middle), float(high)
     frames = np.concatenate([flight.learn_times for flight in flights])
     commands = np.concatenate([flight.command_times[1:] for flight in flights])
     plans = np.concatenate([flight.replan_times[1:] for flight in flights])
@@ -161,7 +164,7 @@ def judge_flights(
         success=proportion(sum(flight.reached for flight in flights), count),
         in_time=proportion(int(np.sum(times <= own_limit)), count),
         violation=proportion(sum(flight.violated for flight in flights), count),
-        arrival=quantiles,
+        arrival=quantiles(arrived),
         regret=ratio,
         clearance=min(flight.clearance for flight in flights),
         force_error=float(np.median([f.force_error for f in flights]))
@@ -175,3 +178,19 @@ def judge_flights(
         replan_time=float(np.median(plans)) if len(plans) else np.nan,
         memory=float(max(flight.memory for flight in flights)),
     )
+
+
+def judge_controllers(
+    flights: Mapping[str, Sequence[Flight]], own_limit: float
+) -> dict[str, Outcome]:
+    """The outcome of each controller, in pairs with the oracle.
+
+    Args:
+        flights: flights of the oracle and of others, of the same keys.
+        own_limit: time limit of the task itself [T].
+    """
+    oracle = flights[ORACLE]
+    return {
+        name: judge_flights(some, own_limit, oracle if name != ORACLE else ())
+        for name, some in flights.items()
+    }

@@ -39,7 +39,7 @@ from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import Command
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Rectangle
-from pinav.navigation.trials.closed_loop import mean_thrust
+from pinav.navigation.trials.situation import mean_thrust
 
 POINTS, SPEEDS = 25, 11
 """Points of the lattice along the arena and along a velocity, with inertia."""

@@ -25,7 +25,7 @@ from pinav.navigation.design.choices import AbstractDesign, Stage
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Rectangle
-from pinav.navigation.trials.closed_loop import advance_compiled, begin, mean_thrust
+from pinav.navigation.trials.situation import advance_compiled, begin, mean_thrust
 
 DRAWS = 100
 """Draws of the force whose errors decide whether a way is known."""
