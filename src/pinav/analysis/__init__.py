@@ -26,7 +26,6 @@ from pinav.analysis.sensitivity.influence import Influence as Influence
 from pinav.analysis.sensitivity.influence import influence as influence
 from pinav.analysis.sensitivity.lyapunov import LyapunovMap as LyapunovMap
 from pinav.analysis.sensitivity.lyapunov import lyapunov_map as lyapunov_map
-from pinav.analysis.sensitivity.lyapunov import start_jacobians as start_jacobians
 from pinav.analysis.sensitivity.rollout_study import RolloutStudy as RolloutStudy
 from pinav.analysis.sensitivity.sobol import Factor as Factor
 from pinav.analysis.sensitivity.sobol import SobolIndices as SobolIndices
