@@ -39,7 +39,7 @@ def test_every_case_is_within_its_tolerance():
 
 @pytest.mark.parametrize("name", CASES)
 def test_what_the_gradient_of_half_an_hour_costs(name):
-    """In memory, and in runs; `pinav bench heat` measures seconds."""
+    """In memory, and in runs; `python -m benchmarks heat` measures seconds."""
     cost = in_own_process(name)
     print(name, cost)
     assert cost.memory < CASES[name].memory

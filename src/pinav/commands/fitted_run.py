@@ -193,10 +193,6 @@ class FittedRun(AbstractLearned):
         training = set(_hashes(self.data))
         return sum(piece in training for piece in _hashes(data))
 
-    def is_training_data(self, data: Trajectories) -> bool:
-        """The fit has seen at least one of these trajectories."""
-        return self.shared_trajectories(data) > 0
-
     def force_sd(self, field: FieldMap) -> Float[np.ndarray, "y x 2"]:
         """Standard deviation of the learned force on the grid of a map.
 

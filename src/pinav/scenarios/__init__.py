@@ -14,9 +14,6 @@ from pinav.scenarios.currents import channel_current as channel_current
 from pinav.scenarios.currents import drift_current as drift_current
 from pinav.scenarios.currents import shear_current as shear_current
 from pinav.scenarios.currents import vortex_current as vortex_current
-from pinav.scenarios.families import FAMILIES as FAMILIES
-from pinav.scenarios.families import Family as Family
-from pinav.scenarios.families import random_system as random_system
 from pinav.scenarios.media import anisotropic_drag as anisotropic_drag
 from pinav.scenarios.media import poiseuille as poiseuille
 from pinav.scenarios.media import porous as porous
