@@ -208,6 +208,7 @@ def test_what_depends_on_parameters_alone_is_computed_once():
 
     entries = Entries()
     program = entries.add("product", product, {"theta": jnp.arange(3.0)}, {"t": 2.0})
+    entries.add("early", lambda theta: theta[::-1], {"theta": jnp.arange(3.0)}, {})
     entries.check()
     assert "Math.exp" not in program.text.partition("return")[2]
     assert program.inputs == {"theta", "t"}

@@ -171,6 +171,37 @@ def dynamic_slice(printer: Printer, equation: Any, inputs: list[Value]) -> list[
     return [printer.store(Value(shape, at, union_of(inputs)))]
 
 
+def gather(printer: Printer, equation: Any, inputs: list[Value]) -> list[Value]:
+    """Windows that begin at given indices, held within the array."""
+    if inputs[1].constant is not None:
+        return view(printer, equation, inputs)
+    value, indices = map(printer.store, inputs)
+    numbers, sizes = (
+        equation.params["dimension_numbers"],
+        equation.params["slice_sizes"],
+    )
+    shape = equation.outvars[0].aval.shape
+    batching = numbers.operand_batching_dims
+    silent = {*numbers.collapsed_slice_dims, *batching}
+    windows = [a for a in range(len(value.shape)) if a not in silent]
+
+    def at(index: Index) -> str:
+        where = [i for a, i in enumerate(index) if a not in numbers.offset_dims]
+        place = ["0"] * len(value.shape)
+        for axis, offset in zip(windows, numbers.offset_dims, strict=True):
+            place[axis] = index[offset]
+        for axis, source in zip(
+            batching, numbers.start_indices_batching_dims, strict=True
+        ):
+            place[axis] = where[source]
+        for k, axis in enumerate(numbers.start_index_map):
+            start, room = indices.at((*where, str(k))), value.shape[axis] - sizes[axis]
+            place[axis] += f" + Math.min(Math.max({start}, 0), {room})"
+        return value.at(tuple(place))
+
+    return [printer.store(Value(shape, at, union_of(inputs)))]
+
+
 def contract(printer: Printer, equation: Any, inputs: list[Value]) -> list[Value]:
     """Products of two arrays, summed over common axes."""
     over, batch = equation.params["dimension_numbers"]
@@ -313,7 +344,7 @@ def _table(rule: Callable[..., list[Value]], *names: str) -> dict[str, Rule]:
 RULES: dict[str, Rule] = {
     **_table(
         *(view, "broadcast_in_dim", "reshape", "squeeze", "expand_dims", "transpose"),
-        *("slice", "rev", "split", "unstack", "gather"),
+        *("slice", "rev", "split", "unstack"),
     ),
     **_table(inline, "jit", "pjit", "closed_call", "custom_jvp_call", "checkpoint"),
     **_table(inline, "custom_vjp_call", "custom_vjp_call_jaxpr"),
@@ -327,6 +358,7 @@ RULES: dict[str, Rule] = {
     **_table(fold_constants(reduce), *FOLDS),
     "select_n": fold_constants(select),
     "dynamic_slice": fold_constants(dynamic_slice),
+    "gather": gather,
     "dot_general": fold_constants(contract),
     "scan": fold_constants(scan),
 }

@@ -8,6 +8,7 @@ time and state.
 """
 
 import base64
+import functools
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -106,26 +107,20 @@ class Constants:
     ) -> Value:
         """An array in memory, whose entries are at these places."""
 
+        find_strides = functools.cache(lambda: strides_of(places))
+
         def at(index: Index) -> str:
-            return entry(self._place(places, index))
+            if not places.size:
+                return "0"  # of an empty array no entry is ever read
+            start = int(places.flat[0])
+            strides = find_strides()
+            if strides is not None:
+                return entry(linear(start, strides, index))
+            rows = np.cumprod([1, *places.shape[:0:-1]])[::-1].tolist()
+            table = self.name(places.astype(float))
+            return entry(f"{table}[{linear(0, rows, index)}]")
 
         return Value(places.shape, at, inputs, entry, places)
-
-    def _place(self, places: np.ndarray, index: Index) -> str:
-        """Place of an entry: a sum of indices times strides, or read from a table."""
-        if not places.size:
-            return "0"  # of an empty array no entry is ever read
-        start = int(places.flat[0])
-        strides = []
-        for axis, length in enumerate(places.shape):
-            second = tuple(int(a == axis and length > 1) for a in range(places.ndim))
-            strides.append(int(places[second]) - start)
-        grid = np.indices(places.shape, sparse=True)
-        steps = [part * stride for part, stride in zip(grid, strides, strict=True)]
-        if np.array_equal(sum(steps, np.full(places.shape, start)), places):
-            return linear(start, strides, index)
-        rows = np.cumprod([1, *places.shape[:0:-1]])[::-1]
-        return f"{self.name(places.astype(float))}[{linear(0, rows.tolist(), index)}]"
 
 
 class Printer:
@@ -265,8 +260,9 @@ def print_function(
         result = printer.store(result)
     size = int(np.prod(result.shape, dtype=int))
     places = np.arange(size).reshape(result.shape)
-    out = constants.stored("out[{}]".format, places, printer.late)
-    printer.write(result, out)
+    out = constants.stored("out[{}]".format, places)
+    header, index = printer.loops(result.shape)
+    printer.late_lines.append(f"{header}{out.at(index)} = {result.at(index)};")
     body, before = map("\n".join, (printer.late_lines, printer.early_lines))
     text = (
         f"({', '.join(early)}) => {{\n"
@@ -279,6 +275,18 @@ def print_function(
 def union_of(values: Sequence[Value]) -> frozenset[str]:
     """Names of the inputs that any of several values depends on."""
     return frozenset[str]().union(*(value.inputs for value in values))
+
+
+def strides_of(places: np.ndarray) -> list[int] | None:
+    """Steps of places along each axis; None where they are not equal."""
+    start, strides = int(places.flat[0]), []
+    for axis, length in enumerate(places.shape):
+        second = tuple(int(a == axis and length > 1) for a in range(places.ndim))
+        strides.append(int(places[second]) - start)
+    grid = np.indices(places.shape, sparse=True)
+    steps = [part * stride for part, stride in zip(grid, strides, strict=True)]
+    is_regular = np.array_equal(sum(steps, np.full(places.shape, start)), places)
+    return strides if is_regular else None
 
 
 def linear(start: int, strides: Sequence[int], index: Index) -> str:
