@@ -73,7 +73,7 @@ STEPS: dict[str, tuple[str, ...]] = {
         *("--system", "identify-cellbot/system.toml"),
     ),
     "evaluate": ("evaluate", "fit-noisy", "judge.npz"),
-    "analyse": ("analyse", "fit-noisy", "--points", "5", "--samples", "8"),
+    "analyse": ("analyse", "fit-noisy", "--points", "15", "--samples", "8"),
     "discover": ("discover", "fit-noisy", "--refits", "1"),
     "compare": (
         *("compare", "noisy.npz", "--models", "physics-only", "kernel-potential"),
