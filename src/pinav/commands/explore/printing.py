@@ -106,12 +106,11 @@ class Constants:
         inputs: frozenset[str] = frozenset(),
     ) -> Value:
         """An array in memory, whose entries are at these places."""
-
         find_strides = functools.cache(lambda: strides_of(places))
 
         def at(index: Index) -> str:
             if not places.size:
-                return "0"  # of an empty array no entry is ever read
+                return entry("0")  # of an empty array none is ever read
             start = int(places.flat[0])
             strides = find_strides()
             if strides is not None:
