@@ -24,14 +24,11 @@ from pinav.arguments import Planar, State
 from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.controller import Observation
-from pinav.navigation.control.escapes import choose_command
+from pinav.navigation.control.escapes import DEVIATIONS, choose_command
 from pinav.navigation.control.prediction import TrajectoryPrediction
 from pinav.navigation.model.tabulated import TabulatedModel
 from pinav.navigation.model.time_cost import TimeCost
 from pinav.navigation.task.steering import AbstractActuator, Command
-
-DEVIATIONS = 3.0
-"""Half width of the tube at first, in standard deviations."""
 
 ESCAPES = 16
 """Headings of the sequences in reserve."""

@@ -103,14 +103,10 @@ class Experiment(eqx.Module):
         count = max(round(self.duration / self.knot), 1)
         return jnp.linspace(0.0, self.duration, count + 1)
 
-    def thrust(
-        self, candidate: CandidateTrajectories, begin: float = 0.0
-    ) -> CommandedThrust:
-        """Propulsion of one candidate that begins at a time [T]."""
-        programme = LinearProgramme(
-            self.knots + begin, candidate.frequency, candidate.heading
-        )
-        return CommandedThrust(programme, self.actuator)
+    def thrust(self, candidate: CandidateTrajectories) -> CommandedThrust:
+        """Propulsion of a single candidate."""
+        series = candidate.frequency, candidate.heading
+        return CommandedThrust(LinearProgramme(self.knots, *series), self.actuator)
 
     @eqx.filter_jit
     def draw(self, count: int, *, key: PRNGKeyArray) -> CandidateTrajectories:
@@ -180,22 +176,3 @@ class Experiment(eqx.Module):
         """Changes of heading that the coils can follow, less than half a turn."""
         most = min(self.limits.max_turning_rate * self.knot, 0.99 * np.pi)
         return jnp.clip(turns, -most, most)
-
-
-def in_sequence(
-    experiment: Experiment, candidates: CandidateTrajectories
-) -> CommandedThrust:
-    """One propulsion for all candidates, each at its own time: see `begins`.
-
-    A fit knows a single propulsion for all trajectories, so that each has its own span
-    of the operator's clock.
-    """
-    count = candidates.starts.shape[0]
-    knots = experiment.knots[None] + jnp.asarray(begins(experiment, count))[:, None]
-    flat = (a.reshape(-1) for a in (knots, candidates.frequency, candidates.heading))
-    return CommandedThrust(LinearProgramme(*flat), experiment.actuator)
-
-
-def begins(experiment: Experiment, count: int) -> Float[np.ndarray, " candidate"]:
-    """When each of several candidates begins on the operator's clock [T]."""
-    return np.arange(count) * (experiment.duration + experiment.knot)

@@ -4,7 +4,6 @@ import abc
 import math
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -85,26 +84,12 @@ class FigureEightPath(AbstractPath):
         return self.center + self.radius * jnp.stack([jnp.sin(angle), across])
 
 
-CATCH_UP = 0.5
-"""Time in which guidance makes up for an offset from a path [T]."""
-
-
 class AbstractObjective(eqx.Module):
     """What is to be done, and when it is done."""
 
     @abc.abstractmethod
     def target(self, t: Scalar) -> Vector:
         """Where the swimmer should be, or go to, at time `t` [L]."""
-
-    @abc.abstractmethod
-    def guidance(self, t: Scalar, x: Vector, speed: Scalar) -> Vector:
-        """Velocity that leads there along the line of sight [L T⁻¹].
-
-        Args:
-            t: now [T].
-            x: position [L].
-            speed: of a swimmer in a hurry [L T⁻¹].
-        """
 
     @abc.abstractmethod
     def distance(self, x: Vector) -> Float[Array, ""]:
@@ -135,10 +120,6 @@ class ReachGoal(AbstractObjective):
     def target(self, t: Scalar) -> Vector:
         return self.goal
 
-    def guidance(self, t: Scalar, x: Vector, speed: Scalar) -> Vector:
-        offset = self.goal - x
-        return speed * offset / jnp.maximum(jnp.linalg.norm(offset), 1e-12)
-
     def distance(self, x: Vector) -> Float[Array, ""]:
         return jnp.linalg.norm(x - self.goal) - self.tolerance
 
@@ -154,11 +135,6 @@ class FollowPath(AbstractObjective):
 
     def target(self, t: Scalar) -> Vector:
         return self.path(t)
-
-    def guidance(self, t: Scalar, x: Vector, speed: Scalar) -> Vector:
-        t = jnp.asarray(t, x.dtype)
-        target, velocity = jax.jvp(self.path, (t,), (jnp.ones_like(t),))
-        return velocity + (target - x) / CATCH_UP
 
     def distance(self, x: Vector) -> Float[Array, ""]:
         return jnp.full((), math.inf, x.dtype)
