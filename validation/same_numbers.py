@@ -80,7 +80,7 @@ STEPS: dict[str, tuple[str, ...]] = {
     ),
     "study": ("study", "noise", "--models", "physics-only", "--count", "1"),
     "design": ("design", "shear", "--from=1,5", "--to=9,5", *COARSE, *SHORT),
-    "navigate": ("navigate", "fit-noisy", "--from=1,1", "--to=8,8", *SHORT),
+    "navigate": ("navigate", "fit-noisy", "--from=1,1", "--to=3,2", *SHORT),
     "navigate-online": (
         *("navigate", "--learn-online", "--task", "barrier-weak"),
         *("--seeds", "1", "--visits", "1", "--time-limit", "10"),

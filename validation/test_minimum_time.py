@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from tests.navigation.steering_worlds import DRAG, open_water, without_noise
-from validation import minimum_time
 
 from pinav.dynamics import RK4, FixedStep
 from pinav.errors import FitError, InputError
@@ -18,6 +17,7 @@ from pinav.navigation.control.simple import StraightLine
 from pinav.navigation.task import catalogue as tasks
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.trials.closed_loop import run
+from validation import minimum_time
 
 needs_casadi = pytest.mark.extras("casadi")
 

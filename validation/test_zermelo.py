@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import fsolve, minimize
-from validation import zermelo
 
 from pinav.errors import FitError, InputError
 from pinav.forces import ShearFlow
 from pinav.navigation.task import catalogue as tasks
 from pinav.navigation.task.steering import direction
+from validation import zermelo
 
 
 @pytest.mark.parametrize("drift", [[0.0, 0.0], [0.5, 0.0], [-0.3, 0.6]])
