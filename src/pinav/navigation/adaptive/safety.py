@@ -49,7 +49,7 @@ CLOCK = 1e-6
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Verdict:
-    """What the filter says of a command.
+    """The decision of the filter on a command.
 
     Attributes:
         command: the one to give.
@@ -77,7 +77,7 @@ def check_command(
     Args:
         command: what the controller wants.
         observation: the state when it comes into force.
-        belief: of the last frame.
+        belief: belief after the last frame.
         prediction: of sequences of controls; the force is taken from the belief.
         physics: tables without the environment.
         time_cost: what is forbidden.

@@ -1,4 +1,4 @@
-r"""What could be recorded next: starts and drive programmes within the limits."""
+r"""Candidates for the next recording: starts and programmes within the limits."""
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from pinav.navigation.task.zones import Rectangle
 
 
 class CommandedThrust(AbstractForce):
-    """What an actuator makes of a programme of commands.
+    """The thrust that an actuator makes of a programme of commands.
 
     Attributes:
         programme: frequency and heading over time.
@@ -50,7 +50,7 @@ class CandidateTrajectories(eqx.Module):
 
 
 class Experiment(eqx.Module):
-    r"""How trajectories are recorded, and within which limits.
+    r"""The recording of trajectories, and its limits.
 
     Commands are given at knots and go linearly from one to the next, so that the
     heading never jumps. Candidates are random: the first heading is uniform, later ones
@@ -59,7 +59,7 @@ class Experiment(eqx.Module):
     Attributes:
         actuator: what a command does.
         limits: what may be commanded.
-        region: where swimmers are released.
+        region: region in which swimmers are released.
         duration: of a trajectory [T], positive.
         interval: between two samples [T], positive.
         knot: between two commands [T], positive.
@@ -93,13 +93,13 @@ class Experiment(eqx.Module):
 
     @property
     def times(self) -> Float[Array, " time"]:
-        """When a trajectory is observed, from its start [T]."""
+        """Times of observation from the start of a trajectory [T]."""
         count = round(self.duration / self.interval)
         return jnp.linspace(0.0, self.duration, count + 1)
 
     @property
     def knots(self) -> Float[Array, " knot"]:
-        """When commands are given, from the start [T]."""
+        """Times of the commands from the start [T]."""
         count = max(round(self.duration / self.knot), 1)
         return jnp.linspace(0.0, self.duration, count + 1)
 

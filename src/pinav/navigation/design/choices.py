@@ -1,4 +1,4 @@
-"""How the next trajectory of a campaign is chosen."""
+"""Choices of the next trajectory of a campaign."""
 
 import abc
 import dataclasses
@@ -29,12 +29,12 @@ Way = Float[np.ndarray, "point 2"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Stage:
-    """Where a campaign stands.
+    """The state of a campaign.
 
     Attributes:
         adaptive: the task, and what is known of it.
-        experiment: how trajectories are recorded.
-        belief: of the force.
+        experiment: recording of the trajectories.
+        belief: belief on the force.
         way: along which the force matters [L].
         count: trajectories so far.
     """
@@ -54,7 +54,7 @@ class AbstractDesign(eqx.Module):
         """The next trajectory, a single one.
 
         Args:
-            stage: of the campaign.
+            stage: state of the campaign.
             key: random key.
         """
 

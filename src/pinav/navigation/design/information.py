@@ -52,7 +52,7 @@ def best_candidate(
 
     Args:
         expected_sd: judges a candidate.
-        experiment: how trajectories are recorded.
+        experiment: recording of the trajectories.
         first: candidates of the first round.
         variations: variations of the best one in each later round.
         keys: random key of each later round.

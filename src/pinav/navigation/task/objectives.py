@@ -1,4 +1,4 @@
-"""What a swimmer is asked to do: reach a place, or follow a path."""
+"""Objectives of a swimmer: to reach a place, or to follow a path."""
 
 import abc
 import math
@@ -15,14 +15,14 @@ class AbstractPath(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, t: Scalar) -> Vector:
-        """Where the swimmer should be at time `t` [L]."""
+        """Position at which the swimmer should be at time `t` [L]."""
 
 
 class LinePath(AbstractPath):
     """Along a straight line, from end to end at constant speed; then at rest.
 
     Attributes:
-        start: [L].
+        start: position of the start [L].
         end: [L].
         duration: from start to end [T], positive.
     """
@@ -85,18 +85,18 @@ class FigureEightPath(AbstractPath):
 
 
 class AbstractObjective(eqx.Module):
-    """What is to be done, and when it is done."""
+    """An objective, and the end of it."""
 
     @abc.abstractmethod
     def target(self, t: Scalar) -> Vector:
-        """Where the swimmer should be, or go to, at time `t` [L]."""
+        """Position at which the swimmer should be, or to go to, at time `t` [L]."""
 
     @abc.abstractmethod
     def distance(self, x: Vector) -> Float[Array, ""]:
         """From position `x` to where the task ends [L]: not positive there."""
 
     def is_reached(self, x: Vector) -> Bool[Array, ""]:
-        """Whether the task ends at position `x` [L]."""
+        """True where the task ends at position `x` [L]."""
         return self.distance(x) <= 0
 
 
