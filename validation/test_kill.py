@@ -76,6 +76,7 @@ def test_a_study_of_forty_fits_with_a_hundred_kills_ends_in_the_same_table(tmp_p
             if kills < KILLS and (victims := processes_of(process.pid)):
                 kills += 1
                 dice.choice(victims).kill()
+        assert process.returncode in (0, -signal.SIGKILL)
         if process.returncode == 0:
             break
     print(f"{kills} kills of workers and clients")

@@ -1,5 +1,6 @@
 """One figure for each page of a method, drawn from runs of the command line."""
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from pinav.figures.maps import (
     one_legend,
     trust_map,
 )
-from pinav.figures.navigation import Course, paths_map, spread_map
+from pinav.figures.navigation import greatest_force, paths_map, spread_map
 from pinav.figures.palette import GREY, TRUTH
 from pinav.figures.style import (
     SMALL,
@@ -38,6 +39,7 @@ from pinav.figures.style import (
     title_panel,
 )
 from pinav.identification.forecast import HORIZONS
+from pinav.navigation import OnlineNavigation
 from pinav.runs import RunFolder
 from pinav.trajectories import load
 
@@ -228,20 +230,17 @@ def adaptive(workshop: Workshop) -> Figure:
         "--visits",
         "1",
     )
-    arrays = read(workshop.run("vortex", *words), "results.npz")
-    times, step = arrays["moments/time"], float(arrays["step"])
-    course, path = Course(arrays), arrays["path/visit 1/0"]
-    limit = float(np.linalg.norm(arrays["field/true"], axis=-1).max())
+    result = RunFolder(workshop.run("vortex", *words)).load("metrics", OnlineNavigation)
+    shown, course, path = result.shown, result.course, result.paths["visit 1"][0]
+    times, limit = shown.times, greatest_force(shown.maps)
     chosen = np.linspace(1, len(times) - 1, 3).round().astype(int)
     figure = new_figure(WIDTH, 4.2)
     axes = figure.subplots(2, 3)
     for column, k in zip(axes.T, chosen, strict=True):
-        mean, sd = arrays["moments/mean"][k], arrays["moments/sd"][k]
-        nothing = np.zeros(mean.shape[:2])
-        field = FieldMap(arrays["field/x"], arrays["field/y"], mean, nothing)
-        so_far = path[: round(float(times[k]) / step) + 1]
+        field = dataclasses.replace(shown.maps.learned, force=shown.means[k])
+        so_far = path[: round(float(times[k]) / result.step) + 1]
         paths_map(field, course, {"visit 1": [so_far]}, limit=limit, ax=column[0])
-        spread_map(field, sd, course, thrust=1.0, route=so_far, ax=column[1])
+        spread_map(field, shown.sds[k], course, thrust=1.0, route=so_far, ax=column[1])
         title_panel(column[0], f"t = {float(times[k]):.2g}")
         if k != chosen[0]:
             for ax in column:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from pinav.commands.explore.trees import Tree, pack_array
+from pinav.commands.explore.printing import Tree, pack_array
 from pinav.errors import InputError
 from pinav.runs import RunFolder
 

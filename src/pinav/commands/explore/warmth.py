@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from pinav.commands.explore.printing import Tree, pack_array
 from pinav.commands.explore.sections import RESULTS, section_payload
-from pinav.commands.explore.trees import Tree, pack_array
 from pinav.errors import InputError
 from pinav.runs import RunFolder
 
