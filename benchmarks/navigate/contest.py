@@ -7,15 +7,15 @@ import equinox as eqx
 import jax
 import msgspec
 import numpy as np
+from pinav.commands.fit.plan import plan_fit
 
 from pinav.commands.fit.job import fit
-from pinav.commands.fit.plan import plan_fit
 from pinav.commands.fit.settings import FitSettings, ModelName
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.metrics import ControllerRow, IntervalRow
-from pinav.commands.system_choice import choose_system
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
+from pinav.learning.learned import Learned
+from pinav.learning.system_choice import choose_system
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
 from pinav.navigation.control.simple import (
@@ -87,7 +87,7 @@ def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
     )
     if not run_folder.has("metrics.json"):
         fit(plan_fit(settings, choose_system(None, data), data), run_folder)
-    fitted = FittedRun.open(path)
+    fitted = Learned.open(path)
     model: Any = fitted.model
     drawn: list[Any] = []
     if samples and fitted.posterior is not None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pinav.commands.explore.job import explorer as explorer
     from pinav.commands.export.datatree import datatree_of as datatree_of
-    from pinav.commands.fitted_run import FittedRun as FittedRun
     from pinav.dynamics import OverdampedSwimmer as OverdampedSwimmer
     from pinav.dynamics import Swimmer as Swimmer
     from pinav.dynamics import rollout as rollout
@@ -32,6 +31,9 @@ if TYPE_CHECKING:
     from pinav.forces import LinearDrag as LinearDrag
     from pinav.forces import RollingPropulsion as RollingPropulsion
     from pinav.forces import ZeroForce as ZeroForce
+    from pinav.learning.learn import learn as learn
+    from pinav.learning.learn import open_run as open_run
+    from pinav.learning.learned import Learned as Learned
     from pinav.recordings import read_recording as read_recording
     from pinav.scenarios import find_system as find_system
     from pinav.scenarios import scenario as scenario
@@ -49,7 +51,6 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "commands.explore.job": ("explorer",),
     "commands.export.datatree": ("datatree_of",),
-    "commands.fitted_run": ("FittedRun",),
     "dynamics": ("OverdampedSwimmer", "Swimmer", "rollout"),
     "errors": ("FitError", "InputError"),
     "evaluation": ("estimate_starts", "field_map", "predict", "score"),
@@ -59,6 +60,8 @@ _PUBLIC = {
         *("KernelForce", "KernelPotential", "LinearDrag", "RollingPropulsion"),
         "ZeroForce",
     ),
+    "learning.learn": ("learn", "open_run"),
+    "learning.learned": ("Learned",),
     "recordings": ("read_recording",),
     "scenarios": ("find_system", "scenario"),
     "systems": ("System", "read_system", "write_system"),

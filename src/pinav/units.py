@@ -1,5 +1,6 @@
 """The units of data, the order of the dynamics, and the unit of a force."""
 
+import re
 from collections.abc import Mapping
 
 ORDER = "order"
@@ -46,3 +47,32 @@ def force_unit(units: Mapping[str, str], *, lengths: int = 1) -> str:
         "" if time == "1" else time + rate,
     )
     return " ".join(part for part in parts if part) or "1"
+
+
+_POWER = re.compile(r"([^\d-]+)(-?\d+)?")
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def unit_of(dimension: str, units: Mapping[str, str]) -> str:
+    """The unit of a quantity, such as "um² s⁻¹" of the dimension "L2 T-1".
+
+    Args:
+        dimension: powers of symbols such as L (length), T (time) and F (force), or of
+            units that are no symbol, such as rad; "1" of a plain number, "?" unknown.
+        units: by symbol; "1" is dimensionless.
+
+    Returns:
+        The unit; "1" where it has none, "?" where it is not known.
+    """
+    parts = []
+    for word in dimension.split():
+        match = _POWER.fullmatch(word)
+        if match is None:  # a plain number
+            continue
+        symbol, power = match[1], match[2] or ""
+        unit = units.get(symbol, symbol)
+        if unit == "?":
+            return "?"
+        if unit != "1":
+            parts.append(unit + power.translate(_SUPERSCRIPTS))
+    return " ".join(parts) or "1"

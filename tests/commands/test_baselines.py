@@ -6,11 +6,10 @@ import jax
 import msgspec
 import numpy as np
 import pytest
-
-from pinav.commands.evaluate.job import evaluate
 from pinav.commands.fit.metrics import FitMetrics
 from pinav.commands.fit.remarks import REMARKS
-from pinav.commands.fitted_run import ModelHeader, build_model
+
+from pinav.commands.evaluate.job import evaluate
 from pinav.commands.study.job import study
 from pinav.commands.study.settings import StudySettings
 from pinav.commands.study.stochastic_force_inference import infer_force
@@ -21,6 +20,7 @@ from pinav.fitting import Refinement
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.summary import summarise_for
+from pinav.learning.learned import ModelHeader, build_model
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.sweeps import InThisProcess

@@ -13,13 +13,13 @@ from pinav.commands.compare.job import check_settings, positions_alone, text, ve
 from pinav.commands.compare.metrics import Candidate, CompareMetrics
 from pinav.commands.compare.settings import CompareSettings
 from pinav.commands.fit.settings import FitSettings
-from pinav.commands.fitted_run import ModelHeader, build_model
 from pinav.errors import InputError
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.mean_drag import mean_drag, with_tensor_drag
 from pinav.fitting.environments.summary import summarise_data, summarise_for
 from pinav.forces import tensor_matrix
+from pinav.learning.learned import ModelHeader, build_model
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.trajectories import Trajectories

@@ -5,16 +5,16 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from pinav.commands.fit.metrics import FitMetrics
+from pinav.commands.fit.plan import plan_fit
 
 from pinav import cli
 from pinav.commands.fit import job, remarks
-from pinav.commands.fit.metrics import FitMetrics
-from pinav.commands.fit.plan import plan_fit
 from pinav.commands.fit.settings import FitSettings
-from pinav.commands.fitted_run import FittedRun
 from pinav.errors import FitError, InputError
 from pinav.evaluation import FieldMap, field_map, force_errors
 from pinav.fitting import Cause, Outcome
+from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings, scenario
 from pinav.trajectories import Trajectories, load, save, simulate
@@ -178,7 +178,7 @@ def test_positions_alone_give_a_force_and_its_uncertainty(inferred):
 
 
 def test_the_stored_posterior_is_that_of_the_fit(inferred):
-    fitted = FittedRun.open(inferred)
+    fitted = Learned.open(inferred)
     posterior = fitted.posterior
     metrics = fitted.folder.read_metrics("metrics.json", FitMetrics)
     damping = metrics.learned["damping"].value

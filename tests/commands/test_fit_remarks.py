@@ -3,9 +3,9 @@
 import jax
 import numpy as np
 import pytest
-
 from pinav.commands.fit.plan import plan_fit
 from pinav.commands.fit.remarks import ASSUMED_POTENTIAL, assumed_potential
+
 from pinav.commands.fit.settings import FitSettings
 from pinav.fitting.environments.catalogue import build
 from pinav.scenarios import scenario

@@ -2,10 +2,10 @@
 
 import msgspec
 import pytest
-
 from pinav.commands.fit.metrics import FitMetrics, RestartRow
 from pinav.commands.fit.report import fit_sections
 from pinav.commands.fit.structure import StructureRow
+
 from pinav.report import Paragraph, Table
 from pinav.runs import RunFolder
 

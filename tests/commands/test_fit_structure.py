@@ -3,7 +3,6 @@
 import msgspec
 import numpy as np
 import pytest
-
 from pinav.commands.fit.structure import LawRow, StructureRow, TermRow
 
 CENTRE = TermRow("central", "f(r)", (4.99, 5.01), (0.004, 0.003))

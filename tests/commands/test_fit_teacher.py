@@ -4,15 +4,15 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from pinav.commands.evidence_file import TEACHER_MODEL_FILE
+from pinav.commands.fit.plan import plan_fit
 
 from pinav.analysis import influence
-from pinav.commands.evidence_file import TEACHER_MODEL_FILE
 from pinav.commands.fit import job
-from pinav.commands.fit.plan import plan_fit
 from pinav.commands.fit.settings import FitSettings
-from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
 from pinav.forces import NeuralPotential, StructuredForce, ZeroForce
+from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import simulate
@@ -46,7 +46,7 @@ def taught(crossings, tmp_path_factory):
 def test_the_run_says_what_structure_its_teacher_had(taught):
     metrics, folder = taught
     assert "the network's teacher: structure: central about" in metrics.text()
-    run = FittedRun.open(folder.path)
+    run = Learned.open(folder.path)
     assert isinstance(run.model.environment, NeuralPotential)
     teacher = run.teacher.model.environment
     assert isinstance(teacher, StructuredForce)
@@ -56,7 +56,7 @@ def test_the_run_says_what_structure_its_teacher_had(taught):
 
 
 def test_the_prior_of_a_stored_network_is_that_of_its_teacher(taught, crossings):
-    run = FittedRun.open(taught[1].path)
+    run = Learned.open(taught[1].path)
     found = influence(
         run.model,
         crossings[1],
@@ -74,13 +74,13 @@ def test_a_network_without_its_teacher_is_refused(taught, tmp_path):
         if file.is_file() and file.name != TEACHER_MODEL_FILE:
             (tmp_path / file.name).write_bytes(file.read_bytes())
     with pytest.raises(InputError, match=TEACHER_MODEL_FILE):
-        FittedRun.open(tmp_path)
+        Learned.open(tmp_path)
 
 
 def test_without_a_search_free_kernels_teach_a_network(crossings, tmp_path):
     metrics, folder = fit(crossings, tmp_path / "run", structure="free")
     assert metrics.structure is None
-    run = FittedRun.open(folder.path)
+    run = Learned.open(folder.path)
     assert run.teacher is None
     assert not folder.has(TEACHER_MODEL_FILE)
     assert not isinstance(run.evidence.process, StructuredForce | ZeroForce)

@@ -2,9 +2,6 @@
 
 import numpy as np
 import pytest
-
-from pinav import cli
-from pinav.commands.cells import EstimateRow
 from pinav.commands.fit.metrics import FitMetrics
 from pinav.commands.fit.thermal import (
     CHECKS_FILE,
@@ -14,6 +11,9 @@ from pinav.commands.fit.thermal import (
     ThinnedRow,
     read_checks,
 )
+
+from pinav import cli
+from pinav.commands.cells import EstimateRow
 from pinav.errors import InputError
 from pinav.fitting import Estimate
 from pinav.runs import RunFolder

@@ -7,12 +7,11 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 import pytest
-
-from pinav import cli
 from pinav.commands.fit.metrics import FitMetrics
 from pinav.commands.fit.plan import plan_fit
+
+from pinav import cli
 from pinav.commands.fit.settings import FitSettings
-from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.fitting import (
@@ -22,6 +21,7 @@ from pinav.fitting import (
     Observation,
 )
 from pinav.forces import KernelTensor, ZeroForce
+from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
 from pinav.systems import System, parse_system, system_text
 from pinav.trajectories import Trajectories
@@ -245,7 +245,7 @@ def test_a_ring_is_fitted_by_a_system_file_and_known_blur(tmp_path):
     assert metrics.thermal.observed[0].exposure.value == pytest.approx(0.6)
     page = (run / "report.html").read_text()
     assert "Diffusion along x through the middle of the data" in page
-    fitted = FittedRun.open(run)
+    fitted = Learned.open(run)
     force = jax.vmap(lambda x: fitted.model.environment(0.0, x, x))
     places = jnp.linspace(0.0, 12.0, 20)[:, None]
     np.testing.assert_allclose(force(places), force(places + 24.0), atol=1e-9)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.online import (
     STRATEGIES,
     OnlineMetrics,
@@ -20,6 +19,7 @@ from pinav.commands.navigate.online import (
 from pinav.commands.navigate.online_tables import text
 from pinav.dynamics import paper_black_box
 from pinav.errors import InputError
+from pinav.learning.learned import Learned
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.belief.belief import Frame
 from pinav.systems import Units
@@ -207,7 +207,7 @@ def adaptive_of(name):
 
 
 def test_a_fit_is_taken_over_with_its_posterior(fitted_run):
-    run = FittedRun.open(fitted_run("kernel")[0])
+    run = Learned.open(fitted_run("kernel")[0])
     adaptive = with_prior(adaptive_of("barrier-weak"), run, Units())
     places = np.array([[2.0, 2.0], [4.0, 4.5]])
     first = Frame(0.0, places[0], 0.02, np.zeros(2))
@@ -221,10 +221,10 @@ def test_a_fit_is_taken_over_with_its_posterior(fitted_run):
 
 
 def test_a_fit_that_cannot_be_a_prior_is_refused(fitted_run):
-    inertial = FittedRun.open(fitted_run("kernel")[0])
+    inertial = Learned.open(fitted_run("kernel")[0])
     with pytest.raises(InputError, match="swimmer without inertia in 2 dimensions"):
         with_prior(adaptive_of("vortex"), inertial, Units())
-    network = FittedRun.open(fitted_run("network")[0])
+    network = Learned.open(fitted_run("network")[0])
     with pytest.raises(InputError, match="expected a fit with a posterior, got"):
         with_prior(adaptive_of("barrier-weak"), network, Units())
     other = dataclasses.replace(

@@ -10,7 +10,6 @@ import pytest
 
 from pinav import cli
 from pinav.actuation import SaturatingResponse
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.job import navigate
 from pinav.commands.navigate.metrics import NavigationMetrics
 from pinav.commands.navigate.report import navigation_sections
@@ -28,6 +27,7 @@ from pinav.forces import (
     WallMobility,
     ZeroForce,
 )
+from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories
@@ -157,7 +157,7 @@ def rolling_run(tmp_path, **propulsion):
     )
     system = System("robot", robot, 2)
     choice = ModelChoice()
-    return FittedRun(folder, system, data, {"model": robot}, choice, None)
+    return Learned(folder, system, data, {"model": robot}, choice, None)
 
 
 def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
@@ -202,7 +202,7 @@ def space_run(tmp_path, mobility=1.0):
         tmp_path / "run", {"run": {"command": "fit"}}, overwrite=True
     )
     system = System("water", swimmer, 3)
-    return FittedRun(folder, system, data, {"model": swimmer}, ModelChoice(), None)
+    return Learned(folder, system, data, {"model": swimmer}, ModelChoice(), None)
 
 
 IN_SPACE = {"start": "0,0,0", "goal": "2,1,1", "time_limit": 8.0}

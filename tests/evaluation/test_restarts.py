@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from pinav.commands.fit.metrics import RestartRow
+
 from pinav.dynamics import OverdampedSwimmer
 from pinav.evaluation import restart_errors
 from pinav.forces import UniformFlow, ZeroForce

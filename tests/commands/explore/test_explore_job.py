@@ -24,7 +24,6 @@ from pinav.commands.explore.job import explorer
 from pinav.commands.explore.plan import plan_of
 from pinav.commands.explore.trees import EVALUATED, leaf_table, pack_array, tree_of
 from pinav.commands.explore.warmth import heat_payload
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.heat.sections import section_arrays, sections_of
 from pinav.errors import InputError
 from pinav.forces import (
@@ -35,6 +34,7 @@ from pinav.forces import (
     Superposition,
     ZeroForce,
 )
+from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
 
 PAGE = Path(pinav.commands.explore.__file__).parent / "page"
@@ -48,7 +48,7 @@ def run(fitted_runs, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def content(run):
-    return payload.payload_of(FittedRun.open(run))
+    return payload.payload_of(Learned.open(run))
 
 
 @given(st.text())
@@ -144,7 +144,7 @@ def test_leaves_are_named_by_the_words_that_lead_to_them():
 
 
 def test_a_factor_of_few_directions_keeps_the_field(run):
-    fit = FittedRun.open(run)
+    fit = Learned.open(run)
     factor, kept = posterior.directions(fit.posterior, (0.0, 10.0, 0.0, 10.0))
     assert factor.shape[1] < len(fit.posterior.mean)
     assert kept > 0.9999
@@ -157,7 +157,7 @@ def test_a_factor_of_few_directions_keeps_the_field(run):
 
 
 def test_a_factor_has_no_more_numbers_than_a_page_may_hold(run, monkeypatch):
-    fit = FittedRun.open(run)
+    fit = Learned.open(run)
     monkeypatch.setattr(posterior, "NUMBERS", 3 * len(fit.posterior.mean))
     factor, kept = posterior.directions(fit.posterior, (0.0, 10.0, 0.0, 10.0))
     assert factor.shape == (len(fit.posterior.mean), 3)
@@ -171,7 +171,7 @@ def test_a_page_that_would_be_huge_is_refused(content, monkeypatch):
 
 
 def test_a_run_that_is_no_plane_is_refused(run, monkeypatch):
-    fit = FittedRun.open(run)
+    fit = Learned.open(run)
     monkeypatch.setattr(type(fit.data), "dim", property(lambda self: 1))
     with pytest.raises(InputError, match="explore draws a plane, got the coordinates"):
         payload.payload_of(fit)
@@ -321,7 +321,7 @@ def test_a_damaged_run_gives_one_line(file, fitted_run, capsys):
 
 
 def test_without_an_environment_the_title_is_the_system_alone(run, content):
-    fitted = FittedRun.open(run)
+    fitted = Learned.open(run)
     assert content["title"] == f"{fitted.system.name}: kernel-potential"
     bare = {"model": fitted.model.with_environment(ZeroForce())}
     plain = dataclasses.replace(fitted, models=bare, evidence=None)

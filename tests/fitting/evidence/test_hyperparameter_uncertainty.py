@@ -1,8 +1,8 @@
 """Whether the bands know of the priors that the evidence might have chosen."""
 
 import numpy as np
-
 from pinav.commands.fit.remarks import narrow_prior
+
 from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined

@@ -35,8 +35,6 @@ from pinav.commands.analyse.rollouts import vary_parameters, vary_starts
 from pinav.commands.analyse.settings import AnalyseOptions, AnalyseSettings
 from pinav.commands.analyse.subject import Subject
 from pinav.commands.command import CommandResult
-from pinav.commands.evidence_file import EvidenceResult
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.force_units import units_of
 from pinav.commands.results import keep
 from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_commands, takes_commands
@@ -50,13 +48,15 @@ from pinav.forces import (
     ZeroForce,
     as_learned_force,
 )
+from pinav.learning.evidence import Evidence
+from pinav.learning.learned import Learned
 
 Part = TypeVar("Part")
 
 NO_POSTERIOR = "the run has no posterior; fit with --recipe bayes"
 
 
-def analyse(settings: AnalyseSettings, run: FittedRun) -> Analysis:
+def analyse(settings: AnalyseSettings, run: Learned) -> Analysis:
     """Analyse a fitted run.
 
     Raises:
@@ -117,7 +117,7 @@ def analyse(settings: AnalyseSettings, run: FittedRun) -> Analysis:
     )
 
 
-def _subject(settings: AnalyseSettings, run: FittedRun) -> Subject:
+def _subject(settings: AnalyseSettings, run: Learned) -> Subject:
     model = run.model
     is_swimmer = isinstance(model, Swimmer | OverdampedSwimmer)
     if not is_swimmer or as_learned_force(model.environment) is None:
@@ -189,7 +189,7 @@ def trace_influence(subject: Subject) -> Influence:
     return _influence(subject, evidence)
 
 
-def _influence(subject: Subject, evidence: EvidenceResult) -> Influence:
+def _influence(subject: Subject, evidence: Evidence) -> Influence:
     model, run = subject.model, subject.run
     has = {
         "damping": isinstance(model, Swimmer) and isinstance(model.drag, LinearDrag),
@@ -270,12 +270,12 @@ MOST_SAMPLES = 4000
 """Samples at most over which entropy production is a mean."""
 
 
-def is_thermal(run: FittedRun) -> bool:
+def is_thermal(run: Learned) -> bool:
     """Whether the run is a fit of thermal motion."""
     return run.evidence is not None and "diffusion" in run.evidence.constants
 
 
-def produce_entropy(run: FittedRun) -> EntropyProduction:
+def produce_entropy(run: Learned) -> EntropyProduction:
     """Entropy production of thermal motion, with the current at the samples.
 
     Raises:
@@ -300,7 +300,7 @@ def produce_entropy(run: FittedRun) -> EntropyProduction:
         mobility = jax.vmap(model.mobility.diagonal)(jnp.asarray(samples))
         field = float(run.system.thermal_energy) * np.asarray(mobility)
     relative = number.sd / number.value
-    return entropy_production(evidence.posterior, samples, field, relative)
+    return entropy_production(run.posterior, samples, field, relative)
 
 
 def _rms(values: Float[np.ndarray, "... 2"]) -> float:
@@ -310,5 +310,5 @@ def _rms(values: Float[np.ndarray, "... 2"]) -> float:
 def run(options: AnalyseOptions) -> CommandResult:
     """Analyse as the command line does."""
     options.settings.check()
-    fitted = FittedRun.open(options.run)
+    fitted = Learned.open(options.run)
     return keep(ANALYSE, fitted.folder, analyse(options.settings, fitted))

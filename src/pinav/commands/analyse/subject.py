@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.commands.analyse.settings import AnalyseSettings
-from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands
 from pinav.evaluation import FieldMap
 from pinav.forces import as_learned_force
+from pinav.learning.learned import Learned
 
 COMMANDED_SAMPLES = 250
 """Samples of the reference trajectory that a model driven by commands is rolled out."""
@@ -26,7 +26,7 @@ class Subject:
         settings: of the analysis.
     """
 
-    run: FittedRun
+    run: Learned
     model: Swimmer | OverdampedSwimmer
     field: FieldMap
     settings: AnalyseSettings

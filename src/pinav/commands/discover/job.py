@@ -8,7 +8,6 @@ from pinav.analysis.discovery.learned_fit import laplace_posterior
 from pinav.commands.command import CommandResult
 from pinav.commands.discover import DISCOVER
 from pinav.commands.discover.settings import DiscoverOptions
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.force_units import units_of
 from pinav.commands.results import keep
 from pinav.dynamics import OverdampedSwimmer, Swimmer
@@ -17,9 +16,10 @@ from pinav.fitting import Posterior
 from pinav.fitting.environments.choice import learned_part
 from pinav.forces import as_learned_force
 from pinav.identification import needs_kalman_filter
+from pinav.learning.learned import Learned
 
 
-def discover(run: FittedRun, refits: int) -> Discovery:
+def discover(run: Learned, refits: int) -> Discovery:
     """Rank the laws of a run's learned force.
 
     Args:
@@ -34,7 +34,7 @@ def discover(run: FittedRun, refits: int) -> Discovery:
     return dataclasses.replace(found, units=dict(units_of(run.data, run.system)))
 
 
-def _posterior(run: FittedRun) -> Posterior:
+def _posterior(run: Learned) -> Posterior:
     """The posterior that the run stored, or one by Laplace about its model."""
     model, path = run.model, run.folder.path
     known = isinstance(model, Swimmer | OverdampedSwimmer)
@@ -57,5 +57,5 @@ def _posterior(run: FittedRun) -> Posterior:
 
 def run(options: DiscoverOptions) -> CommandResult:
     """Find laws as the command line does."""
-    fitted = FittedRun.open(options.run)
+    fitted = Learned.open(options.run)
     return keep(DISCOVER, fitted.folder, discover(fitted, options.refits))

@@ -28,7 +28,6 @@ from pinav.commands.evaluate.setting import (
 )
 from pinav.commands.evaluate.settings import EvaluateOptions
 from pinav.commands.evaluate.tables import tables
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.held_out import held_out
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
@@ -41,6 +40,7 @@ from pinav.evaluation import (
     score,
     summarise,
 )
+from pinav.learning.learned import Learned
 from pinav.report import quantity
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
@@ -155,7 +155,7 @@ WORSE = 1.1
 """Error relative to that of the known physics above which a warning is due."""
 
 
-def _baseline(run: FittedRun) -> dict[str, AbstractDynamics]:
+def _baseline(run: Learned) -> dict[str, AbstractDynamics]:
     """The known physics alone, as the least that a model must beat."""
     return {BASELINE: run.system.swimmer.without_environment()}
 

@@ -13,7 +13,6 @@ from pinav.commands.evaluate.metrics import (
     ResidualRow,
 )
 from pinav.commands.evaluate.setting import Setting, predict_rollouts, read_scored
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
@@ -34,6 +33,7 @@ from pinav.evaluation import (
     whiteness,
     without_first,
 )
+from pinav.learning.learned import Learned
 from pinav.systems import System
 from pinav.trajectories import Trajectories
 
@@ -104,7 +104,7 @@ def _constant(path: str, truth: System) -> float | None:
 
 
 def _learned_constant(
-    name: str, path: str, run: FittedRun
+    name: str, path: str, run: Learned
 ) -> tuple[float | None, float | None]:
     """Value and standard deviation of a learned constant."""
     if run.evidence is not None and name in run.evidence.constants:

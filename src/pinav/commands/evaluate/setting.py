@@ -7,8 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from pinav.commands.data_file import read_data, with_all_channels
-from pinav.commands.fitted_run import FittedRun
+from pinav.commands.data_file import read_data
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
@@ -24,6 +23,8 @@ from pinav.evaluation import (
     predict,
     without_first,
 )
+from pinav.learning.learned import Learned
+from pinav.learning.plan import with_all_channels
 from pinav.scenarios import source_system
 from pinav.systems import System
 from pinav.trajectories import Trajectories
@@ -41,7 +42,7 @@ class Setting:
         notes: sentences on what was left out.
     """
 
-    run: FittedRun
+    run: Learned
     data: Trajectories
     truth: System | None
     regions: Regions
@@ -93,7 +94,7 @@ def read_setting(
     Raises:
         InputError: the run holds no model, or the file cannot be read.
     """
-    fitted = FittedRun.open(run)
+    fitted = Learned.open(run)
     trajectories, notes = read_scored(data, fitted, recording)
     truth = true_system(fitted.system, trajectories, fitted.data)
     notes += _limits(fitted, truth)
@@ -102,7 +103,7 @@ def read_setting(
 
 
 def read_scored(
-    path: Path, run: FittedRun, recording: RecordingSettings
+    path: Path, run: Learned, recording: RecordingSettings
 ) -> tuple[Trajectories, tuple[str, ...]]:
     """Trajectories to score, and what was left out of them.
 
@@ -152,7 +153,7 @@ def true_system(
     return None
 
 
-def _limits(run: FittedRun, truth: System | None) -> tuple[str, ...]:
+def _limits(run: Learned, truth: System | None) -> tuple[str, ...]:
     if truth is None or run.data.dim == 2:
         return ()
     return (

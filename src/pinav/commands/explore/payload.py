@@ -8,11 +8,11 @@ import numpy as np
 
 from pinav.commands.explore.posterior import directions
 from pinav.commands.explore.trees import Tree, leaf_table, pack_array, tree_of
-from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import extent, square
 from pinav.forces import ZeroForce, as_learned_force
+from pinav.learning.learned import Learned
 from pinav.scenarios import source_system
 from pinav.systems import System
 from pinav.trajectories import Trajectories, Trajectory
@@ -27,7 +27,7 @@ MODELS = 6
 """Models of a run at most."""
 
 
-def payload_of(run: FittedRun, plan: Tree | None = None) -> Tree:
+def payload_of(run: Learned, plan: Tree | None = None) -> Tree:
     """A run as the page takes it.
 
     Args:
@@ -68,7 +68,7 @@ def payload_of(run: FittedRun, plan: Tree | None = None) -> Tree:
     }
 
 
-def _title(run: FittedRun, model: AbstractDynamics) -> str:
+def _title(run: Learned, model: AbstractDynamics) -> str:
     """System and model; the system alone where nothing stands for an environment."""
     name = run.system.name
     if isinstance(getattr(model, "environment", None), ZeroForce):
@@ -87,7 +87,7 @@ def _union(
     return x - half, x + half, y - half, y + half
 
 
-def _shown_models(run: FittedRun) -> list[str]:
+def _shown_models(run: Learned) -> list[str]:
     """Names of the models, those that hold the known physics first."""
     swims = Swimmer | OverdampedSwimmer
     order = sorted(run.models, key=lambda n: not isinstance(run.models[n], swims))
@@ -104,7 +104,7 @@ def _times(data: Trajectories) -> tuple[float, float]:
     return float(times.min()), float(times.max())
 
 
-def _kicks(run: FittedRun) -> float:
+def _kicks(run: Learned) -> float:
     r"""Strength of the noise that moves the swimmer, $\sqrt{2D}$ [L T^(-1/2)].
 
     That of a velocity that wanders is taken for white, which it is over times long
@@ -126,7 +126,7 @@ def _without_environment(model: AbstractDynamics, system: System) -> AbstractDyn
     return (model if swims else system.swimmer).without_environment()
 
 
-def _truth(run: FittedRun) -> Tree | None:
+def _truth(run: Learned) -> Tree | None:
     """The true swimmer, where the system or the data state it and the page knows it."""
     source = source_system(run.data.provenance)
     for system in (run.system, source):
@@ -139,7 +139,7 @@ def _truth(run: FittedRun) -> Tree | None:
 
 
 def _posterior(
-    run: FittedRun, box: tuple[float, float, float, float], times: tuple[float, float]
+    run: Learned, box: tuple[float, float, float, float], times: tuple[float, float]
 ) -> Tree | None:
     """The posterior by its leading directions; none where nothing is learned."""
     posterior = run.posterior
@@ -159,7 +159,7 @@ def _posterior(
     }
 
 
-def _tracks(run: FittedRun) -> list[Tree]:
+def _tracks(run: Learned) -> list[Tree]:
     """The tracks, longest ones where there are many, thinned where they are long."""
     data = run.data
     order = sorted(range(len(data)), key=lambda i: -int(data.lengths[i]))[:TRACKS]
@@ -169,7 +169,7 @@ def _tracks(run: FittedRun) -> list[Tree]:
     return [_track(run, i, pieces[i], every) for i in sorted(order)]
 
 
-def _track(run: FittedRun, index: int, piece: Trajectory, every: int) -> Tree:
+def _track(run: Learned, index: int, piece: Trajectory, every: int) -> Tree:
     is_observed = piece.observed[:, : run.data.dim].all(axis=1)
     shown = np.flatnonzero(is_observed)[::every]
     start = run.start(index)

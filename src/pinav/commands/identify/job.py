@@ -9,7 +9,6 @@ import numpy as np
 from pinav.commands.cells import EstimateRow
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.fitted_run import DATA_FILE, ModelHeader, save_data, write_fit
 from pinav.commands.identify import IDENTIFY
 from pinav.commands.identify.figures import figure_arrays
 from pinav.commands.identify.metrics import (
@@ -24,7 +23,6 @@ from pinav.commands.identify.metrics import (
 from pinav.commands.identify.settings import IdentifyOptions, IdentifySettings
 from pinav.commands.many_files import run_files
 from pinav.commands.start import fingerprint, start_run
-from pinav.commands.system_choice import write_system_of
 from pinav.errors import FitError, InputError
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.summary import summarise_data
@@ -47,6 +45,8 @@ from pinav.identification import (
 from pinav.identification.forecast import HORIZONS
 from pinav.identification.models import BOTH, FULL, CandidateModel
 from pinav.identification.selection import BASELINES, RESIDUALS
+from pinav.learning.evidence import Evidence
+from pinav.learning.learned import DATA_FILE, ModelHeader, of_evidence
 from pinav.recordings.conventions import remarks
 from pinav.runs import RunFolder
 from pinav.systems import system_text
@@ -292,13 +292,13 @@ def _write_system(
         return
     fit, jitter = _read_track_fit(folder, index, metrics)
     system = system_of(fit, jitter=jitter, name=name, units=data.units)
-    save_data(folder, data)
-    write_system_of(folder, system)
     paths = tuple(number.path for number in system.learn)
     header = ModelHeader(
         ModelChoice(name="physics-only", learn=paths), summarise_data(data)
     )
-    write_fit(folder, header, evidence_fit_of(fit, jitter=jitter), data)
+    result = evidence_fit_of(fit, jitter=jitter)
+    evidence = Evidence.of(result, header.choice, data)
+    of_evidence(header, result, system, data, evidence).write(folder)
 
 
 def _in_image(

@@ -12,7 +12,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.flights import SwimmerFlights, fly_swimmer
 from pinav.commands.navigate.loops import Attempt, controller_of, trials
 from pinav.commands.navigate.online import OnlineProblem, online_problem
@@ -20,6 +19,7 @@ from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.navigate.setup import NavigationProblem, navigation_problem
 from pinav.commands.sweep import Sweep
 from pinav.errors import InputError
+from pinav.learning.learned import Learned
 from pinav.navigation import AbstractController, Episodes, concatenate_episodes
 from pinav.runs import RunFolder
 from pinav.sweeps import Cell
@@ -139,7 +139,7 @@ def do_loops(cell: Cell, folder: Path) -> None:
 @functools.lru_cache(maxsize=1)
 def _problem(run: str, settings: str) -> NavigationProblem:
     decoded = msgspec.json.decode(settings, type=NavigateSettings)
-    return navigation_problem(decoded, FittedRun.open(Path(run)))
+    return navigation_problem(decoded, Learned.open(Path(run)))
 
 
 @functools.lru_cache(maxsize=3)
@@ -214,11 +214,24 @@ def _json(settings: msgspec.Struct) -> str:
     return msgspec.json.encode(settings).decode()
 
 
+OF_A_FIT = (
+    *("", "model.eqx", "posterior.json", "posterior.npz", "data.npz", "system.toml"),
+)
+"""The file itself, and files of a run that a fit is made of."""
+
+
 def _digest(*paths: Path | None) -> str:
     """Of files, and of everything that fits are made of."""
     digest = hashlib.sha256()
     for path in paths:
-        for name in ("", "model.eqx", "posterior.npz", "data.npz", "system.toml"):
+        for name in (
+            "",
+            "model.eqx",
+            "posterior.json",
+            "posterior.npz",
+            "data.npz",
+            "system.toml",
+        ):
             if path is not None and (path / name).is_file():
                 digest.update((path / name).read_bytes())
     return digest.hexdigest()[:16]

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.commands.command import CommandResult
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate import NAVIGATE, online, online_tables
 from pinav.commands.navigate.cells import sweep_flights, sweep_loops
 from pinav.commands.navigate.loops import (
@@ -35,6 +34,7 @@ from pinav.commands.sweep import start_sweep
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.evaluation import distances
 from pinav.forces import forces_at
+from pinav.learning.learned import Learned
 from pinav.navigation import (
     AbstractController,
     Episodes,
@@ -246,7 +246,7 @@ def run(options: NavigateOptions) -> CommandResult:
     if options.run is None:
         return _learn_online(options)
     settings, run = options.settings, options.run
-    problem = navigation_problem(settings, FittedRun.open(run))
+    problem = navigation_problem(settings, Learned.open(run))
     if options.workers == WorkerSettings():
         folder = start_run(NAVIGATE, options, settings, fitted=run.name)
         metrics = navigate(settings, problem, folder)

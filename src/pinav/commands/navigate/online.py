@@ -8,13 +8,13 @@ import msgspec
 import numpy as np
 
 from pinav.commands.cells import Row
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.flights import ORACLE, SwimmerFlights
 from pinav.commands.navigate.metrics import ArrivalRow, IntervalRow
 from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.steering import observe_positions, system_task
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
+from pinav.learning.learned import Learned
 from pinav.navigation import Task, task
 from pinav.navigation.adaptive.prior import with_prior_of
 from pinav.navigation.adaptive.scores import FlightRecord, Outcome, judge_flights
@@ -159,7 +159,7 @@ def channel_units(online: OnlineSettings, adaptive: Adaptive) -> Mapping[str, st
     return with_order(units.of_channels(("x", "y")), order, units.force)
 
 
-def with_prior(adaptive: Adaptive, run: FittedRun, units: Units) -> Adaptive:
+def with_prior(adaptive: Adaptive, run: Learned, units: Units) -> Adaptive:
     """The controller that begins with the force and the posterior of a fit.
 
     Args:
@@ -227,7 +227,7 @@ def online_problem(
     observed = observe_positions(known, online.position_noise)
     adaptive = Adaptive.of(observed, STRATEGIES[online.strategy])
     if prior is not None:
-        adaptive = with_prior(adaptive, FittedRun.open(prior), units_of(online))
+        adaptive = with_prior(adaptive, Learned.open(prior), units_of(online))
     return OnlineProblem(adaptive, known.time_limit)
 
 

@@ -5,7 +5,6 @@ import dataclasses
 import jax
 import numpy as np
 
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate import NAVIGATE
 from pinav.commands.navigate.settings import NavigateSettings
 from pinav.commands.steering import task_of
@@ -18,6 +17,7 @@ from pinav.dynamics import (
 from pinav.errors import InputError
 from pinav.evaluation import enclosing_cube
 from pinav.fitting import Posterior
+from pinav.learning.learned import Learned
 from pinav.navigation import (
     Disc,
     ReachGoal,
@@ -99,7 +99,7 @@ class NavigationProblem:
         return float(greatest_thrust(self.model.actuator, task.limits, task.dim))
 
 
-def navigation_problem(settings: NavigateSettings, run: FittedRun) -> NavigationProblem:
+def navigation_problem(settings: NavigateSettings, run: Learned) -> NavigationProblem:
     """The navigation problem of a run, from its system and model alone.
 
     Raises:
@@ -135,14 +135,14 @@ def navigation_problem(settings: NavigateSettings, run: FittedRun) -> Navigation
     )
 
 
-def _draws(run: FittedRun, settings: NavigateSettings) -> list[AbstractDynamics]:
+def _draws(run: Learned, settings: NavigateSettings) -> list[AbstractDynamics]:
     if run.posterior is None or settings.samples == 0:
         return []
     key = jax.random.fold_in(jax.random.key(settings.seed), 1)
     return run.posterior.samples(settings.samples, key=key)
 
 
-def _evidence(run: FittedRun, model: AbstractDynamics) -> Evidence | None:
+def _evidence(run: Learned, model: AbstractDynamics) -> Evidence | None:
     """The fit's evidence where the next trajectory can be suggested.
 
     Not of stochastic paths, whose states are not smoothed, nor in space, where
@@ -153,4 +153,4 @@ def _evidence(run: FittedRun, model: AbstractDynamics) -> Evidence | None:
         return None
     if run.data.dim > 2:
         return None
-    return Evidence(evidence.posterior, run.noise, evidence.states)
+    return Evidence(run.posterior, run.noise, evidence.states)

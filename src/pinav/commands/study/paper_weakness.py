@@ -11,10 +11,8 @@ import msgspec
 import numpy as np
 
 from pinav.commands.cells import RolloutRow, as_cell, percent
-from pinav.commands.fitted_run import ModelHeader, build_model, write_model
 from pinav.commands.held_out import held_out
-from pinav.commands.matching import CurriculumSettings, matching
-from pinav.commands.progress import BayesReporter, FitReporter
+from pinav.commands.progress import Reporter
 from pinav.commands.study.job import clean_data, with_noise
 from pinav.commands.study.metrics import ModelScores, WeaknessMetrics
 from pinav.commands.study.settings import StudySettings
@@ -41,6 +39,9 @@ from pinav.fitting import Outcome, fit_bayes
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice, learned_part
 from pinav.fitting.environments.summary import summarise_data, summarise_for
+from pinav.learning.learned import ModelHeader, build_model, write_model
+from pinav.learning.matching import matching
+from pinav.learning.recipes import Curriculum, Paper
 from pinav.report import Paragraph, Section, Table
 from pinav.runs import RunFolder
 from pinav.scenarios import paper
@@ -117,8 +118,9 @@ def _fit_ude(
     summary = summarise_data(data)
     model = build(choice, paper().swimmer, summary)
     recipe = "paper" if paper_recipe else "curriculum"
-    method = matching(CurriculumSettings(recipe, settings.max_steps), data, model)
-    with FitReporter(folder, "ude") as report:
+    steps = Curriculum(settings.max_steps)
+    method = matching(Paper() if recipe == "paper" else steps, data, model)
+    with Reporter(folder, "ude") as report:
         (result,) = method.fit(
             [model],
             data,
@@ -136,7 +138,7 @@ def _fit_kernel(
 ) -> tuple[ModelHeader, AbstractDynamics]:
     choice = ModelChoice()
     summary = summarise_for(choice, data)
-    with BayesReporter(folder, choice.name) as report:
+    with Reporter(folder, choice.name) as report:
         result = fit_bayes(
             build(choice, paper().swimmer, summary),
             data,

@@ -1,0 +1,126 @@
+"""Learned constants by the names that tables and files give them, with their units."""
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pinav.arguments import dimension_of
+from pinav.evaluation import field_map
+from pinav.fitting import (
+    Estimate,
+    EvidenceFit,
+    principal_drags,
+    rotational_fraction,
+)
+from pinav.fitting.environments.choice import CONSTANTS, ModelChoice
+from pinav.forces import as_learned_force, split_structure
+from pinav.systems import System, WanderingVelocity
+from pinav.trajectories import Trajectories
+from pinav.units import unit_of
+
+QUANTILE = 1.959964
+"""Standard deviations from the middle of a normal distribution to 97.5 %."""
+
+DIMENSIONS = {
+    "diffusion": "L2 T-1",
+    "exposure": "T",
+    "error": "L",
+    "rotational fraction": "1",
+    "noise of a block": "L",
+}
+"""Dimension of what a fit learns beside the numbers of a swimmer."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Constant:
+    """A learned constant.
+
+    Attributes:
+        value: its best value.
+        sd: its standard deviation; NaN without a posterior.
+        unit: of both; "?" where the data do not state it.
+    """
+
+    DERIVED = ("low", "high")
+
+    value: float
+    sd: float
+    unit: str = "?"
+
+    @property
+    def low(self) -> float:
+        """Lower end of its 95 % interval."""
+        return self.value - QUANTILE * self.sd
+
+    @property
+    def high(self) -> float:
+        """Upper end of its 95 % interval."""
+        return self.value + QUANTILE * self.sd
+
+
+def with_units(
+    estimates: Mapping[str, Estimate], choice: ModelChoice, model: Any, system: System
+) -> dict[str, Constant]:
+    """Learned constants with their units.
+
+    Args:
+        estimates: by name.
+        choice: what was fitted, which says where a constant stands in the model.
+        model: the fitted model, whose fields say their units.
+        system: which says the units of length, time and force.
+    """
+    stated = system.base_units
+    units = {"L": stated.length, "T": stated.time, "F": stated.force}
+    paths = choice.paths()
+    return {
+        name: Constant(
+            float(one.value),
+            float(one.sd),
+            unit_of(_dimension(name, paths, model), units),
+        )
+        for name, one in estimates.items()
+    }
+
+
+def _dimension(name: str, paths: Mapping[str, str], model: Any) -> str:
+    plain = re.sub(r"\[.*\]$", "", name)
+    if plain in DIMENSIONS:
+        return DIMENSIONS[plain]
+    if plain.startswith("wandering."):
+        return dimension_of(WanderingVelocity, plain.removeprefix("wandering."))
+    path = CONSTANTS["drag"] if name.startswith("drag ") else paths.get(name, name)
+    return dimension_of(model, path)
+
+
+def estimated_constants(fit: EvidenceFit, choice: ModelChoice) -> dict[str, Estimate]:
+    """Each learned constant, by its name; the drag by its principal values."""
+    paths = choice.paths()
+    estimates = {
+        name: estimate
+        for name, estimate in fit.constants.items()
+        if not name.startswith("environment.terms")
+    }
+    named = {
+        name: estimates.pop(path)
+        for name, path in paths.items()
+        if path in estimates and path != CONSTANTS["drag"]
+    }
+    if CONSTANTS["drag"] in paths.values():
+        drags = principal_drags(fit.posterior)
+        return named | {f"drag {name}": value for name, value in drags.items()}
+    return named | estimates
+
+
+def rotational_part(fit: EvidenceFit, data: Trajectories) -> dict[str, Estimate]:
+    """The rotational fraction of a mixture where there are data; else nothing."""
+    environment = fit.model.environment
+    learned = as_learned_force(environment)
+    if learned is None or learned.helmholtz is None or split_structure(learned)[0]:
+        return {}
+    field = field_map(environment, data)
+    points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
+    visited = points[field.distance <= field.regions.visited]
+    return {"rotational fraction": rotational_fraction(fit.posterior, visited)}
