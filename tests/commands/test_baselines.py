@@ -3,11 +3,8 @@
 import importlib.util
 
 import jax
-import msgspec
 import numpy as np
 import pytest
-from pinav.commands.fit.metrics import FitMetrics
-from pinav.commands.fit.remarks import REMARKS
 
 from pinav.commands.evaluate.job import evaluate
 from pinav.commands.study.job import study
@@ -54,13 +51,6 @@ def test_models_without_kernels_keep_their_summary(crossings):
     summary = summarise_for(choice, data)
     network = build(choice, known.swimmer, summary).environment
     assert summary.with_kernels_of(network) is summary
-
-
-def test_a_coarse_fit_says_so():
-    metrics = FitMetrics("m", "bayes", "under-resolved", {"total": 0.1}, {})
-    coarse = REMARKS[metrics.outcome]
-    assert coarse in msgspec.structs.replace(metrics, remarks=(coarse,)).text()
-    assert "smaller region" in coarse
 
 
 @pytest.mark.slow

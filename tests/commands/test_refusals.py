@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.fit import plan
 from pinav.errors import InputError
 from pinav.fitting.environments.summary import DataSummary
+from pinav.learning import plan
 from pinav.learning.system_choice import choose_system
 from pinav.trajectories import Trajectories
 

@@ -15,6 +15,9 @@ import tyro
 from pinav.commands.plain_help import plain_help
 from pinav.errors import InputError
 
+Content = dict[str, Any]
+"""Settings as TOML holds them, or arguments by keyword."""
+
 Options = TypeVar("Options", bound=msgspec.Struct)
 
 
@@ -75,7 +78,7 @@ Members = Mapping[str, type[msgspec.Struct]]
 
 
 def _choose(
-    members: Members, words: list[str], content: Mapping[str, Any]
+    members: Members, words: list[str], content: Content
 ) -> tuple[list[str], type[msgspec.Struct]]:
     """The words without the option that names a member, and that member.
 
@@ -150,7 +153,7 @@ def _one_line(box: str) -> str:
     return message.partition("For full helptext")[0].strip().rstrip(".")
 
 
-def _file_content(argv: Sequence[str]) -> dict[str, Any]:
+def _file_content(argv: Sequence[str]) -> Content:
     """The settings of `--config`; none where it is not given.
 
     Raises:
@@ -167,9 +170,7 @@ def _file_content(argv: Sequence[str]) -> dict[str, Any]:
     return content
 
 
-def _defaults(
-    options: type[Options], argv: Sequence[str], content: dict[str, Any]
-) -> dict[str, Any]:
+def _defaults(options: type[Options], argv: Sequence[str], content: Content) -> Content:
     """Keyword `default` of tyro: the settings of `--config`, where it is given.
 
     Raises:
@@ -187,7 +188,7 @@ def _defaults(
     return {"default": options(**required, **from_file)}
 
 
-def _group(content: dict[str, Any], fields: dict[str, Any]) -> dict[str, Any]:
+def _group(content: Content, fields: Content) -> Content:
     """Each group of settings from those entries of a file that are its own.
 
     Raises:

@@ -39,12 +39,12 @@ from pinav.learning.learned import (
 from pinav.learning.matching import Losses, matching
 from pinav.learning.plan import FitPlan, plan_fit
 from pinav.learning.recipes import (
+    SUITED,
     Bayes,
     Curriculum,
     Langevin,
     Paper,
     Recipe,
-    Suited,
 )
 from pinav.learning.system_choice import choose_system
 from pinav.learning.thermal import fit_thermal
@@ -87,7 +87,7 @@ def learn(
     data: Any,
     *,
     model: str | None = None,
-    recipe: Recipe = Suited(),  # noqa: B008
+    recipe: Recipe = SUITED,
     train: tuple[str, ...] = (),
     seed: int = 0,
     width: int = 32,

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -112,7 +112,7 @@ class Learned:
         system = read_system_of(folder)
         headers: list[ModelHeader] = []
 
-        def build_untrained(content: dict[str, Any]) -> AbstractDynamics:
+        def build_untrained(content: Mapping[str, Any]) -> AbstractDynamics:
             headers.append(msgspec.convert(content, ModelHeader))
             return build_model(headers[-1], system)
 

@@ -23,6 +23,7 @@ from pinav.identification import (
 )
 from pinav.learning.matching import check_starts
 from pinav.learning.recipes import (
+    SUITED,
     Bayes,
     Curriculum,
     Inferring,
@@ -75,7 +76,7 @@ def plan_fit(
     data: Trajectories,
     *,
     model: str | None = None,
-    recipe: Recipe = Suited(),  # noqa: B008
+    recipe: Recipe = SUITED,
     train: tuple[str, ...] = (),
     seed: int = 0,
     width: int = 32,

@@ -28,8 +28,10 @@ Noise = Annotated[float | None, Range(above=0)]
 
 
 class Suited(Settings, frozen=True, tag_field="recipe", tag="default"):
-    """The recipe that suits the data: langevin for Brownian paths, curriculum for the
-    models ude and nn-only, else bayes.
+    """What suits the data.
+
+    It is langevin for Brownian paths, curriculum for the models ude and nn-only, else
+    bayes.
 
     Attributes:
         noise: Standard deviation of the observations; estimated unless given.
@@ -37,7 +39,7 @@ class Suited(Settings, frozen=True, tag_field="recipe", tag="default"):
             flow), which the evidence may prefer to free kernels; a network learns from
             the fit of kernels that this gives; free: kernels alone.
         max_steps: Steps at most.
-    """  # noqa: D205
+    """
 
     noise: Noise = None
     structure: Search = "search"
@@ -120,6 +122,9 @@ class Paper(Settings, frozen=True, tag_field="recipe", tag="paper"):
 
 Recipe = Suited | Bayes | Langevin | Curriculum | Paper
 """What `learn` and the option `--recipe` take."""
+
+SUITED = Suited()
+"""What suits the data, with nothing asked for."""
 
 Inferring = Bayes | Langevin
 """Recipes that choose by the evidence and give a posterior."""

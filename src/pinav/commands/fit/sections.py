@@ -87,8 +87,8 @@ def constants_table(constants: Mapping[str, Constant]) -> Table:
         "unit": lambda one: one[1].unit,
         "value": lambda one: number(one[1].value, 6),
         "standard deviation": lambda one: _or_none(one[1].sd),
-        "2.5 %": lambda one: _or_none(one[1].low),
-        "97.5 %": lambda one: _or_none(one[1].high),
+        "2.5 %": lambda one: number(_or_none(one[1].low), 6),
+        "97.5 %": lambda one: number(_or_none(one[1].high), 6),
     }
     return Table.of(list(constants.items()), columns, "Constants learned.")
 
