@@ -32,6 +32,8 @@ from pinav.figures.style import (
     title_panel,
 )
 from pinav.identification.forecast import HORIZONS
+from pinav.learning.findings import ForceMaps
+from pinav.learning.learn import open_run
 from pinav.runs import RunFolder
 from pinav.trajectories import load
 
@@ -45,6 +47,13 @@ def read(folder: Path, name: str) -> Arrays:
     """The arrays of a file of a run."""
     with np.load(folder / name) as stored:
         return dict(stored)
+
+
+def maps_of(folder: Path) -> ForceMaps:
+    """The maps of the learned force of a run."""
+    maps = open_run(folder).findings.force
+    assert maps is not None  # data are planar
+    return maps
 
 
 def observed_paths(folder: Path) -> Float[np.ndarray, "_ 2"]:
@@ -65,9 +74,10 @@ def models(workshop: Workshop) -> Figure:
     """The true force of `swirl`, and the errors of three models of it."""
     names = ("kernel-potential", "kernel-force", "kernel-mixture")
     folders = [swirl(workshop, name) for name in names]
-    arrays = [read(folder, "results.npz") for folder in folders]
-    maps = [FieldMap.of_arrays(a, "learned") for a in arrays]
-    true, path = FieldMap.of_arrays(arrays[0], "true"), observed_paths(folders[0])
+    forces = [maps_of(folder) for folder in folders]
+    maps = [force.learned for force in forces]
+    true, path = forces[0].truth, observed_paths(folders[0])
+    assert true is not None  # the truth of a scenario is known
     figure = new_figure(WIDTH, 6.2)
     axes = np.ravel(figure.subplots(2, 2))
     force_map(true, shade=False, path=path, ax=axes[0])

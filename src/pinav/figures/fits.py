@@ -91,7 +91,7 @@ def learned_force_figure(fit: Findings) -> Picture | None:
     def draw() -> Figure:
         return force_comparison(
             learned,
-            true=None if maps.true is None else learned.showing(maps.true),
+            true=maps.truth,
             sd=maps.sd,
             path=np.concatenate(path),
             units=fit.units,

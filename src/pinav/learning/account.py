@@ -135,11 +135,10 @@ def _force_error(
     truth = _true_environment(plan)
     if truth is None or not isinstance(fit.model, KnownSwimmer):
         return None
-    if maps is None or maps.true is None:
+    if maps is None or maps.truth is None:
         error = force_error_at_samples(fit.model.environment, truth, plan.data)
         return {"at the samples": error}
-    true = maps.learned.showing(maps.true)
-    return dict(force_errors(maps.learned, true, maps.learned.regions))
+    return dict(force_errors(maps.learned, maps.truth, maps.learned.regions))
 
 
 def _force_lines(fit: Learned, plan: FitPlan) -> dict[str, ForceLine]:

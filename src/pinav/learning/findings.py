@@ -47,6 +47,11 @@ class ForceMaps:
     sd: Float[np.ndarray, "row column 2"] | None = None
     true: Float[np.ndarray, "row column 2"] | None = None
 
+    @property
+    def truth(self) -> FieldMap | None:
+        """The map of the true force, where it is known."""
+        return None if self.true is None else self.learned.showing(self.true)
+
 
 @dataclasses.dataclass(frozen=True)
 class FoundLaw:
