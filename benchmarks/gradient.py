@@ -1,10 +1,11 @@
 """One loss gradient of the paper's 501-sample rollout, by every gradient method.
 
-Run with `pinav bench gradient`. Float32, the paper's untrained network (seed 42), the
-same loss in every row; the methods take turns, so that a change of the machine's speed
-meets all of them. "error" is the relative distance of the gradient from a float64
-reference (our fixed step against itself in float64; the others against diffrax at
-1e-10), so it holds rounding and, for the continuous adjoints, their own solver error.
+Run with `python -m benchmarks gradient`. Float32, the paper's untrained network (seed
+42), the same loss in every row; the methods take turns, so that a change of the
+machine's speed meets all of them. "error" is the relative distance of the gradient from
+a float64 reference (our fixed step against itself in float64; the others against
+diffrax at 1e-10), so it holds rounding and, for the continuous adjoints, their own
+solver error.
 """
 
 import time
@@ -119,7 +120,7 @@ class Options(msgspec.Struct, frozen=True):
 
 
 def main(argv: Sequence[str]) -> None:
-    options = parse(Options, argv, prog="pinav bench gradient")
+    options = parse(Options, argv, prog="python -m benchmarks gradient")
     if options is not None:
         compare(options.rounds)
 

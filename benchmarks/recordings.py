@@ -1,9 +1,9 @@
 """Every recording of a folder through `pinav inspect` and `pinav fit`, cold.
 
-Run with `pinav bench recordings`. Each command is a process of its own without a store
-of compiled code, so that import and compilation count. Nothing is set by hand but what
-a file cannot know: the scale and frame rate of files in pixels and frames, where their
-notes give them.
+Run with `python -m benchmarks recordings`. Each command is a process of its own without
+a store of compiled code, so that import and compilation count. Nothing is set by hand
+but what a file cannot know: the scale and frame rate of files in pixels and frames,
+where their notes give them.
 """
 
 import json
@@ -45,13 +45,13 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     only: Annotated[str, tyro.conf.arg(help="Only files whose path contains this.")] = (
         ""
     )
-    selection: Annotated[
-        bool, tyro.conf.arg(help="Fit residuals by position and all baselines too.")
-    ] = False
+    selection: Annotated[bool, tyro.conf.arg(help="Fit fields of position too.")] = (
+        False
+    )
 
 
 def main(argv: Sequence[str]) -> None:
-    options = parse(Options, argv, prog="pinav bench recordings")
+    options = parse(Options, argv, prog="python -m benchmarks recordings")
     if options is None:
         return
     files = recordings(options.folder, options.only)

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import pkgutil
 import re
 import subprocess
 import sys
@@ -15,6 +16,8 @@ from docs.figures.draw import RECIPES
 from docs.figures.workshop import Workshop
 from docs.follow import blocks, command_lines, save_settings
 from PIL import Image
+from validation.truth import TRUTH
+from validation.truth import __main__ as truth
 
 from pinav import cli
 from pinav.commands import COMMANDS
@@ -92,6 +95,8 @@ def run_commands(text: str) -> None:
         if words[0] == "pinav":
             with jax.numpy_dtype_promotion("standard"):
                 assert cli.run(words[1:]) == 0, words
+        elif words[:3] == TRUTH.words.split():
+            assert truth.run(words[3:]) == 0, words
         else:
             assert words[0] == "make", f"{words} is never run"
 
@@ -103,13 +108,16 @@ def test_the_command_line_knows_the_options_that_a_page_uses(page):
         r"^```(?:sh|bash)\n(.*?)^```", text, re.DOTALL | re.MULTILINE
     ):
         for words in command_lines(block):
-            if words[0] != "pinav":
+            if words[0] == "pinav":
+                command = cli.command_named(words[1])
+            else:
+                command = TRUTH if words[:3] == TRUTH.words.split() else None
+                words = words[1:]
+            if command is None:
+                assert words[0] != "pinav", words
                 continue
-            command = cli.command_named(words[1])
-            assert command is not None, words
             options = resolve(command.options)
-            known = words[2:3] if command.forwards else words[2:]
-            assert parse(options, known, prog="pinav") is not None, words
+            assert parse(options, words[2:], prog="pinav") is not None, words
 
 
 def test_the_page_of_commands_holds_the_help_of_each(monkeypatch):
@@ -237,13 +245,36 @@ def test_links_lead_somewhere(page):
         assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
+NAMING = [*PAGES, ROOT / "CONTRIBUTING.md", *sorted((DOCS / "api").glob("*.md"))]
+"""Pages that name files, folders and modules; the change log tells of earlier ones."""
+
+TOP = r"tests|validation|benchmarks|examples|src|docs"
+BELOW = "|".join(path.name for path in (ROOT / "src/pinav").iterdir() if path.is_dir())
+FILES = re.compile(
+    rf"(?<![\w/.-])((?:{TOP}|{BELOW}|formats)/[\w*/.-]+\.(?:py|toml|js))\b"
+)
+FOLDERS = re.compile(r"`((?:\w+/)+)`")
+MODULES = re.compile(r"\b(?:pinav|benchmarks|validation)(?:\.[A-Za-z]\w*)+")
 PLACES = (ROOT, ROOT / "src/pinav", ROOT / "src/pinav/recordings")
 """Folders from which the pages name files."""
 
+OF_RUNS = {"cells/", "figures/"}
+"""Folders below a run."""
 
-@pytest.mark.parametrize("page", PAGES, ids=page_id)
-def test_a_file_of_the_repository_that_a_page_names_is_there(page):
+
+@pytest.mark.parametrize("page", NAMING, ids=page_id)
+def test_what_a_page_names_of_the_repository_is_there(page):
     text = page.read_text(encoding="utf-8")
-    folders = r"tests|validation|benchmarks|examples|src|docs|forces|fitting|formats"
-    for name in re.findall(rf"\b((?:{folders})/[\w/-]+\.(?:py|toml|js))\b", text):
-        assert any((place / name).exists() for place in PLACES), name
+    names = {*FILES.findall(text), *FOLDERS.findall(text)} - OF_RUNS
+    gone = {n for n in names if not any(any(p.glob(n)) for p in PLACES)}
+    gone |= {n for n in MODULES.findall(text) if not is_importable(n)}
+    assert not gone
+
+
+def is_importable(name: str) -> bool:
+    """True for a module, and for what a module holds."""
+    try:
+        pkgutil.resolve_name(name)
+    except (ImportError, AttributeError):
+        return False
+    return True

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.fields.families import FAMILIES, random_system
 
 from pinav.analysis import Verdict, discover
 from pinav.analysis.discovery.laws import LawForce
@@ -25,7 +26,7 @@ from pinav.fitting import (
 )
 from pinav.fitting.environments.kernels import WITHOUT_PRIOR
 from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
-from pinav.scenarios import FAMILIES, barrier_crossings, paper, random_system
+from pinav.scenarios import barrier_crossings, paper
 from pinav.trajectories import Trajectories, simulate
 
 TRUTH = np.array([5.25, 5.0, 5.0, 2.9])
@@ -201,7 +202,7 @@ def test_no_law_is_claimed_for_a_profile_that_has_none(name):
     "family", ["gaussian", "screened", "lorentzian", "compact", "ring", "hill-wall"]
 )
 def test_laws_of_a_structured_fit(family):
-    """A draw on which nothing was developed; `pinav bench fields` has many more."""
+    """A draw on which nothing was developed; the benchmark `fields` has many more."""
     system = random_system(family, 137)
     data = simulate(system, key=jax.random.key(137)).only(("x", "y"))
     model = system.swimmer.with_environment(kernel_environment(KernelPotential, data))

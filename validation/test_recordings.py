@@ -13,15 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.recording_baselines import gaussian_process
+from validation.wandering_velocity import drift_over_time
 
 from pinav.identification import (
     FrameJitter,
     Rollouts,
     coverage,
     delay_findings,
-    drift_over_time,
     fit_track,
-    gaussian_process,
     path_of,
     select_model,
     tracks,

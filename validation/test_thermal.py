@@ -14,18 +14,18 @@ import pytest
 import tomli_w
 from benchmarks.heat import CASES, in_own_process, tumour
 from validation.conftest import pinav
+from validation.heat import exact
+from validation.heat.checks import powers, reference_model
+from validation.heat.exact import SET_S
+from validation.heat.verification import verify
 
 from pinav.commands.heat.build import build_case
 from pinav.commands.heat.case import read_case
-from pinav.thermal import exact
-from pinav.thermal.checks import powers, reference_model
 from pinav.thermal.dose import value_exceeded_by
-from pinav.thermal.exact import SET_S
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.solve import solve
-from pinav.thermal.verification import verify
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "heat"
 
@@ -39,7 +39,7 @@ def test_every_case_is_within_its_tolerance():
 
 @pytest.mark.parametrize("name", CASES)
 def test_what_the_gradient_of_half_an_hour_costs(name):
-    """In memory, and in runs; `pinav bench heat` measures seconds."""
+    """In memory, and in runs; `python -m benchmarks heat` measures seconds."""
     cost = in_own_process(name)
     print(name, cost)
     assert cost.memory < CASES[name].memory

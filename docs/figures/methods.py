@@ -12,7 +12,7 @@ from pinav.analysis import Discovery
 from pinav.commands.analyse.result import Analysis
 from pinav.commands.identify.metrics import IdentifyMetrics, as_float
 from pinav.commands.identify.report import DRAWN
-from pinav.evaluation import ErrorCurve, FieldMap
+from pinav.evaluation import BASELINE, ErrorCurve, Evaluation, FieldMap
 from pinav.figures.analysis import growth_map, one_legend, trust_map
 from pinav.figures.errors import error_over_time
 from pinav.figures.force_maps import force_error_map, force_map, largest_near
@@ -152,10 +152,9 @@ def evaluation(workshop: Workshop) -> Figure:
         edges, errors = error_by_distance(read(folder, "results.npz"))
         look = {"color": styles[name].color, "ls": styles[name].dash, "lw": 1.5}
         above.stairs(errors, edges, label=name, **look)
-        arrays = read(folder, "evaluation.npz")
-        curves[name] = ErrorCurve.from_arrays(arrays, "curve/model/clean starts")
-        physics = "curve/physics-only/clean starts"
-        curves["physics only"] = ErrorCurve.from_arrays(arrays, physics)
+        scored = RunFolder.open(folder).load("evaluation", Evaluation)
+        curves[name] = scored.curves["model"]["clean starts"]
+        curves["physics only"] = scored.curves[BASELINE]["clean starts"]
     above.set(yscale="log")
     above.tick_params(which="both", labelsize=SMALL)
     for distance in (0.35, 1.0):

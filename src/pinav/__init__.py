@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pinav.errors import FitError as FitError
     from pinav.errors import InputError as InputError
     from pinav.evaluation import estimate_starts as estimate_starts
+    from pinav.evaluation import evaluate as evaluate
     from pinav.evaluation import field_map as field_map
     from pinav.evaluation import predict as predict
     from pinav.evaluation import score as score
@@ -53,7 +54,7 @@ _PUBLIC = {
     "commands.export.datatree": ("datatree_of",),
     "dynamics": ("OverdampedSwimmer", "Swimmer", "rollout"),
     "errors": ("FitError", "InputError"),
-    "evaluation": ("estimate_starts", "field_map", "predict", "score"),
+    "evaluation": ("estimate_starts", "evaluate", "field_map", "predict", "score"),
     "fitting": ("fit", "fit_bayes", "fit_langevin", "kernel_environment"),
     "forces": (
         *("AbstractForce", "ConstantForce", "GaussianBarrier", "HarmonicTrap"),

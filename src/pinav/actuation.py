@@ -1,8 +1,8 @@
-"""What the operator commands: magnetic fields, frequencies and headings.
+"""Commands of the operator: magnetic fields, frequencies, headings, their effect.
 
 Tracked robots log the frequency of the rotating field and the heading it rolls to, not
 the field itself: `AbstractProgramme`. What a robot makes of the frequency is an
-`AbstractResponse`.
+`AbstractResponse`; what a held command does to a swimmer is an `AbstractActuator`.
 """
 
 import abc
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, check_positive
+from pinav.arguments import Scalar, Vector, check_positive
 from pinav.errors import InputError
 
 
@@ -147,6 +147,44 @@ class StepOutResponse(AbstractResponse):
 
 ROUNDING = 0.1
 """Relative width of the rounded corner of a step-out."""
+
+
+Command = Float[Array, " dim"]
+"""Frequency [cycles T⁻¹] and heading [rad]; in space also the elevation [rad]."""
+
+
+def direction(angles: Float[Array, " angle"]) -> Vector:
+    r"""Unit vector $n(\theta)$ of a heading, or of heading and elevation [rad].
+
+    In space $n = (\cos\theta\cos\epsilon, \sin\theta\cos\epsilon, \sin\epsilon)$.
+    """
+    planar = jnp.stack([jnp.cos(angles[0]), jnp.sin(angles[0])])
+    for elevation in angles[1:]:
+        planar = jnp.append(planar * jnp.cos(elevation), jnp.sin(elevation))
+    return planar
+
+
+class AbstractActuator(eqx.Module):
+    """What a command does to the swimmer."""
+
+    @abc.abstractmethod
+    def __call__(self, command: Command) -> Vector:
+        """Thrust [L T⁻²] of a command: a velocity [L T⁻¹] where mobility is 1."""
+
+
+class RollingActuator(AbstractActuator):
+    r"""Velocity $G\, s(f)\, n(\theta)$ of a robot that rolls, as in a recording's fit.
+
+    Attributes:
+        gain: $G$ [L per cycle].
+        response: $s(f)$, the effective frequency.
+    """
+
+    gain: Float[Array, "dim dim"]
+    response: AbstractResponse
+
+    def __call__(self, command: Command) -> Vector:
+        return self.gain @ (self.response(command[0]) * direction(command[1:]))
 
 
 class AbstractProgramme(eqx.Module):

@@ -11,9 +11,8 @@ from jaxtyping import ArrayLike, Float
 from pinav.errors import InputError
 from pinav.evaluation import estimate_starts, predict, without_first
 from pinav.learning.learn import learn
-from pinav.learning.plan import with_all_channels
 from pinav.learning.recipes import ModelName, Suited
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, with_all_channels
 
 try:
     from sklearn.base import BaseEstimator

@@ -7,7 +7,6 @@ from pathlib import Path
 import jax
 import pytest
 from tests.commands.test_heat import small
-from tests.commands.test_truth import trap_folder
 from tests.fitted_runs import blank_figures
 
 from pinav import analysis, cli
@@ -48,7 +47,6 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
     "discover": lambda f: (f.run("kernel"), "--refits", "1"),
     "study": lambda f: ("noise", "--models", "physics-only", "--count", "1", *f.out),
     "data": lambda f: ("list",),
-    "truth": lambda f: (str(trap_folder(f.path)), *f.out),
     "heat": lambda f: ("simulate", str(small("tumour", f.path)), *f.out),
     "navigate": lambda f: (
         *(f.run("kernel"), "--from", "1,1", "--to", "2,2", *NARROW, *f.out),
@@ -73,14 +71,13 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
         *(f.run("kernel"), "--to", "napari", "--out", str(f.path / "tracks.csv")),
     ),
     "report": lambda f: (f.run("network"),),
-    "bench": lambda f: ("gradient", "--help"),
 }
 
 
 SHARED = {"reproduce": "reproduced", "identify": "identified", "fit": "kernel"}
 """Commands whose runs are made once for all tests, and those runs."""
 
-SLOW = {"design", "navigate", "truth"}  # they compile for more than ten seconds
+SLOW = {"design", "navigate"}  # they compile for more than ten seconds
 
 
 def cases():

@@ -7,7 +7,7 @@ import pytest
 
 from pinav.commands.fit.sections import sections
 from pinav.evaluation import RestartErrors
-from pinav.learning.constants import Constant
+from pinav.fitting import Estimate
 from pinav.learning.findings import FoundStructure
 from pinav.learning.learned import Learned
 from pinav.report import Paragraph, Table
@@ -39,7 +39,7 @@ def test_the_errors_of_a_fit_have_their_units(content_with):
 
 
 def test_constants_have_units_and_intervals(content_with):
-    constants = {"gain": Constant(2.0, 0.5, "um² s⁻¹"), "delay": Constant(1.0, np.nan)}
+    constants = {"gain": Estimate(2.0, 0.5, "um² s⁻¹"), "delay": Estimate(1.0, np.nan)}
     table = tables(content_with(constants=constants))[-1]
     assert list(table.rows[0]) == [
         "gain",

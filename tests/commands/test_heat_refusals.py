@@ -246,14 +246,11 @@ READINGS = [
 COMMAND_LINES = [
     ([], "Missing from pinav heat"),
     (["melt"], "melt"),
-    (["simulate"], "expected the TOML file of a case"),
-    (["learn"], "expected the TOML file of a case"),
-    (["optimise"], "expected the TOML file of a case"),
+    (["simulate"], "CASE"),
     (["simulate", "no.toml"], "no.toml: cannot be read"),
     (["simulate", "."], "cannot be read"),
     (["simulate", "case.toml", "--colour", "red"], "--colour"),
     (["simulate", "case.toml", "case.toml"], "case.toml"),
-    (["verify", "case.toml"], "heat verify: expected no case"),
 ]
 FILES = [
     (b"", "title"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.actuation import SaturatingResponse
+from pinav.actuation import AbstractProgramme, RollingActuator, SaturatingResponse
 from pinav.commands.navigate.job import navigate
 from pinav.commands.navigate.metrics import NavigationMetrics
 from pinav.commands.navigate.report import navigation_sections
@@ -17,10 +17,12 @@ from pinav.commands.navigate.settings import NavigateSettings
 from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.navigate.tables import text
 from pinav.commands.places import numbers
+from pinav.commands.steering import system_task
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.forces import (
+    AbstractCommandedForce,
     Plane,
     RollingPropulsion,
     UniformFlow,
@@ -179,6 +181,34 @@ def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
     assert problem.data.units["x"] == "um"
     assert problem.task.delay == pytest.approx(0.2)
     assert float(problem.task.keep_out[0].distance(jnp.array([4.0, 6.0]))) == 1.0
+
+
+class SquarePropulsion(AbstractCommandedForce):
+    """A propulsion of which no command knows: its speed grows with the square of f."""
+
+    programme: AbstractProgramme | None = None
+
+    @property
+    def actuator(self):
+        return RollingActuator(jnp.eye(2), lambda frequency: frequency**2)
+
+    @property
+    def lateness(self):
+        return 0.3
+
+    def __call__(self, t, x, v):
+        return jnp.zeros(2)
+
+    def drive_by(self, times, commands):
+        return self
+
+
+def test_a_propulsion_brings_its_own_actuator(tmp_path):
+    robot = OverdampedSwimmer(SquarePropulsion(), ZeroForce(), 1.0)
+    task = system_task(settings(), System("square", robot, 2, environment=ZeroForce()))
+    rate = task.truth(0.0, jnp.zeros(2), jnp.array([3.0, 0.0]))
+    np.testing.assert_allclose(rate, [9.0, 0.0])
+    assert task.delay == 0.3
 
 
 def test_an_arena_that_is_not_given_holds_both_ends(tmp_path):

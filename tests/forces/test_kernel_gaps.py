@@ -16,7 +16,7 @@ from pinav.forces import (
     kernel_centers,
     kernels,
 )
-from pinav.forces.kernel_gaps import KernelGaps
+from pinav.forces.kernels import KernelGaps
 
 SPACING, WIDTH = 0.7, 0.7
 AROUND = np.array([[0.0, 0.0], [1.0, 0.4]])

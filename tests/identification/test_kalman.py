@@ -9,7 +9,6 @@ import scipy.stats
 from pinav.identification.kalman import (
     Disturbance,
     innovations,
-    smoothed_velocity,
     transitions,
 )
 
@@ -131,17 +130,6 @@ def test_strength_grows_with_the_drive(quiet):
     strength = disturbance(**{quiet: 0.0}).strength(jnp.array([0.0, 1.0, 16.0]))
     expected = [0, 0.9, 1.8] if quiet == "still" else [0.4, 0.4, 0.4]
     np.testing.assert_allclose(strength, expected, atol=1e-12)
-
-
-def test_smoothed_velocity_of_a_steady_motion_is_its_speed():
-    times = jnp.arange(60.0)
-    known = disturbance(slow=2.0, slow_memory=1e3, noise=0.01, still=0.05)
-    steps = steps_of(known, 0.05, times)
-    positions = jax.lax.complex(1.5 * times, -0.5 * times)
-    velocity, slow, sd = smoothed_velocity(positions, jnp.full(60, 0.05), steps, known)
-    np.testing.assert_allclose(velocity[30], [1.5, -0.5], atol=0.01)
-    np.testing.assert_allclose(slow[30], velocity[30], atol=0.05)
-    assert 0 < sd[30] < 0.1
 
 
 def test_a_new_segment_forgets_the_one_before():

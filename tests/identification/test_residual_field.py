@@ -1,6 +1,5 @@
-"""Residuals by position, baselines, and the words of a verdict."""
+"""Residuals by position, least squares, and the words of a verdict."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,20 +8,14 @@ from pinav.fitting import Estimate, KernelGrid, kernel_environment
 from pinav.forces import KernelForce
 from pinav.identification import (
     Rollouts,
-    black_box,
-    drift_over_time,
     errors,
     fit_residual,
     fit_track,
-    gaussian_process,
     least_squares,
-    split,
     tracks,
-    with_free,
 )
-from pinav.identification.baselines import _negative_log_likelihood
 from pinav.identification.findings import interval, positive_interval
-from pinav.identification.models import DRIFT_ONLY, SLOW_DRIFT
+from pinav.identification.models import DRIFT_ONLY
 from pinav.identification.residual_field import positions_of, residual_errors
 from pinav.trajectories import Trajectories
 
@@ -69,61 +62,11 @@ def test_a_kernel_residual_finds_a_field_that_is_there(passive, drifting):
     assert residual_errors(passive, rollouts, found).median < 0.6 * plain.median
 
 
-def test_the_drift_over_time_follows_the_velocity(passive):
-    fit = fit_track(passive, with_free(DRIFT_ONLY, "slow", *SLOW_DRIFT))
-    found = drift_over_time(passive, fit)
-    piece = passive.pieces[0]
-    positions = [np.interp(found.times, piece.times, x) for x in piece.states.T]
-    expected = np.stack([-0.5 * positions[1], 0.5 * (positions[0] - 3)], axis=1)
-    both = np.corrcoef(found.velocity.ravel(), expected.ravel())[0, 1]
-    assert both > 0.6
-    assert np.all(found.sd > 0)
-
-
 def test_least_squares_returns_gain_and_drift(recording, synthetic):
     track = tracks(recording)[0]
     found = least_squares(track)
     rollouts = Rollouts.of(track, 10.0)
     assert errors(track, rollouts, found.displacement()).relative < 0.2
-
-
-def test_the_black_box_learns_the_command(recording):
-    train, held_out = split(tracks(recording)[0], 0.7)
-    rollouts = Rollouts.of(held_out, 5.0)
-    with jax.numpy_dtype_promotion("standard"):  # optax
-        found = black_box(train)
-    own = errors(held_out, rollouts, found.displacement()).relative
-    nothing = errors(held_out, rollouts, lambda piece: 0 * piece.states).relative
-    assert own < 0.7 * nothing
-
-
-@pytest.mark.extras("sklearn")
-def test_a_gaussian_process_predicts_a_commanded_robot(recording):
-    track = tracks(recording)[0]
-    found = gaussian_process(track, rows=60)
-    rollouts = Rollouts.of(track, 5.0)
-    assert errors(track, rollouts, found.displacement()).relative < 0.3
-
-
-def test_the_gaussian_process_learns_the_disturbance(recording):
-    track = tracks(recording)[0]
-    found = gaussian_process(track, rows=60)
-    rollouts = Rollouts.of(track, 5.0)
-    assert errors(track, rollouts, found.displacement()).relative < 0.3
-
-
-def test_the_gradient_of_the_marginal_likelihood_is_that_of_differences():
-    random = np.random.default_rng(0)
-    inputs, values = random.normal(size=(12, 2)), random.normal(size=12)
-    squares = ((inputs[:, None] - inputs[None]) ** 2).sum(axis=-1)
-    logs = np.array([0.3, -0.2, -1.0])
-    _, slope = _negative_log_likelihood(logs, squares, values)
-    for index, step in enumerate(1e-6 * np.eye(3)):
-        high, low = (
-            _negative_log_likelihood(logs + sign * step, squares, values)[0]
-            for sign in (1, -1)
-        )
-        assert slope[index] == pytest.approx((high - low) / 2e-6, rel=1e-5)
 
 
 def test_an_interval_has_95_percent():

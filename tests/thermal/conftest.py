@@ -1,8 +1,7 @@
 """Models of the reference medium, of a kind with the exact solutions."""
 
 import pytest
-
-from pinav.thermal.checks import powers, reference_model
+from validation.heat.checks import powers, reference_model
 
 
 @pytest.fixture(scope="session")

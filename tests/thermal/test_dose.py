@@ -6,8 +6,8 @@ import mpmath as mp
 import numpy as np
 import pytest
 import scipy.integrate
+from validation.heat import exact
 
-from pinav.thermal import exact
 from pinav.thermal.dose import (
     LIVER_DAMAGE,
     SKIN_DAMAGE,

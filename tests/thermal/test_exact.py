@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 import scipy.integrate
-from tests.thermal.exact_solutions import (
+from validation.heat import exact
+from validation.heat.checks import Check, table
+from validation.heat.exact import SET_S, Medium
+from validation.heat.exact.controls import (
     discrete_eigenmode_rate,
     eigenmode_rate,
     heated_sphere_by_rate,
@@ -15,9 +18,9 @@ from tests.thermal.exact_solutions import (
     perfused_slab_sensitivities,
     saturate_and_ride,
 )
+from validation.heat.verification import CASES
 
-from pinav.thermal import exact
-from pinav.thermal.exact import SET_S, Medium
+from pinav.report.text import as_text
 
 BARE = Medium(SET_S.conductivity, SET_S.capacity)
 TUMOUR = Medium(0.55, 1045.0 * 3600.0, 8.33e-4 * 4.18e6)
@@ -304,3 +307,10 @@ def test_cylinder_and_ball_vanish_at_their_surface_and_solve_their_equation():
         laplacian += factor * (high - low) / (2 * h * 0.01)
         balance = DRAWN.conductivity * laplacian + 2e4 - DRAWN.perfusion * middle
         assert abs(balance) < 1.0
+
+
+def test_a_check_outside_its_tolerance_is_marked():
+    assert all(check.within for check in CASES["doses"]())
+    bad = Check("a case", 1.0, 2.0, 0.5, "K")
+    assert "NO" in as_text(table([bad]))
+    assert bad.error == 1.0

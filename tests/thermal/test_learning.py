@@ -13,11 +13,10 @@ from pinav.thermal.grids import RadialGrid
 from pinav.thermal.learned_perfusion import kernel_perfusion, neural_perfusion
 from pinav.thermal.learning import learn, perfusion_curve, visited_range
 from pinav.thermal.perfusion import lang
-from pinav.thermal.perfusion_laws import CANDIDATES, rank_laws
 from pinav.thermal.probes import ProbeData, load_probes, save_probes, simulate_probes
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.sources import GaussianSource, PowerSource
+from pinav.thermal.sources import PowerSource
 from pinav.thermal.tissues import Blood, Tissue
 
 pytestmark = pytest.mark.slow
@@ -132,21 +131,6 @@ def test_the_scale_of_the_power_is_learned_from_steps(readings):
     assert found.sd < 0.01
 
 
-@pytest.mark.slow
-def test_the_shape_of_the_power_is_learned(readings):
-    spot = GaussianSource(jnp.log(2.2e5), jnp.log(0.009), 1e4)
-    start = eqx.tree_at(lambda m: m.sources, muscle(), (spot,))
-    fit = learn(
-        start,
-        STEPS,
-        readings,
-        constants=lambda m: (m.sources[0].log_peak, m.sources[0].log_width),
-        stepper=STEPPER,
-    )
-    found = fit.constants["sources[0].log_width"]
-    assert found.value == pytest.approx(np.log(0.012), abs=max(4 * found.sd, 0.01))
-
-
 def test_readings_survive_a_file(tmp_path, readings):
     with_gap = eqx.tree_at(
         lambda d: d.values,
@@ -198,27 +182,6 @@ def test_what_cannot_be_learned_is_refused(readings, tmp_path):
         kernel_perfusion(1.0, (45.0, 37.0))
     with pytest.raises(InputError, match="length_scale: expected > 0 K"):
         kernel_perfusion(1.0, (37.0, 45.0), length_scale=0.0)
-
-
-@pytest.mark.slow
-def test_the_formula_behind_a_learned_law_is_found(learned, readings):
-    visited = visited_range(learned.model, STEPS, jnp.ones(24))
-    at = np.linspace(38.0, visited[1], 25)
-    curve = perfusion_curve(learned.posterior, lambda m: m.perfusion, at, visited)
-    picked = {k: CANDIDATES[k] for k in ("constant", "rise to a plateau (Lang)")}
-    best, worst = rank_laws(
-        learned.model,
-        STEPS,
-        readings,
-        law=lambda m: m.perfusion,
-        curve=curve,
-        candidates=picked,
-        stepper=STEPPER,
-    )
-    assert best.name == "rise to a plateau (Lang)"
-    assert worst.bic - best.bic > 100
-    plateau = next(v for k, v in best.constants.items() if k.endswith("spread"))
-    assert plateau.value == pytest.approx(12.0, abs=4 * plateau.sd + 1.0)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from pinav.errors import InputError
 from pinav.thermal.magnetics import (
     LinearResponse,
     LogNormalSizes,
-    PowerLawHeating,
     TabulatedHeating,
     langevin_ratio,
 )
@@ -98,13 +97,6 @@ def test_a_table_of_a_law_repeats_it_at_its_nodes_and_falls_below_them():
     assert low == pytest.approx(0.25)
     assert float(table.slp(0.0, 1e5)) == 0.0
     assert float(table.validity(1.6e4)) == pytest.approx(2.0)
-
-
-def test_a_power_law_has_a_derivative_at_zero_field():
-    law = PowerLawHeating(2e-9, 1.5, largest=1e4)
-    assert float(law.slp(4e3, 1e5)) == pytest.approx(2e-9 * 1e5 * 4e3**1.5)
-    assert float(jax.grad(lambda h: law.slp(h, 1e5))(0.0)) == 0.0
-    assert float(law.validity(2e4)) == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(

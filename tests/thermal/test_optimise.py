@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.thermal.exact_solutions import (
+from validation.heat.exact.controls import (
     least_energy,
     least_energy_control,
     saturate_and_ride,
@@ -23,7 +23,6 @@ from pinav.thermal.constraints import (
 )
 from pinav.thermal.design_variables import (
     FreeAmplitudes,
-    FreeFrequency,
     FreePlacement,
     FreeScale,
     Run,
@@ -181,7 +180,7 @@ def test_placement_of_the_particles_gains_dose_at_equal_power():
 
 
 @pytest.mark.slow
-def test_frequency_and_pattern_can_be_free():
+def test_a_pattern_of_bursts_can_be_scaled():
     model, target = tumour()
     particles = ParticleSource(3.0 * target, LinearResponse(14e-9))
     base = Run(
@@ -190,13 +189,12 @@ def test_frequency_and_pattern_can_be_free():
     )
     found = optimise(
         base,
-        [FreeScale(2.0, 0.5), FreeFrequency(5e4, 5e5, 0.3)],
+        [FreeScale(2.0, 0.5)],
         maximise=LogD90(target),
         subject_to=[limit_constraint(HfLimit(1e9))],
         stepper=STEPPER,
     )
     assert found.constraints[0].active
-    assert 5e4 <= float(found.run.protocol.frequency) <= 5e5
     pattern = np.asarray(found.run.protocol.starts)
     assert pattern[1::2] == pytest.approx(0.0)
 
@@ -227,8 +225,6 @@ def test_what_cannot_be_kept_or_freed_is_said():
         )
     with pytest.raises(InputError, match="FreeAmplitudes: expected a largest"):
         FreeAmplitudes(0.0, 3)
-    with pytest.raises(InputError, match="FreeFrequency: expected 0 < low < high"):
-        FreeFrequency(2e5, 1e5)
     bare = Run(eqx.tree_at(lambda m: m.sources, model, (Energy(),)), base.protocol)
     with pytest.raises(InputError, match="expected particles or a power density"):
         FreePlacement(jnp.ones((2, 24))).apply(jnp.ones(2), bare)

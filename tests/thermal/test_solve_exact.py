@@ -4,15 +4,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.thermal.exact_solutions import discrete_eigenmode_rate, on_off_cycle
+from validation.heat import exact
+from validation.heat.exact import SET_S, Medium
+from validation.heat.exact.controls import discrete_eigenmode_rate, on_off_cycle
+from validation.heat.waveform import Waveform
 
-from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Insulated, Robin, Sides, around, outer
-from pinav.thermal.exact import SET_S, Medium
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
-from pinav.thermal.protocols import Waveform
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import probes_at, solve
 from pinav.thermal.sources import PowerSource

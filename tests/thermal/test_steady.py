@@ -5,14 +5,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from validation.heat import exact
+from validation.heat.checks import AMPLITUDE, powers
+from validation.heat.exact import SET_S
 
 from pinav.errors import InputError
-from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Insulated, Periodic, Robin, Sides, outer
-from pinav.thermal.checks import AMPLITUDE, powers
 from pinav.thermal.dose import LIVER_DAMAGE
-from pinav.thermal.exact import SET_S
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import MixedPerfusion, lang
 from pinav.thermal.rosenbrock import Rosenbrock

@@ -135,7 +135,7 @@ def _narrow(
     options: type[Options], name: str, member: type[msgspec.Struct]
 ) -> type[Options]:
     """The options whose field of that name is of one class."""
-    narrow = msgspec.defstruct(
+    narrow: Any = msgspec.defstruct(
         options.__name__,
         [(name, member, member())],
         bases=(options,),

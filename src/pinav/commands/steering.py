@@ -6,19 +6,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pinav.actuation import LinearResponse
+from pinav.actuation import AbstractActuator, LinearResponse, RollingActuator
 from pinav.commands.steering_settings import SteeringSettings
 from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands, unbound
 from pinav.errors import InputError
 from pinav.evaluation import enclosing_cube
-from pinav.forces import RollingPropulsion, WallMobility, ZeroForce
+from pinav.forces import AbstractCommandedForce, WallMobility, ZeroForce
 from pinav.navigation import (
     Behind,
     CommandLimits,
     Disc,
     ReachGoal,
     Rectangle,
-    RollingActuator,
     SteeredSwimmer,
     Task,
 )
@@ -132,19 +131,14 @@ def _walls(model: Swimmer | OverdampedSwimmer) -> tuple[Behind, ...]:
 
 def _actuation(
     settings: SteeringSettings, model: Swimmer | OverdampedSwimmer
-) -> tuple[RollingActuator, CommandLimits, float]:
-    """What commands do, their limits, and the time from command to motion [T].
-
-    A first-order follower of the command is taken for a further delay by its time
-    constant, which is right for commands that change slowly against it.
-    """
+) -> tuple[AbstractActuator, CommandLimits, float]:
+    """The effect of commands, their limits, and the time from command to motion [T]."""
     propulsion = unbound(model) if takes_commands(model) else model.propulsion
-    if not isinstance(propulsion, RollingPropulsion):
+    if not isinstance(propulsion, AbstractCommandedForce):
         gain = settings.thrust * jnp.eye(len(settings.places()[0]))
         return RollingActuator(gain, LinearResponse()), CommandLimits(1.0), 0.0
-    actuator = RollingActuator(propulsion.gain, propulsion.response)
-    lag = float(propulsion.delay) + float(propulsion.lag)
-    return actuator, CommandLimits(settings.frequency), lag
+    limits = CommandLimits(settings.frequency)
+    return propulsion.actuator, limits, propulsion.lateness
 
 
 def _arena(

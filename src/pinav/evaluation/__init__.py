@@ -6,7 +6,6 @@ from pinav.evaluation.conformal import calibrate as calibrate
 from pinav.evaluation.conformal import least_count as least_count
 from pinav.evaluation.conformal import rollout_bands as rollout_bands
 from pinav.evaluation.conformal import trajectory_scores as trajectory_scores
-from pinav.evaluation.constants import ParameterRecovery as ParameterRecovery
 from pinav.evaluation.coverage import NOMINAL as NOMINAL
 from pinav.evaluation.coverage import Bands as Bands
 from pinav.evaluation.coverage import estimated_start_bands as estimated_start_bands
@@ -18,6 +17,9 @@ from pinav.evaluation.coverage import normal_quantile as normal_quantile
 from pinav.evaluation.coverage import rollout_coverage as rollout_coverage
 from pinav.evaluation.decomposition import Decomposition as Decomposition
 from pinav.evaluation.decomposition import decompose as decompose
+from pinav.evaluation.evaluation import BASELINE as BASELINE
+from pinav.evaluation.evaluation import Evaluation as Evaluation
+from pinav.evaluation.evaluation import evaluate as evaluate
 from pinav.evaluation.force_fields import NEAR as NEAR
 from pinav.evaluation.force_fields import NEAR_FRACTION as NEAR_FRACTION
 from pinav.evaluation.force_fields import VISITED as VISITED
@@ -42,6 +44,9 @@ from pinav.evaluation.force_lines import (
 )
 from pinav.evaluation.force_lines import force_line as force_line
 from pinav.evaluation.force_lines import line_through as line_through
+from pinav.evaluation.held_out import held_out as held_out
+from pinav.evaluation.judgement import CalibratedBand as CalibratedBand
+from pinav.evaluation.judgement import ParameterRecovery as ParameterRecovery
 from pinav.evaluation.restarts import RestartErrors as RestartErrors
 from pinav.evaluation.restarts import restart_errors as restart_errors
 from pinav.evaluation.rollouts import ErrorCurve as ErrorCurve

@@ -33,12 +33,12 @@ from pinav.trajectories import Trajectories
 Samples = Float[np.ndarray, "trajectory time state"]
 
 
-class CalibrationOutcome(enum.IntEnum):
+class CalibrationOutcome(enum.Enum):
     """The outcome of a calibration."""
 
-    BOUNDED = 0
-    TOO_FEW = 1
-    DIVERGED = 2
+    BOUNDED = "bounded"
+    TOO_FEW = "too few trajectories"
+    DIVERGED = "diverged"
 
 
 class Calibration(eqx.Module):

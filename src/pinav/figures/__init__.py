@@ -8,6 +8,8 @@ from pinav.figures.analysis import potential_figure as potential_figure
 from pinav.figures.analysis import potential_map as potential_map
 from pinav.figures.analysis import sobol_figure as sobol_figure
 from pinav.figures.analysis import trust_map as trust_map
+from pinav.figures.errors import evaluation_errors_figure as evaluation_errors_figure
+from pinav.figures.errors import residuals_figure as residuals_figure
 from pinav.figures.evidence import evidence_bars as evidence_bars
 from pinav.figures.files import FigureFiles as FigureFiles
 from pinav.figures.files import save_figure as save_figure
@@ -29,4 +31,3 @@ from pinav.figures.trajectories import figure1 as figure1
 from pinav.figures.trajectories import loss_curve as loss_curve
 from pinav.figures.trajectories import trajectory as trajectory
 from pinav.figures.trajectories import velocity as velocity
-from pinav.figures.truths import truth_band as truth_band

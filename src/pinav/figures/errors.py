@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pinav.evaluation import ErrorCurve, normal_quantile
+from pinav.evaluation import ErrorCurve, Evaluation, Whiteness, normal_quantile
+from pinav.figures.images import Picture
 from pinav.figures.palette import (
     GREY,
     SHADE,
@@ -79,21 +79,60 @@ def _positive(values: np.ndarray) -> np.ndarray:
     return np.where(values > 0, values, np.nan)
 
 
-def residual_autocorrelation(
-    autocorrelation: Float[np.ndarray, "channel lag"],
-    counts: Sequence[int],
-    channels: Sequence[str],
-    *,
-    ax: Axes | None = None,
-) -> Axes:
+def evaluation_errors_figure(evaluation: Evaluation, error_name: str) -> Picture:
+    """Errors of rollouts over time, one panel for each source of starts.
+
+    Args:
+        evaluation: the scores.
+        error_name: name of the errors on the data that were given.
+    """
+
+    def draw() -> Figure:
+        sources = list(next(iter(evaluation.curves.values())))
+        figure = new_figure(7.5 if len(sources) > 1 else 4.4, 3.2)
+        axes = np.atleast_1d(figure.subplots(1, len(sources)))
+        for ax, source in zip(axes, sources, strict=True):
+            curves = {name: each[source] for name, each in evaluation.curves.items()}
+            unit = evaluation.units.get("x", "")
+            error_over_time(curves, horizon=evaluation.horizon, unit=unit, ax=ax)
+            words = f"the data ({error_name})" if source == "data" else source
+            title_panel(ax, f"rollouts from {words}")
+        return figure
+
+    return Picture(
+        "evaluation-errors",
+        draw,
+        "Position error over time since the start: median (line) and 90th percentile "
+        "(dotted) over trajectories; a line ends where that fraction has diverged. "
+        "Dashed: the training horizon.",
+    )
+
+
+def residuals_figure(test: Whiteness) -> Picture:
+    """Autocorrelation of the residuals of a fit."""
+
+    def draw() -> Figure:
+        figure = new_figure(4.4, 3.2)
+        residual_autocorrelation(test, ax=figure.add_subplot())
+        return figure
+
+    return Picture(
+        "evaluation-residuals",
+        draw,
+        "Autocorrelation of the residuals on the training data; grey: what 95 % of "
+        "white residuals would show.",
+        width=0.6,
+    )
+
+
+def residual_autocorrelation(test: Whiteness, *, ax: Axes | None = None) -> Axes:
     r"""Autocorrelation at each lag, with the 95 % band of white noise.
 
     Args:
-        autocorrelation: at lags 1, 2, ...
-        counts: residuals of each channel; a channel without any is left out.
-        channels: their names.
+        test: of the residuals; a channel without any is left out.
         ax: where to draw; a new figure unless given.
     """
+    autocorrelation, counts = test.autocorrelation, test.counts
     ax = prepare_axes(ax)
     lags = np.arange(1, autocorrelation.shape[1] + 1)
     used = [i for i, count in enumerate(counts) if count]
@@ -102,7 +141,12 @@ def residual_autocorrelation(
         values, color = finite(autocorrelation[i]), SPARE[i % len(SPARE)]
         ax.vlines(lags + shift, 0.0, values, color=color, lw=THIN)
         ax.plot(
-            lags + shift, values, MARKERS[i], color=color, ms=3.5, label=channels[i]
+            lags + shift,
+            values,
+            MARKERS[i],
+            color=color,
+            ms=3.5,
+            label=test.channels[i],
         )
     bound = normal_quantile() / np.sqrt(min(counts[i] for i in used))
     ax.axhspan(-bound, bound, color=SHADE, zorder=0, label="95 % of white noise")

@@ -82,8 +82,6 @@ STYLES = {
     "gain matrix and drift": LineStyle("gain matrix and drift", GREEN),
     "chosen": LineStyle("chosen", BLUE),
     "least squares": LineStyle("least squares", VERMILLION, "--"),
-    "Gaussian-process disturbance": LineStyle("Gaussian-process disturbance", SKY),
-    "neural ODE": LineStyle("neural ODE", PURPLE),
     "hottest cell": LineStyle("hottest cell", HOTTEST),
     "T10": LineStyle("T10", T10),
     "T50": LineStyle("T50", T50),

@@ -1,5 +1,6 @@
 """Fitting: phases that minimise an objective, and the Bayesian fit of kernels."""
 
+from pinav.fitting.abstract_learned import AbstractLearned as AbstractLearned
 from pinav.fitting.bayes.derived import derive as derive
 from pinav.fitting.bayes.derived import principal_drags as principal_drags
 from pinav.fitting.bayes.derived import rotational_fraction as rotational_fraction
@@ -87,5 +88,3 @@ from pinav.fitting.structure.search import StructuredFit as StructuredFit
 from pinav.fitting.structure.survey import is_network as is_network
 from pinav.fitting.structure.survey import is_worth_a_search as is_worth_a_search
 from pinav.fitting.structure.survey import may_turn as may_turn
-from pinav.fitting.traps import TrapFit as TrapFit
-from pinav.fitting.traps import fit_trap as fit_trap

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
+from pinav.actuation import AbstractActuator, AbstractProgramme
 from pinav.arguments import Scalar, Vector, refuse_text
 from pinav.forces.priors import AbstractPrior, Centers, Shape
 
@@ -238,12 +239,28 @@ def as_learned_force(force: AbstractForce) -> AbstractLearnedForce | None:
 
 
 class AbstractCommandedForce(AbstractForce):
-    """A force that the operator's commands drive; each trajectory has its own."""
+    """A force that the operator's commands drive; each trajectory has its own.
+
+    Attributes:
+        programme: what was commanded; None where each trajectory says so.
+    """
+
+    programme: eqx.AbstractVar[AbstractProgramme | None]
+
+    @property
+    def unbound(self) -> bool:
+        """True while the commands are still to come."""
+        return self.programme is None
 
     @property
     @abc.abstractmethod
-    def unbound(self) -> bool:
-        """Whether the commands are still to come."""
+    def actuator(self) -> AbstractActuator:
+        """The effect of a held command, by which the swimmer can be steered."""
+
+    @property
+    @abc.abstractmethod
+    def lateness(self) -> float:
+        """Time from a command to its effect, lags included [T]."""
 
     @abc.abstractmethod
     def drive_by(

@@ -15,6 +15,7 @@ from pinav.actuation import (
     AbstractResponse,
     HeldProgramme,
     LinearResponse,
+    RollingActuator,
     follow,
 )
 from pinav.arguments import Scalar, Vector, point
@@ -136,11 +137,22 @@ class RollingPropulsion(AbstractCommandedForce):
         cos, sin = math.cos(heading_offset), math.sin(heading_offset)
         gain = speed * jnp.array([[cos, -sin], [sin, cos]])
         response = LinearResponse() if response is None else response
-        return cls(gain, response, programme, delay, lag)
+        return cls(
+            gain=gain, response=response, programme=programme, delay=delay, lag=lag
+        )
 
     @property
-    def unbound(self) -> bool:
-        return self.programme is None
+    def actuator(self) -> RollingActuator:
+        return RollingActuator(self.gain, self.response)
+
+    @property
+    def lateness(self) -> float:
+        """The delay and the time constant of the lag together.
+
+        A first-order follower is taken for a further delay by its time constant, which
+        is right for commands that change slowly against it.
+        """
+        return float(self.delay) + float(self.lag)
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.gain.astype(x.dtype) @ self.command(t).astype(x.dtype)

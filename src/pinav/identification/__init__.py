@@ -1,8 +1,6 @@
 """Identification: which response to the commands a recording supports."""
 
 from pinav.identification.baselines import Baseline as Baseline
-from pinav.identification.baselines import black_box as black_box
-from pinav.identification.baselines import gaussian_process as gaussian_process
 from pinav.identification.baselines import least_squares as least_squares
 from pinav.identification.commanded_fit import fit_commanded as fit_commanded
 from pinav.identification.error_growth import ErrorGrowth as ErrorGrowth
@@ -39,5 +37,3 @@ from pinav.identification.tracks import Blocks as Blocks
 from pinav.identification.tracks import Track as Track
 from pinav.identification.tracks import tracks as tracks
 from pinav.identification.tracks import trajectories_of as trajectories_of
-from pinav.identification.wandering_velocity import DriftOverTime as DriftOverTime
-from pinav.identification.wandering_velocity import drift_over_time as drift_over_time

@@ -163,9 +163,9 @@ def innovations(
     @jax.checkpoint
     def step(state: State, inputs: tuple[Array, ...]) -> tuple[State, tuple]:
         matrix, added, row, here, new = inputs
-        ahead = _predict(state, matrix, added)
-        innovation, variance, updated = _update(ahead, row, noise)
-        begun = _begin(row, noise)
+        ahead = predict(state, matrix, added)
+        innovation, variance, updated = update(ahead, row, noise)
+        begun = begin(row, noise)
         after = [jnp.where(new > 0, a, b) for a, b in zip(begun, updated, strict=True)]
         whitened = innovation * (here / jnp.sqrt(variance)).astype(row.dtype)
         return (after[0], after[1]), (whitened, here * jnp.log(variance))
@@ -173,7 +173,7 @@ def innovations(
     # The first block of a segment sets the start and is no evidence.
     here = present[1:] * (1 - begins[1:])
     rows = transition.matrix, transition.noise, columns[1:], here, begins[1:]
-    _, (whitened, log_variance) = jax.lax.scan(step, _begin(columns[0], noise), rows)
+    _, (whitened, log_variance) = jax.lax.scan(step, begin(columns[0], noise), rows)
     return Innovations(whitened, log_variance)
 
 
@@ -182,7 +182,7 @@ State = tuple[Array, Array]
 complex number for itself."""
 
 
-def _begin(row: Array, noise: Array) -> State:
+def begin(row: Array, noise: Array) -> State:
     """The state at the first block of a segment."""
     unit = jnp.zeros_like(row)
     one = jnp.ones(())
@@ -192,7 +192,8 @@ def _begin(row: Array, noise: Array) -> State:
     return jnp.stack([row, unit, unit, unit]), variances.astype(row.dtype)
 
 
-def _predict(state: State, matrix: Array, added: Array) -> State:
+def predict(state: State, matrix: Array, added: Array) -> State:
+    """The state after a transition, by its matrix and the covariance that it adds."""
     mean, covariance = state
     half = _product(matrix, covariance)
     spread = _product(matrix, half.conj().T)
@@ -204,7 +205,7 @@ def _product(matrix: Array, other: Array) -> Array:
     return jnp.sum(matrix[:, :, None] * other[None], axis=1)
 
 
-def _update(ahead: State, row: Array, noise: Array) -> tuple[Array, Array, State]:
+def update(ahead: State, row: Array, noise: Array) -> tuple[Array, Array, State]:
     """What an observation adds, its variance, and the state that knows it."""
     mean, covariance = ahead
     variance = covariance[0, 0].real + noise**2
@@ -213,58 +214,3 @@ def _update(ahead: State, row: Array, noise: Array) -> tuple[Array, Array, State
     innovation = row - mean[0]
     mean = mean + gain[:, None] * innovation[None]
     return innovation, variance, (mean, covariance - jnp.outer(gain, column.conj()))
-
-
-def smoothed_velocity(
-    positions: Complex[Array, " block"],
-    strength: Float[Array, " block"],
-    transition: Transition,
-    disturbance: Disturbance,
-) -> tuple[Float[Array, "block 2"], Float[Array, "block 2"], Float[Array, " block"]]:
-    """Velocity of both processes at each block.
-
-    Args:
-        positions: what the regressors leave [L], x + iy.
-        strength: of the quick velocity at each block.
-        transition: from each block to the next.
-        disturbance: slow velocity and noise.
-
-    Returns:
-        Mean velocity [L T⁻¹] of both processes together, that of the slow one alone,
-        and the standard deviation of both together along either axis.
-
-    References:
-        Rauch, Tung and Striebel, AIAA J. 3, 1445 (1965).
-    """
-    noise, rows = disturbance.noise, positions[:, None]
-    start = _begin(rows[0], noise)
-
-    def forth(state: State, inputs: tuple[Array, ...]) -> tuple[State, tuple]:
-        matrix, added, row = inputs
-        ahead = _predict(state, matrix, added)
-        _, _, updated = _update(ahead, row, noise)
-        return updated, (state, ahead)
-
-    def back(later: State, inputs: tuple) -> tuple[State, State]:
-        mean, covariance = later
-        (past_mean, past_spread), (ahead_mean, ahead_spread), matrix = inputs
-        # P A' Q^-1 as the adjoint of Q^-1 A P, since both covariances are Hermitian.
-        gain = jnp.linalg.solve(ahead_spread, matrix @ past_spread).conj().T
-        mean = past_mean + gain @ (mean - ahead_mean)
-        covariance = past_spread + gain @ (covariance - ahead_spread) @ gain.conj().T
-        return (mean, covariance), (mean, covariance)
-
-    inputs = transition.matrix, transition.noise, rows[1:]
-    last, (states, ahead) = jax.lax.scan(forth, start, inputs)
-    passed = states, ahead, transition.matrix
-    _, (means, spreads) = jax.lax.scan(back, last, passed, reverse=True)
-    means = jnp.concatenate([means, last[0][None]])
-    spreads = jnp.concatenate([spreads, last[1][None]])
-    slow = jnp.broadcast_to(disturbance.slow, strength.shape)
-    nothing = jnp.zeros_like(strength)
-    weights = jnp.stack([nothing, strength, slow, nothing], axis=1)
-    means = jnp.stack([means[..., 0].real, means[..., 0].imag], axis=-1)
-    both = jnp.einsum("bs,bsa->ba", weights, means)
-    alone = slow[:, None] * means[:, 2]
-    variance = jnp.einsum("bs,bst,bt->b", weights, spreads.real, weights)
-    return both, alone, jnp.sqrt(variance)

@@ -14,12 +14,7 @@ from pinav.errors import FitError, InputError
 from pinav.fitting import KernelGrid, kernel_environment, neural_environment
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.forces import KernelForce, KernelPotential, NeuralForce
-from pinav.identification.baselines import (
-    Baseline,
-    black_box,
-    gaussian_process,
-    least_squares,
-)
+from pinav.identification.baselines import least_squares
 from pinav.identification.fit import TrackFit, fit_track
 from pinav.identification.forecast import (
     HORIZONS,
@@ -68,7 +63,7 @@ class Row(eqx.Module):
     """One line of the table.
 
     Attributes:
-        name: of the candidate or baseline.
+        name: candidate or baseline.
         log_evidence: of the training part; NaN for baselines.
         seconds: that the fit took, compilation included.
         errors: by horizon, on the held-out part.
@@ -131,7 +126,6 @@ def select_model(
     *,
     train_fraction: float = 0.7,
     residuals: Sequence[str] = (),
-    baselines: Sequence[str] = (LEAST_SQUARES,),
     on_row: Callable[[Row], None] | None = None,
 ) -> Selection:
     """Fit every candidate to the first part of a track and roll it out on the rest.
@@ -140,7 +134,6 @@ def select_model(
         track: one robot of one run.
         train_fraction: first part of its time that trains.
         residuals: names in `RESIDUALS`: fields of position on the chosen candidate.
-        baselines: names in `BASELINES`.
         on_row: called after each line of the table.
 
     Raises:
@@ -151,8 +144,7 @@ def select_model(
     selection.select_model()
     for name in residuals:
         selection.residual(name)
-    for name in baselines:
-        selection.baseline(name)
+    selection.add_least_squares()
     return Selection(
         track, train, held_out, selection.rows, selection.fits, selection.chosen
     )
@@ -268,16 +260,12 @@ class _Comparison:
 
         return velocity_r2(self.held_out, displacement)
 
-    def baseline(self, name: str) -> None:
-        """A baseline."""
-        try:
-            fitted = BASELINES[name](self.train)
-        except InputError as error:
-            self._refuse(name, str(error))
-            return
+    def add_least_squares(self) -> None:
+        """The baseline, and where commands were given its average with the choice."""
+        fitted = least_squares(self.train)
         path = fitted.displacement()
-        self._add(name, float("nan"), fitted.seconds, path)
-        if name == LEAST_SQUARES and self.train.commanded:
+        self._add(LEAST_SQUARES, float("nan"), fitted.seconds, path)
+        if self.train.commanded:
             self._stack_with(path)
 
     def _stack_with(self, other: Displacement) -> None:
@@ -357,11 +345,3 @@ RESIDUALS: dict[str, Callable[[Track], Any]] = {
     "network": _network,
 }
 """Position-dependent residuals: kernels with a prior, and a network."""
-
-
-BASELINES: dict[str, Callable[[Track], Baseline]] = {
-    LEAST_SQUARES: least_squares,
-    "Gaussian-process disturbance": gaussian_process,
-    "neural ODE": black_box,
-}
-"""Baselines by name."""

@@ -1,11 +1,8 @@
 """Learned constants by the names that tables and files give them, with their units."""
 
-import dataclasses
 import re
 from collections.abc import Mapping
 from typing import Any
-
-import numpy as np
 
 from pinav.arguments import dimension_of
 from pinav.evaluation import field_map
@@ -21,9 +18,6 @@ from pinav.systems import System, WanderingVelocity
 from pinav.trajectories import Trajectories
 from pinav.units import unit_of
 
-QUANTILE = 1.959964
-"""Standard deviations from the middle of a normal distribution to 97.5 %."""
-
 DIMENSIONS = {
     "diffusion": "L2 T-1",
     "exposure": "T",
@@ -34,36 +28,9 @@ DIMENSIONS = {
 """Dimension of what a fit learns beside the numbers of a swimmer."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Constant:
-    """A learned constant.
-
-    Attributes:
-        value: its best value.
-        sd: its standard deviation; NaN without a posterior.
-        unit: of both; "?" where the data do not state it.
-    """
-
-    DERIVED = ("low", "high")
-
-    value: float
-    sd: float
-    unit: str = "?"
-
-    @property
-    def low(self) -> float:
-        """Lower end of its 95 % interval."""
-        return self.value - QUANTILE * self.sd
-
-    @property
-    def high(self) -> float:
-        """Upper end of its 95 % interval."""
-        return self.value + QUANTILE * self.sd
-
-
 def with_units(
     estimates: Mapping[str, Estimate], choice: ModelChoice, model: Any, system: System
-) -> dict[str, Constant]:
+) -> dict[str, Estimate]:
     """Learned constants with their units.
 
     Args:
@@ -76,7 +43,7 @@ def with_units(
     units = {"L": stated.length, "T": stated.time, "F": stated.force}
     paths = choice.paths()
     return {
-        name: Constant(
+        name: Estimate(
             float(one.value),
             float(one.sd),
             unit_of(_dimension(name, paths, model), units),
@@ -121,6 +88,5 @@ def rotational_part(fit: EvidenceFit, data: Trajectories) -> dict[str, Estimate]
     if learned is None or learned.helmholtz is None or split_structure(learned)[0]:
         return {}
     field = field_map(environment, data)
-    points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
-    visited = points[field.distance <= field.regions.visited]
+    visited = field.points[field.distance.ravel() <= field.regions.visited]
     return {"rotational fraction": rotational_fraction(fit.posterior, visited)}

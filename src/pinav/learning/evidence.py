@@ -1,6 +1,7 @@
 """What a fit by the evidence found: the numbers of it that a run keeps."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -124,7 +125,6 @@ def _process(
     weights = fit.linear.weights
     if not isinstance(weights, TangentWeights):
         return None
-    kernels = weights.process.kernels
-    assert kernels is not None
+    kernels: Any = weights.process.kernels
     kind = KernelForce if choice.name == "neural-force" else KernelPotential
     return kind.with_zero_weights(np.asarray(kernels.centers), float(kernels.width))

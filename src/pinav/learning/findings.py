@@ -7,7 +7,6 @@ from jaxtyping import Float
 
 from pinav.evaluation import FieldMap, ForceLine, RestartErrors
 from pinav.fitting import Estimate, Hyperparameters
-from pinav.learning.constants import Constant
 from pinav.learning.matching import Losses
 from pinav.learning.thermal import ThermalFindings
 
@@ -158,7 +157,7 @@ class Findings:
     recipe: str
     outcome: str
     rmse: dict[str, float]
-    constants: dict[str, Constant]
+    constants: dict[str, Estimate]
     remarks: tuple[str, ...]
     units: dict[str, str]
     rollouts: Rollouts

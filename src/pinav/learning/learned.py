@@ -17,13 +17,19 @@ from jaxtyping import ArrayLike, Float
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap, require_x64
-from pinav.fitting import Estimate, EvidenceFit, Posterior, is_network
+from pinav.fitting import (
+    AbstractLearned,
+    Estimate,
+    EvidenceFit,
+    Posterior,
+    is_network,
+)
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import KnownSwimmer, ModelChoice
 from pinav.fitting.environments.profiles import MobilitySummary
 from pinav.fitting.environments.summary import DataSummary
 from pinav.forces import as_learned_force, forces_at, split_structure
-from pinav.learning.constants import Constant, with_units
+from pinav.learning.constants import with_units
 from pinav.learning.evidence import Evidence
 from pinav.learning.findings import Findings
 from pinav.learning.matching import Losses
@@ -63,11 +69,11 @@ class ModelHeader(msgspec.Struct, frozen=True):
 
 
 @dataclasses.dataclass(frozen=True)
-class Learned:
+class Learned(AbstractLearned):
     """A fit, or a finished run with several models.
 
     Attributes:
-        folder: where it is; None of one that was not saved.
+        place: where it is; None of one that was not saved.
         system: what was known of the swimmer.
         data: the trajectories that were fitted.
         models: the fitted models, by the names of their files.
@@ -81,7 +87,7 @@ class Learned:
         found: what the fit has to say, where it is not in a folder.
     """
 
-    folder: RunFolder | None
+    place: RunFolder | None
     system: System
     data: Trajectories
     models: dict[str, AbstractDynamics]
@@ -181,9 +187,10 @@ class Learned:
         assert self.header is not None
         save_data(folder, self.data)
         write_system_of(folder, self.system)
-        results = {POSTERIOR: self.evidence, THERMAL: self.thermal, LOSSES: self.losses}
+        results: dict[str, Any] = {POSTERIOR: self.evidence, THERMAL: self.thermal, LOSSES: self.losses}
         if self.teacher is not None and self.teacher.header is not None:
             # The process of a network is the force of its teacher, which has a file.
+            assert self.evidence is not None
             untaught = dataclasses.replace(self.evidence, process=None)
             results |= {POSTERIOR: untaught, TEACHER: self.teacher.evidence}
             write_model(folder, self.teacher.header, self.teacher.model, TEACHER_FILE)
@@ -191,7 +198,7 @@ class Learned:
             if result is not None:
                 folder.store(name, result)
         write_model(folder, self.header, self.model)
-        return dataclasses.replace(self, folder=folder)
+        return dataclasses.replace(self, place=folder)
 
     def save(self, path: Path | str, *, overwrite: bool = False) -> "Learned":
         """Keep the fit in a folder, which `open_run` and the commands of pinav read.
@@ -213,9 +220,20 @@ class Learned:
         return kept
 
     @property
+    def folder(self) -> RunFolder:
+        """The folder that holds the fit.
+
+        Raises:
+            InputError: it was not saved.
+        """
+        if self.place is None:
+            raise InputError("this fit was not saved, so that it has no folder")
+        return self.place
+
+    @property
     def path(self) -> Path | str:
-        """The folder, or what messages call a fit that was not saved."""
-        return "the fit" if self.folder is None else self.folder.path
+        """The path of the folder, or what messages call a fit that was not saved."""
+        return "the fit" if self.place is None else self.place.path
 
     @property
     def findings(self) -> Findings:
@@ -226,8 +244,6 @@ class Learned:
         """
         if self.found is not None:
             return self.found
-        if self.folder is None:
-            raise InputError("this fit was not judged; take the result of learn")
         return self.folder.load(FINDINGS, Findings)
 
     @property
@@ -254,9 +270,13 @@ class Learned:
             )
         return self.models[MODEL]
 
-    @functools.cached_property
+    @property
     def posterior(self) -> Posterior | None:
         """The posterior of the fit, if it has one."""
+        return self._posterior
+
+    @functools.cached_property
+    def _posterior(self) -> Posterior | None:
         if self.evidence is None:
             return None
         return self.evidence.posterior(self.model, self.choice)
@@ -277,18 +297,20 @@ class Learned:
                 values[field] = estimate.value
         return WanderingVelocity(**values) if values else None
 
-    @functools.cached_property
-    def constants(self) -> dict[str, Constant]:
+    @property
+    def constants(self) -> dict[str, Estimate]:
         """The learned constants; their deviation is NaN without a posterior."""
         if self.evidence is not None:
             estimates = self.evidence.constants
             return with_units(estimates, self.choice, self.model, self.system)
         paths = self.choice.paths() if MODEL in self.models else {}
-        values = {
-            name: Estimate(float(attrgetter(path)(self.model)), float("nan"))
-            for name, path in paths.items()
+        values = {name: attrgetter(path)(self.model) for name, path in paths.items()}
+        estimates = {
+            name: Estimate(float(value), float("nan"))
+            for name, value in values.items()
+            if np.ndim(value) == 0
         }
-        return with_units(values, self.choice, self.model, self.system)
+        return with_units(estimates, self.choice, self.model, self.system)
 
     @property
     def horizon(self) -> float:
@@ -334,9 +356,7 @@ class Learned:
         """
         if self.posterior is None:
             raise InputError(f"{self.path} has no posterior; fit with --recipe bayes")
-        points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
-        sd = self.posterior.force_sd(points.reshape(-1, 2))
-        return sd.reshape(field.force.shape)
+        return self.posterior.force_sd(field.points).reshape(field.force.shape)
 
 
 def build_model(header: ModelHeader, system: System) -> AbstractDynamics:
@@ -390,7 +410,7 @@ def of_evidence(
         mobility = MobilitySummary.of(fit.model.mobility)
         summary = msgspec.structs.replace(summary, mobility=mobility)
     header = msgspec.structs.replace(header, data=summary)
-    models = {MODEL: fit.model}
+    models: dict[str, AbstractDynamics] = {MODEL: fit.model}
     return Learned(None, system, data, models, header.choice, evidence, header=header)
 
 

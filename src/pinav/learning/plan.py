@@ -35,7 +35,7 @@ from pinav.learning.recipes import (
 )
 from pinav.learning.thermal_choice import ThermalChoice
 from pinav.systems import System
-from pinav.trajectories import Trajectories, with_missing_channels
+from pinav.trajectories import Trajectories, with_all_channels
 
 LARGEST = 1e12
 """Largest value of a state, whose fourth power a fit can still sum up."""
@@ -182,15 +182,6 @@ def _check_channels(data: Trajectories, system: System) -> None:
                 else ""
             )
         )
-
-
-def with_all_channels(data: Trajectories, system: System) -> Trajectories:
-    """The data; positions alone get velocities that nobody observed."""
-    positions = system.position_channels
-    if data.channels != positions:
-        return data
-    unseen = system.channels[len(positions) :]
-    return with_missing_channels(data, {name: system.units[name] for name in unseen})
 
 
 def check_model(

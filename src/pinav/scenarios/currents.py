@@ -23,7 +23,7 @@ from pinav.forces import (
     VortexFlow,
     ZeroForce,
 )
-from pinav.scenarios.random_starts import with_random_starts
+from pinav.scenarios.starts_and_thrusts import with_random_starts
 from pinav.systems import Observation, System, UniformStarts
 
 BASIN = Domain((0.0, 0.0), (10.0, 10.0))
@@ -81,7 +81,9 @@ def _current(name: str, current: AbstractForce) -> System:
     times = jnp.linspace(0.0, DURATION, 41)
     programme = LinearProgramme(times, jnp.ones_like(times), 2 * np.pi * times / TURN)
     swimmer = OverdampedSwimmer(
-        propulsion=RollingPropulsion(jnp.eye(2), LinearResponse(), programme),
+        propulsion=RollingPropulsion(
+            gain=jnp.eye(2), response=LinearResponse(), programme=programme
+        ),
         environment=ZeroForce(),
         mobility=1.0,
     )

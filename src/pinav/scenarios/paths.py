@@ -16,7 +16,7 @@ from pinav.dynamics import (
     sample_path,
 )
 from pinav.errors import InputError
-from pinav.forces import RollingPropulsion, SampledFlow, SumFlow
+from pinav.forces import AbstractCommandedForce, SampledFlow, SumFlow
 from pinav.systems import System, WanderingVelocity
 
 SUBSTEPS = 8
@@ -127,6 +127,6 @@ def _deviation(
     """Standard deviation of the wandering velocity, greater under a command."""
     propulsion = truth.swimmer.propulsion
     programme = getattr(propulsion, "programme", None)
-    if not isinstance(propulsion, RollingPropulsion) or programme is None:
+    if not isinstance(propulsion, AbstractCommandedForce) or programme is None:
         return wandering.strength(jnp.zeros_like(times))
     return wandering.strength(jax.vmap(lambda t: programme(t)[0])(times))

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from pinav.thermal.design_variables import Run
 from pinav.thermal.dose import value_exceeded_by
-from pinav.thermal.exposure_limits import AbstractLimit
+from pinav.thermal.exposure_limits import HfLimit
 from pinav.thermal.quantities import Field, Number
 from pinav.thermal.solve import Solution
 
@@ -152,20 +152,19 @@ class Exposure(eqx.Module):
         limit: of the field.
     """
 
-    limit: AbstractLimit
+    limit: HfLimit
 
     def __call__(self, result: RunResult) -> Field:
         """Its value for a run."""
         return self.limit.exposure(result.run.protocol)
 
 
-def limit_constraint(limit: AbstractLimit) -> AtMost:
-    """The constraint that the field keeps a limit; one kelvin matters, or the bound."""
-    scale = 1.0 if limit.unit == "°C" else limit.bound
+def limit_constraint(limit: HfLimit) -> AtMost:
+    """The constraint that the field keeps a limit; a change of the bound matters."""
     return AtMost(
         name=limit.name,
         function=Exposure(limit),
-        bound=limit.bound,
-        unit=limit.unit,
-        scale=scale,
+        bound=limit.product,
+        unit="A/(m s)",
+        scale=limit.product,
     )

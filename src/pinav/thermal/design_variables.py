@@ -110,39 +110,6 @@ class FreeScale(AbstractDesignVariable):
         return Run(run.model, protocol)
 
 
-class FreeFrequency(AbstractDesignVariable):
-    """The frequency, on a logarithmic scale between two bounds [Hz].
-
-    Attributes:
-        low: at 0, positive.
-        high: at 1.
-        first: where to start.
-
-    Raises:
-        InputError: the bounds do not increase from above zero.
-    """
-
-    low: Number
-    high: Number
-    first: Number = 0.5
-
-    def __check_init__(self) -> None:
-        if not 0 < self.low < self.high:
-            raise InputError(
-                f"FreeFrequency: expected 0 < low < high Hz, got {self.low} and "
-                f"{self.high}"
-            )
-
-    @property
-    def start(self) -> Float[np.ndarray, " number"]:
-        return np.array([float(self.first)])
-
-    def apply(self, numbers: Float[Array, " number"], run: Run) -> Run:
-        frequency = self.low * (self.high / self.low) ** numbers[0]
-        protocol = eqx.tree_at(lambda p: p.frequency, run.protocol, frequency)
-        return Run(run.model, protocol)
-
-
 class FreePlacement(AbstractDesignVariable):
     r"""Where the particles or the power of the first source go, their total kept.
 

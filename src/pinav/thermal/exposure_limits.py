@@ -4,57 +4,19 @@ Which limit holds is the user's choice. A product of amplitude and frequency lea
 the duty cycle; what limits in practice is the temperature that eddy currents make.
 """
 
-import abc
-
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.boundaries import Insulated, Sides
-from pinav.thermal.grids import RadialGrid
-from pinav.thermal.perfusion import AbstractPerfusion
-from pinav.thermal.protocols import AbstractProtocol, Piecewise
+from pinav.thermal.protocols import Piecewise
 from pinav.thermal.quantities import Number
-from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.schedule import plan_steps
-from pinav.thermal.solve import run
-from pinav.thermal.sources import EddySource
-from pinav.thermal.tissues import Blood, Tissue
+from pinav.thermal.sources import ParticleSource
 
 
-class AbstractLimit(eqx.Module):
-    """A bound on a protocol.
-
-    Attributes:
-        name: what messages call it.
-    """
-
-    name: eqx.AbstractVar[str]
-
-    @property
-    @abc.abstractmethod
-    def bound(self) -> float:
-        """What the exposure may not exceed, in `unit`."""
-
-    @property
-    @abc.abstractmethod
-    def unit(self) -> str:
-        """Of bound and exposure."""
-
-    @abc.abstractmethod
-    def exposure(self, protocol: AbstractProtocol) -> Float[Array, " part"]:
-        """What is bounded, differentiable by the amplitudes.
-
-        One number for each interval where intervals count by themselves: the largest of
-        them has a kink, at which an optimiser stops.
-        """
-
-
-class HfLimit(AbstractLimit):
+class HfLimit(eqx.Module):
     """A bound on the product of amplitude and frequency.
 
     Attributes:
@@ -71,16 +33,12 @@ class HfLimit(AbstractLimit):
                 f"HfLimit.product: expected > 0 A/(m s), got {self.product}"
             )
 
-    @property
-    def bound(self) -> float:
-        return float(self.product)
+    def exposure(self, protocol: Piecewise) -> Float[Array, " interval"]:
+        """$Hf$ of each interval, differentiable by the amplitudes.
 
-    @property
-    def unit(self) -> str:
-        return "A/(m s)"
-
-    def exposure(self, protocol: AbstractProtocol) -> Float[Array, " part"]:
-        return peak_amplitudes(protocol) * protocol.frequency
+        The largest of them has a kink, at which an optimiser stops.
+        """
+        return jnp.maximum(protocol.starts, protocol.ends) * protocol.frequency
 
 
 ATKINSON_BREZOVICH = HfLimit(product=4.85e8, name="Atkinson-Brezovich limit")
@@ -94,77 +52,7 @@ HERGT_DUTZ = HfLimit(product=5e9, name="Hergt-Dutz limit")
 LIMITS = {"atkinson-brezovich": ATKINSON_BREZOVICH, "hergt-dutz": HERGT_DUTZ}
 
 
-class EddyTemperatureLimit(AbstractLimit):
-    r"""A bound on the temperature that eddy currents make of a body without particles.
-
-    Tissue without conduction, from the arterial temperature: $\rho c\,\theta' =
-    Q_{eddy}(t) - c_b w(T)\,\theta$ over the protocol, so that pauses count.
-
-    Attributes:
-        highest: temperature that may be reached [°C].
-        radius: of the body's current loop [m].
-        conductivity: of the body [S m⁻¹].
-        perfusion: of the tissue.
-        tissue: what is heated.
-        blood: that cools it.
-        name: what messages call it.
-    """
-
-    highest: Number
-    radius: Number
-    conductivity: Number
-    perfusion: AbstractPerfusion
-    tissue: Tissue
-    blood: Blood = Blood()
-    name: str = eqx.field(static=True, default="eddy temperature limit")
-
-    @property
-    def bound(self) -> float:
-        return float(self.highest)
-
-    @property
-    def unit(self) -> str:
-        return "°C"
-
-    def exposure(self, protocol: AbstractProtocol) -> Float[Array, " part"]:
-        model = Bioheat(
-            RadialGrid.slab(0.03, 3),  # uniform, so that three cells are enough
-            eqx.tree_at(lambda t: t.metabolic, self.tissue, 0.0),
-            self.blood,
-            self.perfusion,
-            (EddySource(self.radius, self.conductivity),),
-            (Sides(Insulated(), Insulated()),),
-        )
-        solution = run(
-            model,
-            protocol,
-            plan_steps(protocol, LONGEST),
-            stepper=Rosenbrock(LONGEST),
-            observe=jnp.max,
-        )
-        # One number: heat of one interval stays for the next, so none counts by itself.
-        return jnp.max(solution.hottest, keepdims=True)
-
-
-LONGEST = 10.0
-"""Time step [s] of the tissue that eddy currents heat."""
-
-
-def peak_amplitudes(protocol: AbstractProtocol) -> Float[Array, " interval"]:
-    """Largest amplitude [A m⁻¹] of each interval; of a `Waveform` among 200 times."""
-    if isinstance(protocol, Piecewise):
-        return jnp.maximum(protocol.starts, protocol.ends)
-    edges = jnp.asarray(protocol.edges)
-
-    def peak(interval: Int[Array, ""]) -> Array:
-        times = jnp.linspace(edges[interval], edges[interval + 1], 200)
-        amplitudes = jax.vmap(lambda t: protocol.amplitude(t, interval))(times)
-        return jnp.max(amplitudes)
-
-    return jax.vmap(peak)(jnp.arange(len(protocol.edges) - 1))
-
-
-def require(protocol: AbstractProtocol, *limits: AbstractLimit) -> None:
+def require(protocol: Piecewise, *limits: HfLimit) -> None:
     """Refuse a protocol that exceeds a limit.
 
     Raises:
@@ -172,15 +60,15 @@ def require(protocol: AbstractProtocol, *limits: AbstractLimit) -> None:
     """
     for limit in limits:
         reached = float(jnp.max(limit.exposure(protocol)))
-        if reached > limit.bound * (1 + 1e-9):
+        if reached > limit.product * (1 + 1e-9):
             raise InputError(
-                f"protocol exceeds the {limit.name}: expected <= {limit.bound:.4g} "
-                f"{limit.unit}, got {reached:.4g} {limit.unit}; lower the amplitude or "
+                f"protocol exceeds the {limit.name}: expected <= {limit.product:.4g} "
+                f"A/(m s), got {reached:.4g} A/(m s); lower the amplitude or "
                 "the frequency, or choose another limit"
             )
 
 
-def limit(name: str) -> AbstractLimit:
+def limit(name: str) -> HfLimit:
     """A limit of the product $Hf$ by its name.
 
     Raises:
@@ -203,8 +91,6 @@ def validity_warnings(
         protocol: the field.
         hottest: highest temperature reached [°C].
     """
-    from pinav.thermal.sources import ParticleSource
-
     warnings = []
     for source in model.sources:
         if isinstance(source, ParticleSource):

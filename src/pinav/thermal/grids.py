@@ -348,17 +348,3 @@ def _check_center(center: Numbers | None) -> None:
         raise InputError(
             "RadialGrid: a ball is centred at 0; use a CartesianGrid for another center"
         )
-
-
-def scale_to(field: Field, grid: AbstractGrid, total: Scalar) -> Field:
-    """The field times a factor that makes its integral `total`.
-
-    A volume-fraction mask times a concentration misses the injected mass by the error
-    of its volume; this restores it.
-
-    Args:
-        field: a density.
-        grid: of its cells.
-        total: its integral over the grid, such as the injected mass [kg].
-    """
-    return field * (total / jnp.sum(field * grid.volumes))

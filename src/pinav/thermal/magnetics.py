@@ -182,29 +182,6 @@ class LogNormalSizes(AbstractHeating):
         return jnp.asarray(weights / weights.sum()) @ each(diameters)
 
 
-class PowerLawHeating(AbstractHeating):
-    r"""A fit to measurements, $\mathrm{SLP} = a f H^n$.
-
-    Attributes:
-        factor: $a$, such that the SLP is in W kg⁻¹.
-        exponent: $n$; 2 in linear response, up to 3 at low field, less near saturation.
-        largest: amplitude up to which it was measured [A m⁻¹].
-    """
-
-    factor: Scalar
-    exponent: Scalar = 2.0
-    largest: Scalar = np.inf
-
-    def slp(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
-        positive = jnp.asarray(amplitude, float) > 0
-        # The untaken branch of a power of zero would make the gradient NaN.
-        safe = jnp.where(positive, amplitude, 1.0)
-        return jnp.where(positive, self.factor * frequency * safe**self.exponent, 0.0)
-
-    def validity(self, amplitude: Scalar) -> Float[Array, ""]:
-        return jnp.asarray(amplitude / self.largest)
-
-
 class TabulatedHeating(AbstractHeating):
     r"""Measured SLP on a grid of amplitudes and frequencies, bilinear between them.
 

@@ -1,7 +1,6 @@
 """Protocols: the amplitude of the field over time, with its switch times."""
 
 import abc
-from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -159,28 +158,6 @@ class Piecewise(AbstractProtocol):
         fraction = (t - begin) / (end - begin)
         change = self.ends[interval] - self.starts[interval]
         return self.starts[interval] + fraction * change
-
-
-class Waveform(AbstractProtocol):
-    """A smooth amplitude.
-
-    Attributes:
-        function: amplitude [A m⁻¹] at a time [s].
-        edges: begin, times at which it is not smooth, and end [s].
-        frequency: of the field [Hz].
-    """
-
-    function: Callable[[Float[Array, ""]], Float[Array, ""]]
-    edges: tuple[float, ...] = eqx.field(static=True)
-    frequency: Scalar
-
-    def __check_init__(self) -> None:
-        _check_edges(self.edges)
-
-    def amplitude(
-        self, t: Float[Array, ""], interval: Int[Array, ""]
-    ) -> Float[Array, ""]:
-        return self.function(t)
 
 
 def _times(edges: Numbers) -> tuple[float, ...]:

@@ -134,33 +134,6 @@ def _shift_weights(count: int, cells: Array) -> Float[Array, "to from"]:
     return jnp.select(pieces, [near, middle, far], 0.0)
 
 
-class GaussianSource(AbstractSource):
-    r"""Power density $Q_0 e^{-r^2/2\sigma^2} (H/H_0)^2$ about a point.
-
-    The few numbers of a distribution of power that as few probes can determine.
-
-    Attributes:
-        log_peak: $\ln Q_0$, with $Q_0$ in W m⁻³.
-        log_width: $\ln \sigma$, with $\sigma$ in metres.
-        reference: $H_0$ [A m⁻¹].
-        center: of the spot [m]; the middle of the grid unless given.
-    """
-
-    log_peak: Scalar
-    log_width: Scalar
-    reference: Scalar
-    center: Float[Array, " axis"] | None = None
-
-    def shape(self, grid: AbstractGrid) -> Field:
-        # Logarithms keep both numbers positive without a constraint on the fit.
-        width = jnp.exp(jnp.asarray(self.log_width))
-        scaled = grid.distances(self.center) / width
-        return jnp.exp(self.log_peak - 0.5 * scaled**2)
-
-    def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
-        return jnp.asarray((amplitude / self.reference) ** 2)
-
-
 class EddySource(AbstractSource):
     r"""Eddy currents of a uniform axial field, $Q = \tfrac12\sigma(\pi\mu_0 r H f)^2$.
 

@@ -7,7 +7,7 @@ from jaxtyping import ArrayLike, Float, Float64, PRNGKeyArray
 
 from pinav import __version__
 from pinav.errors import InputError
-from pinav.forces import RollingPropulsion
+from pinav.forces import AbstractCommandedForce
 from pinav.scenarios.paths import SUBSTEPS, divide_times, true_paths
 from pinav.systems import System, system_text
 from pinav.trajectories.degradation import MotionBlur
@@ -73,7 +73,7 @@ def commands_of(
 ) -> dict[str, Float[np.ndarray, "*shape"]]:
     """What the programme of the system commands at some times; nothing without one."""
     propulsion = system.swimmer.propulsion
-    if not isinstance(propulsion, RollingPropulsion) or propulsion.programme is None:
+    if not isinstance(propulsion, AbstractCommandedForce) or propulsion.unbound:
         return {}
     frequency, heading = jnp.vectorize(propulsion.programme)(jnp.asarray(times))
     return {"frequency": np.asarray(frequency), "heading": np.asarray(heading)}

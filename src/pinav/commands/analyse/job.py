@@ -281,8 +281,8 @@ def produce_entropy(run: Learned) -> EntropyProduction:
     Raises:
         InputError: it cannot be told of this fit.
     """
-    evidence, model, data = run.evidence, run.model, run.data
-    if evidence is None or not isinstance(model, OverdampedSwimmer):
+    posterior, model, data = run.posterior, run.model, run.data
+    if posterior is None or not isinstance(model, OverdampedSwimmer):
         raise InputError("the run is no fit of thermal motion")
     if not isinstance(model.propulsion, ZeroForce):
         raise InputError(
@@ -294,13 +294,13 @@ def produce_entropy(run: Learned) -> EntropyProduction:
         )
     samples = data.positions[data.observed.all(axis=-1)]
     samples = samples[:: max(len(samples) // MOST_SAMPLES, 1)]
-    number = evidence.constants["diffusion"]
+    number = run.constants["diffusion"]
     field = np.full(samples.shape, number.value)
     if isinstance(model.mobility, KernelTensor) and run.system.thermal_energy:
         mobility = jax.vmap(model.mobility.diagonal)(jnp.asarray(samples))
         field = float(run.system.thermal_energy) * np.asarray(mobility)
     relative = number.sd / number.value
-    return entropy_production(run.posterior, samples, field, relative)
+    return entropy_production(posterior, samples, field, relative)
 
 
 def _rms(values: Float[np.ndarray, "... 2"]) -> float:

@@ -41,7 +41,10 @@ def run(options: DataOptions) -> CommandResult:
     """List the recordings, or fetch one."""
     if options.name:
         path = fetch_recording(options.name, options.out, options.source)
-        text = f"{path}: judge it with pinav truth {options.out} --out runs/truth"
+        text = (
+            f"{path}: in a source checkout, python -m validation.truth {options.out} "
+            "--out runs/truth judges it"
+        )
         return CommandResult(FetchMetrics(str(path)), text)
     rows = [
         PublicRow(*(getattr(one, name) for name in PublicRow.__struct_fields__))

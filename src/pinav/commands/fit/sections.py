@@ -16,7 +16,6 @@ from pinav.fitting import Estimate
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.structure.survey import LEAST_SAMPLES, LEAST_TRAJECTORIES
 from pinav.forces import HillsTerm
-from pinav.learning.constants import Constant
 from pinav.learning.findings import Findings, FoundLaw, FoundStructure, FoundTerm
 from pinav.learning.thermal import ObservedDiffusion, ThermalFindings
 from pinav.report import (
@@ -80,9 +79,9 @@ def unit_of_noise(fit: Findings) -> str:
     return f"{length}/√{time}"
 
 
-def constants_table(constants: Mapping[str, Constant]) -> Table:
+def constants_table(constants: Mapping[str, Estimate]) -> Table:
     """Learned constants with units and 95 % intervals."""
-    columns: dict[str, Callable[[tuple[str, Constant]], Cell]] = {
+    columns: dict[str, Callable[[tuple[str, Estimate]], Cell]] = {
         "constant": lambda one: one[0],
         "unit": lambda one: one[1].unit,
         "value": lambda one: number(one[1].value, 6),

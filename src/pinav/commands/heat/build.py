@@ -33,7 +33,7 @@ from pinav.thermal.boundaries import (
     outer,
 )
 from pinav.thermal.dose import DAMAGES, Arrhenius
-from pinav.thermal.exposure_limits import AbstractLimit, limit
+from pinav.thermal.exposure_limits import HfLimit, limit
 from pinav.thermal.grids import AbstractGrid, RadialGrid
 from pinav.thermal.magnetics import (
     AbstractHeating,
@@ -77,7 +77,7 @@ class CaseModel(eqx.Module):
     protocol: Piecewise
     body: Body
     stepper: AbstractStepper
-    limits: tuple[AbstractLimit, ...]
+    limits: tuple[HfLimit, ...]
     points: np.ndarray
     start: AbstractStart
     damage: Arrhenius | None = None

@@ -8,23 +8,18 @@ from pinav.commands.command import CommandResult
 from pinav.commands.heat import HEAT
 from pinav.commands.heat.case import Case, read_case
 from pinav.commands.heat.learn import LearnTask
-from pinav.commands.heat.metrics import CheckMetrics
 from pinav.commands.heat.optimise import OptimiseTask
 from pinav.commands.heat.settings import HeatOptions
 from pinav.commands.heat.simulate import SimulateTask
-from pinav.commands.heat.tables import text, verification_table
+from pinav.commands.heat.tables import text
 from pinav.commands.heat.task import IMAGES, READINGS, RESULTS, AbstractTask
-from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.thermal.images import Image, write_image
 from pinav.thermal.probes import save_probes
-from pinav.thermal.verification import verify
 
 
 def run(options: HeatOptions) -> CommandResult:
     """Run a task of bioheat as the command line does."""
-    if options.case is None or options.task == "verify":
-        return _verify()
     case, content = read_case(options.case)
     task = _task(options.task, case, options.case)
     config = {"run": {"command": HEAT.name, "task": options.task}, "case": content}
@@ -59,13 +54,3 @@ def _task(name: str, case: Case, path: Path) -> AbstractTask:
     if name == "optimise":
         return OptimiseTask(case, path)
     return SimulateTask(case, path)
-
-
-def _verify() -> CommandResult:
-    checks = [CheckMetrics.of(check) for check in verify()]
-    missed = [check.case for check in checks if not check.within]
-    return CommandResult(
-        checks,
-        as_text(verification_table(checks)),
-        failure=f"outside their tolerance: {', '.join(missed)}" if missed else "",
-    )

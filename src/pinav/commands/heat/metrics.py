@@ -213,25 +213,3 @@ class LearnMetrics(
 
 
 HeatMetrics = RunMetrics | OptimumMetrics | LearnMetrics
-
-
-class CheckMetrics(Row, frozen=True):
-    """A quantity of the solver beside its exact value.
-
-    Attributes:
-        case: name of the case.
-        value: by the solver.
-        exact: the exact value.
-        error: absolute difference.
-        tolerance: largest difference that is accepted.
-        unit: of all of these.
-        within: whether the error is within the tolerance.
-    """
-
-    case: str
-    value: float
-    exact: float
-    error: float
-    tolerance: float
-    unit: str
-    within: bool

@@ -1,9 +1,6 @@
 """Tables of `pinav heat`, for terminal and report alike."""
 
-from collections.abc import Sequence
-
 from pinav.commands.heat.metrics import (
-    CheckMetrics,
     ForecastMetrics,
     HeatMetrics,
     JudgedMetrics,
@@ -114,22 +111,6 @@ def _forecast_rows(
         rows.append(("later: largest error of the target [K]", forecast.error))
         rows.append(("later: truth in the 95 % band", forecast.covered))
     return rows
-
-
-def verification_table(checks: Sequence[CheckMetrics]) -> Table:
-    """Errors of the solver against exact solutions."""
-    rows = [
-        (
-            f"{check.case} [{check.unit}]",
-            check.value,
-            check.exact,
-            f"{check.error:.1e}",
-            f"{check.tolerance:.0e}",
-            "yes" if check.within else "NO",
-        )
-        for check in checks
-    ]
-    return Table(("case", "value", "exact", "error", "tolerance", "within"), rows)
 
 
 def text(metrics: HeatMetrics) -> str:

@@ -44,7 +44,7 @@ from pinav.identification import (
 )
 from pinav.identification.forecast import HORIZONS
 from pinav.identification.models import BOTH, FULL, CandidateModel
-from pinav.identification.selection import BASELINES, RESIDUALS
+from pinav.identification.selection import RESIDUALS
 from pinav.learning.evidence import Evidence
 from pinav.learning.learned import DATA_FILE, ModelHeader, of_evidence
 from pinav.recordings.conventions import remarks
@@ -183,14 +183,9 @@ def _identify_track(
 ) -> _Result:
     """Results of one track, and the arrays behind its figures where it is drawn."""
     residuals = tuple(RESIDUALS) if full else ()
-    baselines = tuple(BASELINES) if full else ("least squares",)
-    if not track.commanded:
-        baselines = tuple(b for b in baselines if b != "Gaussian-process disturbance")
     begin = time.perf_counter()
     try:
-        selection = select_model(
-            track, train_fraction=fraction, residuals=residuals, baselines=baselines
-        )
+        selection = select_model(track, train_fraction=fraction, residuals=residuals)
         whole = fit_track(track, selection.best.candidate, start=selection.best)
         delays = delay_findings(track, whole) if selection.train.commanded else None
     except (InputError, FitError) as error:

@@ -38,8 +38,6 @@ DRAWN = (
     "gain matrix and drift",
     "chosen",
     "least squares",
-    "Gaussian-process disturbance",
-    "neural ODE",
 )
 """Lines of the figure of errors by horizon."""
 

@@ -13,7 +13,7 @@ class IdentifySettings(Settings, frozen=True):
     Attributes:
         train_fraction: First part of each track's time that trains.
         candidates: responses: first-order models from drift to a delayed, slipping
-            propulsion; all: also fields of position, and other methods for comparison.
+            propulsion; all: also fields of position.
         max_tracks: With --candidates all: at most so many tracks, the longest ones, get
             all of them.
         track: Name of the track whose system the run holds; the longest one that was

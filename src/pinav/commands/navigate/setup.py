@@ -148,9 +148,11 @@ def _evidence(run: Learned, model: AbstractDynamics) -> Evidence | None:
     Not of stochastic paths, whose states are not smoothed, nor in space, where
     candidates have no elevation.
     """
-    evidence = run.evidence
-    if evidence is None or "diffusion" in evidence.constants or takes_commands(model):
+    evidence, posterior = run.evidence, run.posterior
+    if evidence is None or posterior is None:
+        return None
+    if "diffusion" in evidence.constants or takes_commands(model):
         return None
     if run.data.dim > 2:
         return None
-    return Evidence(run.posterior, run.noise, evidence.states)
+    return Evidence(posterior, run.noise, evidence.states)

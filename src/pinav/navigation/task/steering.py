@@ -7,7 +7,6 @@ space the heading of its projection on the xy plane, and its elevation $\epsilon
 above it.
 """
 
-import abc
 import dataclasses
 import math
 
@@ -16,24 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.actuation import AbstractField, AbstractResponse, StepOutResponse
+from pinav.actuation import AbstractActuator as AbstractActuator
+from pinav.actuation import AbstractField, StepOutResponse
+from pinav.actuation import Command as Command
+from pinav.actuation import RollingActuator as RollingActuator
+from pinav.actuation import direction as direction
 from pinav.arguments import Scalar, State, Vector, check_positive
 from pinav.dynamics import RK4, FixedStep, OverdampedSwimmer, Swimmer
 from pinav.forces import AbstractForce
-
-Command = Float[Array, " dim"]
-"""Frequency [cycles T⁻¹] and heading [rad]; in space also the elevation [rad]."""
-
-
-def direction(angles: Float[Array, " angle"]) -> Vector:
-    r"""Unit vector $n(\theta)$ of a heading, or of heading and elevation [rad].
-
-    In space $n = (\cos\theta\cos\epsilon, \sin\theta\cos\epsilon, \sin\epsilon)$.
-    """
-    planar = jnp.stack([jnp.cos(angles[0]), jnp.sin(angles[0])])
-    for elevation in angles[1:]:
-        planar = jnp.append(planar * jnp.cos(elevation), jnp.sin(elevation))
-    return planar
 
 
 def direction_angles(vector: Vector) -> Float[Array, " angle"]:
@@ -97,14 +86,6 @@ class SteeringField(AbstractField):
         return self.amplitude * (jnp.cos(phase) * upright + jnp.sin(phase) * across)
 
 
-class AbstractActuator(eqx.Module):
-    """What a command does to the swimmer."""
-
-    @abc.abstractmethod
-    def __call__(self, command: Command) -> Vector:
-        """Thrust [L T⁻²] of a command: a velocity [L T⁻¹] where mobility is 1."""
-
-
 class HelicalActuator(AbstractActuator):
     r"""Thrust $\alpha |m \times B|\, n(\theta)$ of a screw which the field turns.
 
@@ -149,21 +130,6 @@ class HelicalActuator(AbstractActuator):
         turning = StepOutResponse(self.step_out)(command[0])
         torque = 2 * math.pi * self.rotational_drag * turning
         return self.gain * torque * direction(command[1:])
-
-
-class RollingActuator(AbstractActuator):
-    r"""Velocity $G\, s(f)\, n(\theta)$ of a robot that rolls, as in a recording's fit.
-
-    Attributes:
-        gain: $G$ [L per cycle].
-        response: $s(f)$, the effective frequency.
-    """
-
-    gain: Float[Array, "dim dim"]
-    response: AbstractResponse
-
-    def __call__(self, command: Command) -> Vector:
-        return self.gain @ (self.response(command[0]) * direction(command[1:]))
 
 
 class HeldThrust(AbstractForce):

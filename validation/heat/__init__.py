@@ -1,0 +1,1 @@
+"""The solver of bioheat beside exact solutions: `python -m validation.heat`."""

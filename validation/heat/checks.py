@@ -1,0 +1,116 @@
+"""What the solver is verified with: a reference medium, its powers, and one check."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pinav.report import Table
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.boundaries import AbstractEnds, Dirichlet, around, outer
+from pinav.thermal.grids import AbstractGrid
+from pinav.thermal.perfusion import ConstantPerfusion
+from pinav.thermal.protocols import Piecewise
+from pinav.thermal.quantities import Number, Numbers
+from pinav.thermal.sources import PowerSource
+from pinav.thermal.tissues import Blood, Tissue
+
+AMPLITUDE = 1e4
+"""Field [A m⁻¹] at which a power density is what it says."""
+
+
+class Check(eqx.Module):
+    """One quantity of one case.
+
+    Attributes:
+        case: name of the case, and where the quantity is taken.
+        value: its value by the solver.
+        exact: its exact value.
+        tolerance: largest difference that a second-order scheme is allowed here.
+        unit: of all three.
+    """
+
+    case: str = eqx.field(static=True)
+    value: Number
+    exact: Number
+    tolerance: Number
+    unit: str = eqx.field(static=True)
+
+    @property
+    def error(self) -> float:
+        """Absolute difference."""
+        return abs(self.value - self.exact)
+
+    @property
+    def within(self) -> bool:
+        """Whether it is within the tolerance."""
+        return self.error <= self.tolerance
+
+
+def reference_model(
+    grid: AbstractGrid,
+    power: Number | Numbers,
+    sides: tuple[AbstractEnds, ...] | None = None,
+    perfusion: Number = 1.05,
+) -> Bioheat:
+    """The reference medium on a grid, heated by a power density [W m⁻³].
+
+    Args:
+        grid: the cells.
+        power: at the reference amplitude.
+        sides: held at 37 °C, radial grids at their outer end alone, unless given.
+        perfusion: [kg m⁻³ s⁻¹].
+    """
+    if sides is None:
+        wall = Dirichlet(37.0)
+        sides = outer(wall) if len(grid.shape) == 1 else around(grid, wall)
+    density = jnp.broadcast_to(jnp.asarray(power, float), grid.shape)
+    return Bioheat(
+        grid,
+        Tissue(0.5, 1050.0, 3600.0),
+        Blood(),
+        ConstantPerfusion(perfusion),
+        (PowerSource(density, AMPLITUDE),),
+        sides,
+    )
+
+
+def powers(edges: Numbers, factors: Numbers) -> Piecewise:
+    """A protocol of powers relative to the reference, one for each interval."""
+    amplitudes = AMPLITUDE * jnp.sqrt(jnp.asarray(factors, float))
+    return Piecewise.constant(edges, amplitudes, 1e5)
+
+
+def checks_at(
+    case: str, points: Any, values: Any, true: Any, tolerance: float, unit: str = "K"
+) -> Iterator[Check]:
+    """One check for each point [m].
+
+    Args:
+        case: its name.
+        points: where the values are taken [m].
+        values: by the solver.
+        true: exact ones.
+        tolerance: of each.
+        unit: of values and tolerance.
+    """
+    for point, value, expected in zip(points, values, true, strict=True):
+        name = f"{case}, {1e3 * point:g} mm"
+        yield Check(name, float(value), float(expected), tolerance, unit)
+
+
+def table(checks: Sequence[Check]) -> Table:
+    """The errors of the solver, one row for each check."""
+    rows = [
+        (
+            f"{check.case} [{check.unit}]",
+            check.value,
+            check.exact,
+            f"{check.error:.1e}",
+            f"{check.tolerance:.0e}",
+            "yes" if check.within else "NO",
+        )
+        for check in checks
+    ]
+    return Table(("case", "value", "exact", "error", "tolerance", "within"), rows)

@@ -1,0 +1,284 @@
+"""The solver against exact solutions, on this installation: one row for each case."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from validation.heat import exact
+from validation.heat.checks import (
+    AMPLITUDE,
+    Check,
+    checks_at,
+    powers,
+    reference_model,
+)
+from validation.heat.exact import SET_S, Medium
+from validation.heat.steady_checks import (
+    interface_checks,
+    order_checks,
+    radius_checks,
+    rest_checks,
+)
+from validation.heat.waveform import Waveform
+
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.boundaries import (
+    Dirichlet,
+    Insulated,
+    Robin,
+    Sides,
+    around,
+    outer,
+)
+from pinav.thermal.dose import cem43_segment
+from pinav.thermal.grids import CartesianGrid, RadialGrid
+from pinav.thermal.magnetics import LinearResponse
+from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
+from pinav.thermal.quantities import Number
+from pinav.thermal.rosenbrock import Rosenbrock
+from pinav.thermal.schedule import plan_steps
+from pinav.thermal.solve import probes_at, run, solve
+from pinav.thermal.sources import PowerSource
+from pinav.thermal.starts import State
+from pinav.thermal.steppers import RKL2
+from pinav.thermal.tissues import Blood, Tissue, mix
+
+STEADY = 4e4
+"""A time [s] after which perfused tissue no longer changes."""
+
+CLOSED = (Sides(Insulated(), Insulated()),)
+"""Both ends of a slab insulated."""
+
+
+def verify() -> list[Check]:
+    """All cases."""
+    return [check for case in CASES.values() for check in case()]
+
+
+def _steady(
+    model: Bioheat, points: Any, true: Any, case: str, tolerance: float
+) -> Iterator[Check]:
+    protocol, probes = powers((0.0, STEADY), [1.0]), probes_at(model, points)
+    temperature = solve(model, protocol, stepper=Rosenbrock(500.0)).final.temperature
+    yield from checks_at(case, points, probes(temperature) - 37.0, true, tolerance)
+
+
+def _slabs() -> Iterator[Check]:
+    points = np.array([0.0, 0.01, 0.02])
+    slab = reference_model(RadialGrid.slab(0.03, 320), 2e4)
+    true = exact.perfused_slab(points, np.inf, SET_S, 2e4, 0.03)
+    yield from _steady(slab, points, true, "perfused slab, steady", 1e-4)
+    probes = probes_at(slab, points)
+    early = solve(slab, powers((0.0, 300.0), [1.0])).final.temperature
+    true = exact.perfused_slab(points, 300.0, SET_S, 2e4, 0.03)
+    yield from checks_at("perfused slab, 300 s", points, probes(early) - 37, true, 1e-3)
+    skin = reference_model(
+        RadialGrid.slab(0.03, 320),
+        420.0,
+        (Sides(Robin(10.0, 25.0), Dirichlet(37.0)),),
+        0.525,
+    )
+    half = Medium(0.5, SET_S.capacity, 0.5 * SET_S.perfusion)
+    true = exact.skin(points, half, 420.0, 0.03, 10.0, 25.0) - 37.0
+    yield from _steady(skin, points, true, "skin, steady", 1e-3)
+
+
+def _round() -> Iterator[Check]:
+    points = np.array([0.0, 0.01, 0.02])
+    for name, make, true in (
+        ("cylinder", RadialGrid.cylinder, exact.perfused_cylinder),
+        ("ball", RadialGrid.sphere, exact.perfused_ball),
+    ):
+        model = reference_model(make(0.03, 320), 2e4)
+        values = true(points, SET_S, 2e4, 0.03)
+        yield from _steady(model, points, values, f"perfused {name}, steady", 2e-4)
+
+
+def _heated_spheres() -> Iterator[Check]:
+    points = np.array([0.0, 0.004, 0.01])
+    grid = RadialGrid.sphere(0.05, 400)
+    for name, perfusion in (("bare", 0.0), ("perfused", 1.05)):
+        model = reference_model(grid, 4e5 * grid.ball(0.005), perfusion=perfusion)
+        probes = probes_at(model, points)
+        solution = solve(model, powers((0.0, 600.0), [1.0]), stepper=Rosenbrock(2.0))
+        medium = Medium(0.5, SET_S.capacity, 3617.0 * perfusion)
+        true = [
+            exact.heated_sphere(float(r), 600.0, medium, 4e5, 0.005) for r in points
+        ]
+        rise = probes(solution.final.temperature) - 37.0
+        yield from checks_at(f"heated sphere, {name}, 600 s", points, rise, true, 2e-3)
+
+
+def _two_media() -> Iterator[Check]:
+    radius = 3.15e-3
+    grid = RadialGrid.sphere(10 * radius, 400)
+    fraction = grid.ball(radius)
+    model = Bioheat(
+        grid,
+        mix(fraction, Tissue(0.778, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)),
+        Blood(),
+        ConstantPerfusion(0.0),
+        (PowerSource(6.15e6 * fraction, AMPLITUDE),),
+        outer(Dirichlet(37.0)),
+    )
+    media = Medium(0.778, 1660.0 * 2540.0), Medium(0.642, 3.72e6)
+    probes = probes_at(model, [0.0])
+    for end, step in ((1e6, 1e4), (60.0, 0.5)):
+        solution = solve(model, powers((0.0, end), [1.0]), stepper=Rosenbrock(step))
+        late = end > 1e5
+        true = exact.two_conductivities(
+            0.0,
+            np.inf if late else end,
+            *media,
+            6.15e6,
+            radius,
+            outer_radius=10 * radius if late else np.inf,
+        )
+        value = float(probes(solution.final.temperature)[0]) - 37.0
+        name = f"two conductivities, {'steady' if late else '60 s'}, centre"
+        yield Check(name, value, true, 2e-2, "K")
+
+
+def _two_shells() -> Iterator[Check]:
+    grid = RadialGrid.sphere(0.05, 400)
+    fraction = grid.ball(0.01)
+    model = Bioheat(
+        grid,
+        mix(fraction, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
+        Blood(1000.0, 4180.0),
+        MixedPerfusion(fraction, ConstantPerfusion(0.833), ConstantPerfusion(0.45)),
+        (PowerSource(1.0579e5 * fraction + 700.0 * (1 - fraction), AMPLITUDE),),
+        outer(Dirichlet(37.0)),
+    )
+    media = (
+        Medium(0.55, 1045.0 * 3600.0, 0.833 * 4180.0),
+        Medium(0.5, 1050.0 * 3600.0, 0.45 * 4180.0),
+    )
+    case = (*media, (1.0579e5, 700.0), (0.01, 0.05))
+    points = np.array([0.0, 0.005, 0.02])
+    true = [exact.perfused_spheres(float(r), np.inf, *case) for r in points]
+    yield from _steady(model, points, true, "two perfused shells, steady", 1e-3)
+
+
+def _point() -> Iterator[Check]:
+    grid = RadialGrid.sphere(0.05, 400)
+    # All power in the innermost cell: a point, as far as the grid can show one.
+    model = reference_model(grid, jnp.zeros(400).at[0].set(0.1 / grid.volumes[0]))
+    points = np.asarray(grid.centers)[[16, 40, 80]]
+    true = [exact.point_source(float(r), np.inf, SET_S, 0.1) for r in points]
+    yield from _steady(model, points, true, "point source, steady", 6e-3)
+
+
+def _spots() -> Iterator[Check]:
+    grid = CartesianGrid.cubes((64, 64), 1e-3)
+    power = 1e5 * jnp.exp(-0.5 * (grid.distances() / 0.005) ** 2)
+    model = reference_model(grid, power, around(grid, Insulated()))
+    temperature = solve(model, powers((0.0, 300.0), [1.0])).final.temperature
+    r = float(grid.distances()[32, 32])
+    true = exact.gaussian_source(r, 300.0, SET_S, 1e5, 0.005, 2)
+    middle = float(temperature[32, 32]) - 37
+    yield Check("Gaussian spot, 2-D, 300 s", middle, true, 2e-2, "K")
+    x = (np.arange(128) - 64) * 1e-3
+    start = np.exp(-(x[:, None] ** 2 + x[None] ** 2) / 0.004**2)
+    medium = Medium(0.52, 1079.0 * 3540.0, 10.6 * 3617.0)
+    box = CartesianGrid.cubes((128, 128), 1e-3)
+    tissue = Tissue(0.52, 1079.0, 3540.0)
+    sides = around(box, Insulated())
+    decaying = Bioheat(box, tissue, Blood(1060.0), ConstantPerfusion(10.6), (), sides)
+    begin = State(jnp.asarray(0.0), jnp.asarray(37 + start), jnp.zeros(box.shape))
+    off = powers((0.0, 150.0), [0.0])
+    temperature = solve(decaying, off, start=begin).final.temperature
+    true = exact.periodic_box(start, np.zeros_like(start), 150.0, medium, 1e-3)
+    for i in (64, 70):
+        value = float(temperature[i, 64]) - 37.0
+        yield Check(f"box, 150 s, cell {i}", value, float(true[i, 64]), 1.5e-3, "K")
+
+
+def _lumped() -> Iterator[Check]:
+    # Uniform, so that the fewest cells there are have the lumped solution.
+    model = reference_model(RadialGrid.slab(0.01, 3), 3e4, CLOSED)
+    for name, stepper in (("RKL2", RKL2(5, 10.0)), ("Rosenbrock", Rosenbrock(10.0))):
+        plain = solve(model, powers((0.0, 600.0), [1.0]), stepper=stepper)
+        rise = float(plain.final.temperature[0]) - 37.0
+        true = exact.lumped_rise(600.0, SET_S, 3e4)
+        yield Check(f"lumped, {name}, 600 s", rise, true, 1e-4, "K")
+        wave = Waveform(
+            function=lambda t: AMPLITUDE * jnp.sin(jnp.pi * t / 600.0),
+            edges=(0.0, 1500.0),
+            frequency=1e5,
+        )
+        forced = solve(model, wave, stepper=stepper)
+        rise = float(forced.final.temperature[0]) - 37.0
+        true = exact.lumped_forced(1500.0, SET_S, 3e4, 600.0)
+        yield Check(f"lumped, forced, {name}, 1500 s", rise, true, 5e-4, "K")
+    warm = eqx.tree_at(lambda m: m.perfusion, model, lang("muscle"))
+    solution = solve(warm, powers((0.0, 1200.0), [1.0]), stepper=Rosenbrock(5.0))
+    true = exact.lumped_nonlinear(1200.0, SET_S.capacity, 3e4, _muscle_sink)
+    rise = float(solution.final.temperature[0]) - 37.0
+    yield Check("lumped, perfusion of muscle, 1200 s", rise, true, 1e-3, "K")
+    dose = solve(model, powers((0.0, 1800.0), [1.0])).final.dose[0]
+    yield Check("lumped, dose, 1800 s", float(dose), 12.8317342298, 5e-3, "min")
+
+
+def _muscle_sink(rise: Number) -> float:
+    below = min(rise - 8.0, 0.0)
+    return 3617.0 * (0.45 + 3.55 * np.exp(-(below**2) / 12)) * rise
+
+
+def _doses() -> Iterator[Check]:
+    edges = jnp.linspace(37.0, 45.0, 11)
+    for cutoff in (37.0, 39.0):
+        dose = float(cem43_segment(edges[:-1], edges[1:], 60.0, cutoff).sum())
+        true = exact.ramp_dose(37.0, 45.0, 10.0, cutoff)
+        yield Check(f"dose of a ramp from {cutoff:g} °C", dose, true, 1e-8, "min")
+    slp = float(LinearResponse(14e-9).slp(1e4, 1e5)) / 1e3
+    yield Check("linear response, 14 nm", slp, 53.10271, 1e-4, "W/g")
+
+
+def _sensitivities() -> Iterator[Check]:
+    protocol = powers((0.0, STEADY), [1.0])
+    schedule = plan_steps(protocol, 1000.0)
+    probe = RadialGrid.sphere(0.005 * 405 / 25.5, 405).interpolation([0.0])[0]
+
+    def rise(numbers: Array) -> Array:
+        k, perfusion, radius, power = numbers
+        grid = RadialGrid.sphere(0.005 * 405 / 25.5, 405)
+        plain = reference_model(grid, power * grid.ball(radius))
+        model = eqx.tree_at(
+            lambda m: (m.tissue.conductivity, m.perfusion.value),
+            plain,
+            (k, perfusion / 3617.0),
+        )
+        solution = run(model, protocol, schedule, stepper=Rosenbrock(), observe=jnp.max)
+        return probe @ solution.final.temperature
+
+    at = jnp.array([SET_S.conductivity, SET_S.perfusion, 0.005, 4e5])
+    gradient = np.asarray(jax.jit(jax.grad(rise))(at))
+    true = exact.heated_sphere_sensitivities(SET_S, 4e5, 0.005)
+    names = ("conductivity", "perfusion", "radius", "source")
+    for name, derivative in zip(names, gradient, strict=True):
+        ratio = float(derivative / true[name])
+        yield Check(f"sensitivity to {name}, relative", ratio, 1.0, 1e-3, "1")
+
+
+CASES: dict[str, Callable[[], Iterator[Check]]] = {
+    "slabs": _slabs,
+    "round": _round,
+    "heated spheres": _heated_spheres,
+    "two media": _two_media,
+    "two shells": _two_shells,
+    "point": _point,
+    "spots": _spots,
+    "lumped": _lumped,
+    "rests": rest_checks,
+    "interfaces": interface_checks,
+    "orders": order_checks,
+    "radii": radius_checks,
+    "doses": _doses,
+    "sensitivities": _sensitivities,
+}
+"""Each yields its checks."""
