@@ -87,16 +87,15 @@ def check_positive(module: eqx.Module, *names: str) -> None:
             )
 
 
-def quantity(dimension: str, **options: Any) -> Any:
-    """A field that holds a quantity of a dimension, such as "L2 T-1".
+def dimension(text: str) -> dict[str, str]:
+    """The metadata of a field that holds a quantity of a dimension, such as "L2 T-1".
 
     What is learned is printed in a unit of this dimension: `pinav.units.unit_of`.
 
     Args:
-        dimension: powers of L (length), T (time) and F (force); "1" of a plain number.
-        options: as `equinox.field` takes them.
+        text: powers of L (length), T (time) and F (force); "1" of a plain number.
     """
-    return eqx.field(metadata={"dimension": dimension}, **options)
+    return {"dimension": text}
 
 
 def dimension_of(part: Any, path: str) -> str:
@@ -106,18 +105,18 @@ def dimension_of(part: Any, path: str) -> str:
         part: a module, or its class.
         path: from the module to the number, such as `terms[0].height`.
     """
-    dimension = "?"
+    stated = "?"
     for place, name in _STEPS.findall(path):
         if name:
             kind = part if isinstance(part, type) else type(part)
             fields = getattr(kind, "__dataclass_fields__", {})
             if name not in fields:
-                return dimension
-            dimension = fields[name].metadata.get("dimension", "?")
+                return stated
+            stated = fields[name].metadata.get("dimension", "?")
             part = getattr(part, name, None)
         else:
             part = part[int(place)] if isinstance(part, tuple | list) else None
-    return dimension
+    return stated
 
 
 _STEPS = re.compile(r"\[(\d+)\]|([^.\[\]]+)")

@@ -64,15 +64,18 @@ def unit_of(dimension: str, units: Mapping[str, str]) -> str:
     Returns:
         The unit; "1" where it has none, "?" where it is not known.
     """
-    parts = []
+    powers: dict[str, int] = {}
     for word in dimension.split():
         match = _POWER.fullmatch(word)
-        if match is None:  # a plain number
-            continue
-        symbol, power = match[1], match[2] or ""
+        symbol, power = (word, "1") if match is None else (match[1], match[2] or "1")
         unit = units.get(symbol, symbol)
         if unit == "?":
             return "?"
         if unit != "1":
-            parts.append(unit + power.translate(_SUPERSCRIPTS))
+            powers[unit] = powers.get(unit, 0) + int(power)
+    parts = [
+        unit + ("" if power == 1 else str(power).translate(_SUPERSCRIPTS))
+        for unit, power in powers.items()
+        if power
+    ]
     return " ".join(parts) or "1"

@@ -46,10 +46,25 @@ def with_units(
         name: Estimate(
             float(one.value),
             float(one.sd),
-            unit_of(_dimension(name, paths, model), units),
+            unit_of(_in_order(_dimension(name, paths, model), system), units),
         )
         for name, one in estimates.items()
     }
+
+
+def _in_order(dimension: str, system: System) -> str:
+    """The dimension of a mass-specific force where a force is none of these.
+
+    Without inertia a force L T-2 is a force F, or a velocity L T-1 where the mobility
+    has no unit.
+    """
+    words = dimension.split()
+    if system.order == 2 or "T-2" not in words:
+        return dimension
+    others = [word for word in words if word != "T-2"]
+    if system.base_units.force == "1":
+        return " ".join([*others, "T-1"])
+    return " ".join([*others, "L-1", "F"])
 
 
 def _dimension(name: str, paths: Mapping[str, str], model: Any) -> str:

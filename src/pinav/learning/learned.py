@@ -187,7 +187,11 @@ class Learned(AbstractLearned):
         assert self.header is not None
         save_data(folder, self.data)
         write_system_of(folder, self.system)
-        results: dict[str, Any] = {POSTERIOR: self.evidence, THERMAL: self.thermal, LOSSES: self.losses}
+        results: dict[str, Any] = {
+            POSTERIOR: self.evidence,
+            THERMAL: self.thermal,
+            LOSSES: self.losses,
+        }
         if self.teacher is not None and self.teacher.header is not None:
             # The process of a network is the force of its teacher, which has a file.
             assert self.evidence is not None
