@@ -21,13 +21,13 @@ import numpy as np
 import tyro
 from jax.flatten_util import ravel_pytree
 
+from benchmarks.continuous_adjoint import InterpolatingAdjoint
 from pinav.commands.parsing import parse
 from pinav.dynamics import (
     RK4,
     AbstractSolver,
     Adaptive,
     FixedStep,
-    InterpolatingAdjoint,
     with_dtype,
 )
 from pinav.fitting.environments.choice import learned_part
@@ -85,7 +85,7 @@ METHODS: dict[str, AbstractSolver] = {
     "diffrax Tsit5 1e-6, DirectAdjoint": adaptive(diffrax.DirectAdjoint()),
     "diffrax Tsit5 step 0.1, RecursiveCheckpointAdjoint": DiffraxFixedStep(),
     "diffrax Tsit5 1e-6, BacksolveAdjoint": adaptive(diffrax.BacksolveAdjoint()),
-    "pinav InterpolatingAdjoint 1e-6 (as in the paper)": InterpolatingAdjoint(),
+    "InterpolatingAdjoint 1e-6 (as in the paper)": InterpolatingAdjoint(),
 }
 
 

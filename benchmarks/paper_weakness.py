@@ -7,11 +7,13 @@ to a few noisy crossings of the same barrier.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pinav.commands.command import Command, CommandResult
@@ -40,9 +42,17 @@ from pinav.evaluation import (
     square,
     summarise,
 )
-from pinav.figures.errors import error_over_time, errors_by_region
+from pinav.figures.errors import error_over_time
 from pinav.figures.images import Picture
-from pinav.figures.style import new_figure, style_of, title_panel
+from pinav.figures.style import (
+    SMALL,
+    add_legend,
+    label_axes,
+    new_figure,
+    prepare_axes,
+    style_of,
+    title_panel,
+)
 from pinav.fitting import Outcome, fit_bayes
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice, learned_part
@@ -282,15 +292,33 @@ def _percent(fraction: float) -> float | None:
     return None if fraction != fraction else 100 * fraction
 
 
+def errors_by_region(scores: Mapping[str, ModelScores], ax: Axes) -> None:
+    """Bars of the relative force error in each region, one colour for each model."""
+    prepare_axes(ax)
+    regions = list(next(iter(scores.values())).force)
+    width = 0.8 / len(scores)
+    for index, (name, one) in enumerate(scores.items()):
+        x = np.arange(len(regions)) + width * (index - (len(scores) - 1) / 2)
+        heights = [100 * one.force[region].error for region in regions]
+        ax.bar(x, heights, 0.92 * width, color=STYLES[name].color, label=name)
+        for at, height in zip(x, heights, strict=True):
+            if np.isfinite(height):
+                label = f"{height:.2g}" if height < 100 else f"{height:.0f}"
+                ax.text(at, height, label, ha="center", va="bottom", fontsize=SMALL)
+    ax.set_yscale("log")
+    ax.tick_params(which="both", labelsize=SMALL)
+    ax.set_xticks(np.arange(len(regions)), regions)
+    label_axes(ax, "region", "relative force error (%)")
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, 30 * high)  # room for the legend
+    add_legend(ax, loc="upper left")
+
+
 def weakness_figure(result: Weakness) -> Figure:
     """Errors of the force by region, and of rollouts over time, of each model."""
     figure = new_figure(7.5, 3.6)
     left, right = figure.subplots(1, 2)
-    errors = {
-        name: {region: one.error for region, one in scores.force.items()}
-        for name, scores in result.models.items()
-    }
-    errors_by_region(errors, styles=STYLES, ax=left)
+    errors_by_region(result.models, left)
     curves = {name: scores.curve for name, scores in result.models.items()}
     error_over_time(curves, styles=STYLES, ax=right)
     title_panel(left, "(a) error of the force by region")

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks._sweep import write_measurement
 from benchmarks.fields.families import FAMILIES, random_system
 from benchmarks.fields.stochastic_force_inference import infer_force
-from pinav.analysis import Discovery, Verdict, discover
+from pinav.analysis import Discovery, Verdict, discover_law
 from pinav.evaluation import field_map, force_coverage
 from pinav.evaluation.force_fields import force_agreement
 from pinav.fitting import Posterior, StructuredFit, fit_bayes, fit_structured
@@ -123,7 +123,7 @@ def _network(name: str) -> Callable[[System, Trajectories], Fitted]:
 def _laws(system: System, data: Trajectories) -> Fitted:
     fitted = _structured(system, data)
     assert fitted.posterior is not None
-    return fitted._replace(discovery=discover(fitted.posterior, data))
+    return fitted._replace(discovery=discover_law(fitted.posterior, data))
 
 
 def _law_known(system: System, data: Trajectories) -> Fitted:

@@ -8,17 +8,23 @@ from docs.figures.workshop import Workshop
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from pinav.analysis import Discovery
-from pinav.commands.analyse.result import Analysis
+from pinav.analysis import Analysis, Discovery
 from pinav.commands.identify.metrics import IdentifyMetrics, as_float
 from pinav.commands.identify.report import DRAWN
 from pinav.evaluation import BASELINE, ErrorCurve, Evaluation, FieldMap
-from pinav.figures.analysis import growth_map, one_legend, trust_map
+from pinav.figures.analysis import growth_map
 from pinav.figures.errors import error_over_time
-from pinav.figures.force_maps import force_error_map, force_map, largest_near
 from pinav.figures.heat import perfusion_law, probe_curves
 from pinav.figures.identification import horizon_errors, speed_law
 from pinav.figures.laws import law_agreement, law_ranking
+from pinav.figures.maps import (
+    ERROR,
+    FORCE,
+    largest_near,
+    map_panel,
+    one_legend,
+    trust_map,
+)
 from pinav.figures.navigation import Course, paths_map, spread_map
 from pinav.figures.palette import GREY, TRUTH
 from pinav.figures.style import (
@@ -80,10 +86,10 @@ def models(workshop: Workshop) -> Figure:
     assert true is not None  # the truth of a scenario is known
     figure = new_figure(WIDTH, 6.2)
     axes = np.ravel(figure.subplots(2, 2))
-    force_map(true, shade=False, path=path, ax=axes[0])
+    map_panel(true, true.force, FORCE, shade=False, path=path, ax=axes[0])
     title_panel(axes[0], "(a) true force")
     for ax, letter, name, learned in zip(axes[1:], "bcd", names, maps, strict=True):
-        force_error_map(learned, true, ax=ax)
+        map_panel(true, learned.force - true.force, ERROR, ax=ax)
         title_panel(ax, f"({letter}) error of {name.removeprefix('kernel-')}")
     one_legend(figure, axes[::-1])
     return figure
@@ -192,7 +198,7 @@ def analysis(workshop: Workshop) -> Figure:
     top = largest_near(np.linalg.norm(field.force, axis=-1), field)
     parts = {"(a) gradient": split.gradient, "(b) rotational": split.rotational}
     for ax, (title, part) in zip(axes, parts.items(), strict=False):
-        force_map(field.showing(part), path=path, limit=top, ax=ax)
+        map_panel(field, part, FORCE, limits=(0.0, top), path=path, ax=ax)
         title_panel(ax, f"{title} part")
     assert found.doubt is not None
     trust_map(field, found.doubt.sd, path=path, ax=axes[2])

@@ -7,6 +7,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pinav.analysis import analyse as analyse
+    from pinav.analysis import discover as discover
     from pinav.commands.explore.job import explorer as explorer
     from pinav.commands.export.datatree import datatree_of as datatree_of
     from pinav.dynamics import OverdampedSwimmer as OverdampedSwimmer
@@ -50,6 +52,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _PUBLIC = {
+    "analysis": ("analyse", "discover"),
     "commands.explore.job": ("explorer",),
     "commands.export.datatree": ("datatree_of",),
     "dynamics": ("OverdampedSwimmer", "Swimmer", "rollout"),

@@ -28,9 +28,9 @@ from validation.truth import job as truth_job
 
 from benchmarks import __main__ as benchmarks
 from pinav import cli
+from pinav.analysis import analysis
+from pinav.analysis.discovery import discovery
 from pinav.commands import report_page
-from pinav.commands.analyse import job as analyse_job
-from pinav.commands.discover import job as discover_job
 from pinav.commands.explore import job as explore_job
 from pinav.commands.heat.learn import LearnTask
 from pinav.commands.heat.simulate import SimulateTask
@@ -56,8 +56,8 @@ def stop(*args, **options):
 
 STAGES = (
     (evaluation, "clean_trajectories"),
-    (analyse_job, "helmholtz_split"),
-    (discover_job, "discover_law"),
+    (analysis, "helmholtz_split"),
+    (discovery, "discover_law"),
     (navigate_job, "controller_of"),
     (reproduce_job, "matching"),
     (reproduce_job, "predict"),

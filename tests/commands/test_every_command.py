@@ -10,12 +10,11 @@ from tests.commands.test_heat import small
 from tests.fitted_runs import blank_figures
 
 from pinav import analysis, cli
-from pinav.analysis.discovery import screening
+from pinav.analysis import effects
+from pinav.analysis.discovery import discovery, screening
 from pinav.analysis.discovery.potentials import POTENTIALS
 from pinav.analysis.discovery.rotations import ROTATIONS
 from pinav.commands import COMMANDS
-from pinav.commands.analyse import rollouts
-from pinav.commands.discover import job as discover_job
 from pinav.runs import RunFolder
 
 NARROW = ("--thrust", "1", "--time-limit", "8", "--step", "0.5", "--seeds", "1")
@@ -88,10 +87,12 @@ def cases():
 @pytest.fixture(autouse=True)
 def little_work(monkeypatch):
     """Few laws, few starts of a map, blank figures: other tests have them all."""
-    few = functools.partial(analysis.discover, laws=(*POTENTIALS[:2], *ROTATIONS[:1]))
-    monkeypatch.setattr(discover_job, "discover_law", few)
+    few = functools.partial(
+        analysis.discover_law, laws=(*POTENTIALS[:2], *ROTATIONS[:1])
+    )
+    monkeypatch.setattr(discovery, "discover_law", few)
     monkeypatch.setattr(screening, "MOST_TERMS", 1)
-    monkeypatch.setattr(rollouts, "LYAPUNOV_POINTS", 5)
+    monkeypatch.setattr(effects, "LYAPUNOV_POINTS", 5)
     with blank_figures():
         yield
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.continuous_adjoint import InterpolatingAdjoint
 from jax.flatten_util import ravel_pytree
 from scipy.integrate import solve_ivp
 
@@ -14,7 +15,6 @@ from pinav.dynamics import (
     Adaptive,
     FixedStep,
     ForwardOnly,
-    InterpolatingAdjoint,
     OverdampedSwimmer,
     Swimmer,
     linear_recursion,

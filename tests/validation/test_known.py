@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from validation.truth.known import (
     boltzmann_force,
+    brenner_mobility,
     measured_lag,
     ring_truth,
     steady_state,
@@ -13,7 +14,7 @@ from validation.truth.known import (
 )
 
 from pinav.errors import InputError
-from pinav.forces import brenner_mobility, parallel_mobility
+from pinav.forces import parallel_mobility
 
 RANDOM = np.random.default_rng(4)
 

@@ -16,14 +16,14 @@ from validation.truth.cases import (
     find_cases,
     read_recording,
 )
-from validation.truth.known import wall_score
+from validation.truth.known import brenner_mobility, wall_score
 from validation.truth.metrics import Truth, TruthCase, TruthRow
 from validation.truth.sections import case_table
 from validation.truth.wall import bulk_diffusion, mobility_rows
 from validation.truth.wall_fields import WallFields
 
 from pinav.errors import InputError
-from pinav.forces import brenner_mobility, parallel_mobility
+from pinav.forces import parallel_mobility
 from pinav.report.text import as_text
 
 TRAP = """kind = "trap"

@@ -13,6 +13,7 @@ from pinav.evaluation.coverage import exact_start_bands as exact_start_bands
 from pinav.evaluation.coverage import force_coverage as force_coverage
 from pinav.evaluation.coverage import fraction_inside as fraction_inside
 from pinav.evaluation.coverage import inside_band as inside_band
+from pinav.evaluation.coverage import normal_interval as normal_interval
 from pinav.evaluation.coverage import normal_quantile as normal_quantile
 from pinav.evaluation.coverage import rollout_coverage as rollout_coverage
 from pinav.evaluation.decomposition import Decomposition as Decomposition

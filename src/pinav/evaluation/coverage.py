@@ -44,6 +44,16 @@ def normal_quantile(coverage: float = NOMINAL) -> float:
     return NormalDist().inv_cdf((1.0 + coverage) / 2.0)
 
 
+def normal_interval(
+    mean: Float[np.ndarray, "*shape"],
+    sd: Float[np.ndarray, "*shape"],
+    coverage: float = NOMINAL,
+) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]:
+    """Lower and upper end of the interval that holds this part of a normal variable."""
+    half = normal_quantile(coverage) * sd
+    return mean - half, mean + half
+
+
 class Bands(eqx.Module):
     """Predicted states and their standard deviations, observation noise apart.
 

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pinav.evaluation import ErrorCurve, Evaluation, Whiteness, normal_quantile
+from pinav.figures.bands import band
 from pinav.figures.images import Picture
 from pinav.figures.palette import (
     GREY,
@@ -55,8 +56,8 @@ def error_over_time(
         style = (styles or {}).get(name) or style_of(name, index)
         color, dash = style.color, style.dash
         median, high = _positive(curve.median), _positive(curve.high)
-        ax.fill_between(curve.elapsed, median, high, color=color, alpha=0.15, lw=0)
-        ax.plot(curve.elapsed, median, dash, color=color, lw=THIN, label=name)
+        drawn = {"color": color, "line": dash, "width": THIN, "alpha": 0.15}
+        band(curve.elapsed, median, (median, high), name=name, **drawn, ax=ax)
         ax.plot(curve.elapsed, high, ":", color=color, lw=0.8)
     _set_log_if_positive(ax, [c.high for c in curves.values()])
     if horizon is not None:
@@ -154,45 +155,6 @@ def residual_autocorrelation(test: Whiteness, *, ax: Axes | None = None) -> Axes
     label_axes(ax, "lag [samples]", "autocorrelation of residuals")
     add_legend(ax, columns=2)
     return ax
-
-
-def errors_by_region(
-    errors: Mapping[str, Mapping[str, float | str | None]],
-    *,
-    styles: Mapping[str, LineStyle] | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Bars of the relative force error in each region, one colour for each model.
-
-    Args:
-        errors: relative errors by region, by model; what is no number has no bar.
-        styles: how each model is drawn.
-        ax: where to draw; a new figure unless given.
-    """
-    ax = prepare_axes(ax)
-    regions = list(next(iter(errors.values())))
-    width = 0.8 / len(errors)
-    for index, (name, values) in enumerate(errors.items()):
-        color = ((styles or {}).get(name) or style_of(name, index)).color
-        x = np.arange(len(regions)) + width * (index - (len(errors) - 1) / 2)
-        heights = np.array([_percent(values[region]) for region in regions])
-        ax.bar(x, heights, 0.92 * width, color=color, label=name)
-        for at, height in zip(x, heights, strict=True):
-            if np.isfinite(height):
-                label = f"{height:.2g}" if height < 100 else f"{height:.0f}"
-                ax.text(at, height, label, ha="center", va="bottom", fontsize=SMALL)
-    percent = [[_percent(v) for v in row.values()] for row in errors.values()]
-    _set_log_if_positive(ax, percent)
-    ax.set_xticks(np.arange(len(regions)), regions)
-    label_axes(ax, "region", "relative force error (%)")
-    low, high = ax.get_ylim()
-    ax.set_ylim(low, high * 30 ** (ax.get_yscale() == "log"))  # room for the legend
-    add_legend(ax, loc="upper left")
-    return ax
-
-
-def _percent(value: object) -> float:
-    return 100.0 * value if isinstance(value, float) else float("nan")
 
 
 Series = Mapping[str, Sequence[tuple[float, float]]]

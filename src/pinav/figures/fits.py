@@ -3,19 +3,14 @@
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from pinav.figures.force_maps import force_comparison
+from pinav.evaluation import normal_interval
+from pinav.figures.bands import band, diffusion_bands, profile_band
 from pinav.figures.images import Picture
-from pinav.figures.observations import observed_paths
+from pinav.figures.maps import force_comparison
+from pinav.figures.observations import observed_paths, positions_over_time
 from pinav.figures.palette import TRUTH
-from pinav.figures.profiles import (
-    diffusion_bands,
-    positions_over_time,
-    profile_band,
-    value_band,
-)
 from pinav.figures.style import new_figure, with_unit
 from pinav.figures.trajectories import loss_curve
 from pinav.learning.findings import Findings, FoundTerm, Rollouts
@@ -176,13 +171,10 @@ def thermal_figures(fit: Findings) -> list[Picture]:
 
     def draw() -> Figure:
         figure = new_figure(*SMALL)
-        bands: tuple[Float[np.ndarray, " knot"], ...] = (
+        band(
             path.times,
             path.values,
-            path.sd,
-        )
-        value_band(
-            *bands,
+            normal_interval(path.values, path.sd),
             labels=(with_unit("time", time), with_unit("reference", length)),
             ax=figure.add_subplot(),
         )

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
+from pinav.figures.bands import band
 from pinav.figures.palette import (
     BLACK,
     BLUE,
@@ -21,7 +22,6 @@ from pinav.figures.palette import (
     LEARNED,
     PAPER,
     TARGET,
-    TRUTH,
     WARM,
 )
 from pinav.figures.style import (
@@ -222,7 +222,8 @@ def forecast_figure(
     for index, (name, curve) in enumerate(values.items()):
         color, half = SPARE[index % len(SPARE)], 1.96 * sd[name]
         above.plot(minutes, curve, color=color, lw=THIN, label=name)
-        below.fill_between(minutes, -half, half, color=color, alpha=0.12, lw=0)
+        drawn = {"color": color, "alpha": 0.12, "width": 0.0}
+        band(minutes, 0 * half, (-half, half), **drawn, ax=below)
         for side in (-half, half):
             below.plot(minutes, side, color=color, lw=0.6, ls=(0, (1, 1)))
         if true is not None:
@@ -324,13 +325,10 @@ def perfusion_law(law: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
     ax = prepare_axes(ax)
     temperatures = law["temperatures"]
     visited: Bool[np.ndarray, " temperature"] = np.asarray(law["visited"], bool)
-    if law.get("true") is not None:
-        ax.plot(temperatures, law["true"], color=TRUTH, lw=WIDE, label="truth")
-    ax.fill_between(
-        temperatures, law["low"], law["high"], color=LEARNED, alpha=0.2, lw=0
-    )
+    ends, drawn = (law["low"], law["high"]), {"line": ":", "width": THIN, "alpha": 0.2}
+    truth = law.get("true")
+    band(temperatures, law["values"], ends, truth=truth, **drawn, ax=ax)
     known = np.where(visited, law["values"], np.nan)
-    ax.plot(temperatures, law["values"], ":", color=LEARNED, lw=THIN)
     ax.plot(temperatures, known, color=LEARNED, lw=THIN, label="learned, 95 % band")
     if np.max(law["high"]) > MANY_TIMES * np.min(law["low"]):
         ax.set_yscale("log")

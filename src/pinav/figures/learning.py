@@ -5,18 +5,14 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from pinav.evaluation import FieldMap
+from pinav.evaluation import FieldMap, normal_interval
+from pinav.figures.bands import band
 from pinav.figures.navigation import Course, paths_map, spread_map
-from pinav.figures.palette import (
-    LEARNED,
-    TRUTH,
-)
 from pinav.figures.style import (
     DIMENSIONLESS,
     channel_label,
     label_axes,
     new_figure,
-    prepare_axes,
     title_panel,
     with_unit,
 )
@@ -66,11 +62,8 @@ def bands_figure(arrays: Arrays, *, units: Mapping[str, str] = DIMENSIONLESS) ->
     t = float(arrays["step"]) * np.arange(len(truth))
     figure = new_figure(6.4, 3.6)
     for k, ax in enumerate(figure.subplots(2, 1, sharex=True)):
-        prepare_axes(ax)
-        low, high = mean[:, k] - 1.96 * sd[:, k], mean[:, k] + 1.96 * sd[:, k]
-        ax.fill_between(t, low, high, color=LEARNED, alpha=0.3, lw=0)
-        ax.plot(t, mean[:, k], color=LEARNED, lw=1.2)
-        ax.plot(t, truth[:, k], color=TRUTH, lw=1.0)
+        ends = normal_interval(mean[:, k], sd[:, k])
+        band(t, mean[:, k], ends, truth=truth[:, k], ax=ax)
         force = with_unit(f"$F_{'xy'[k]}$", force_unit(units))
         label_axes(ax, channel_label("t", units) if k else "", force)
     return figure

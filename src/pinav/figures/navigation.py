@@ -6,7 +6,6 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
@@ -14,7 +13,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from pinav.evaluation import FieldMap
-from pinav.figures.force_maps import draw_arrows, heat_map
+from pinav.figures.maps import DEVIATION, Look, draw_arrows, map_panel
 from pinav.figures.palette import (
     BEYOND,
     BLACK,
@@ -24,7 +23,6 @@ from pinav.figures.palette import (
     PAPER,
     PLAIN,
     PLAN,
-    UNCERTAIN,
     WALL,
 )
 from pinav.figures.style import (
@@ -41,7 +39,6 @@ from pinav.figures.style import (
     title_panel,
     with_unit,
 )
-from pinav.units import force_unit
 
 
 class Course:
@@ -120,12 +117,9 @@ def plan_map(
     known = values[np.isfinite(values)]
     top = float(np.quantile(known, 0.98)) if known.size else 1.0
     label = with_unit("time to go from rest", units.get("t", "1"))
-    ax = heat_map(
-        values, grid, Normalize(0.0, top), (f"{GRADED}_r", label), units=units, ax=ax
-    )
-    levels = np.linspace(0.0, top, 11)[1:-1]
-    shown = np.ma.masked_invalid(values)
-    ax.contour(grid.x, grid.y, shown, levels, colors=PAPER, linewidths=0.5)
+    look = Look(f"{GRADED}_r", label, lengths=None, contours=9)
+    shown = {"limits": (0.0, top), "shade": None, "units": units}
+    ax = map_panel(grid, values, look, **shown, ax=ax)
     hatch_where(ax, grid, ~np.isfinite(values))
     if route is not None:
         halo = [withStroke(linewidth=2.6, foreground=PAPER)]
@@ -170,9 +164,9 @@ def paths_map(
         ax: where to draw; a new figure unless given.
     """
     size = np.linalg.norm(field.force, axis=-1)
-    look = (PLAIN, with_unit("$|F|$", force_unit(units)))
-    ax = heat_map(size, field, Normalize(0.0, 1.6 * limit), look, units=units, ax=ax)
-    draw_arrows(ax, field, limit)
+    shown = {"limits": (0.0, 1.6 * limit), "shade": None, "units": units}
+    ax = map_panel(field, size, Look(PLAIN, "$|F|$"), **shown, ax=ax)
+    draw_arrows(ax, field.x, field.y, field.force, limit)
     for name, runs in paths.items():
         first = name == "oracle"
         width, order = (WIDE, 2.1) if first else (THIN, 2.2)
@@ -206,10 +200,9 @@ def spread_map(
         units: unit of each channel; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
-    size = np.linalg.norm(sd, axis=-1)
-    top = min(thrust, max(float(np.nanmax(size)), 1e-12))
-    look = (UNCERTAIN, with_unit(r"$\mathrm{sd}(F)$", force_unit(units)))
-    ax = heat_map(size, field, Normalize(0.0, top), look, units=units, ax=ax)
+    top = min(thrust, max(float(np.nanmax(np.linalg.norm(sd, axis=-1))), 1e-12))
+    shown = {"limits": (0.0, top), "shade": None, "units": units}
+    ax = map_panel(field, sd, DEVIATION, **shown, ax=ax)
     halo = [withStroke(linewidth=2.4, foreground=BLACK)]
     ax.plot(*route.T, color=PLAN, lw=1.2, path_effects=halo, label="planned route")
     if suggestion is not None:

@@ -70,7 +70,6 @@ from pinav.fitting.matching.objectives import TrajectoryLoss as TrajectoryLoss
 from pinav.fitting.matching.phases import LBFGS as LBFGS
 from pinav.fitting.matching.phases import AbstractPhase as AbstractPhase
 from pinav.fitting.matching.phases import Adam as Adam
-from pinav.fitting.matching.phases import BestSoFar as BestSoFar
 from pinav.fitting.matching.rate_matching import RateMatching as RateMatching
 from pinav.fitting.matching.rate_matching import Rates as Rates
 from pinav.fitting.matching.recipes import curriculum as curriculum

@@ -12,6 +12,7 @@ from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.systems import System, WanderingVelocity
 from pinav.trajectories import Trajectories
+from pinav.units import with_order
 
 
 class AbstractLearned(abc.ABC):
@@ -31,6 +32,12 @@ class AbstractLearned(abc.ABC):
     models: dict[str, AbstractDynamics]
     choice: ModelChoice
     evidence: Any
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the channels, with the order of the dynamics and of a force."""
+        force = self.system.base_units.force
+        return with_order(self.data.units, self.system.order, force)
 
     @property
     @abc.abstractmethod

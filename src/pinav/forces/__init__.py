@@ -109,7 +109,6 @@ from pinav.forces.tensors import tensor_matrix as tensor_matrix
 from pinav.forces.walls import DoubleLayer as DoubleLayer
 from pinav.forces.walls import WallMobility as WallMobility
 from pinav.forces.walls import Weight as Weight
-from pinav.forces.walls import brenner_mobility as brenner_mobility
 from pinav.forces.walls import normal_mobility as normal_mobility
 from pinav.forces.walls import parallel_mobility as parallel_mobility
 from pinav.forces.walls import stokes_drag as stokes_drag

@@ -35,7 +35,6 @@ from pinav.learning.structure import found_structure
 from pinav.learning.thermal import thermal_remarks
 from pinav.recordings.conventions import remarks
 from pinav.scenarios import source_system
-from pinav.units import with_order
 
 
 def account(plan: FitPlan, fit: Learned) -> Findings:
@@ -73,8 +72,7 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
             *assumed_potential(plan, model, search.rotation if search else np.nan),
             *thermal_remarks(plan.thermal, data),
         )
-    system = plan.system
-    commanded = needs_kalman_filter(system)
+    commanded = needs_kalman_filter(plan.system)
     return Findings(
         model=fit.choice.name,
         recipe=name_of(plan.recipe),
@@ -82,7 +80,7 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
         rmse=rmse,
         constants=fit.constants,
         remarks=(*sentences, *remarks(data)),
-        units=dict(with_order(data.units, system.order, system.base_units.force)),
+        units=dict(fit.units),
         rollouts=Rollouts(
             data.channels,
             data.times,

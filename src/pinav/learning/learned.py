@@ -332,10 +332,6 @@ class Learned(AbstractLearned):
         training = set(_hashes(self.data))
         return sum(piece in training for piece in _hashes(data))
 
-    def is_training_data(self, data: Trajectories) -> bool:
-        """The fit has seen at least one of these trajectories."""
-        return self.shared_trajectories(data) > 0
-
     def force(self, positions: ArrayLike) -> Float[np.ndarray, "point dim"]:
         """The learned force [L T⁻²] on a swimmer at rest, at time zero.
 

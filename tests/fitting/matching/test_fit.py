@@ -14,7 +14,6 @@ from pinav.fitting import (
     AbstractCheckpoint,
     AbstractPhase,
     Adam,
-    BestSoFar,
     FitState,
     GaussNewton,
     Outcome,
@@ -87,7 +86,7 @@ def test_phases_to_come_are_compiled_once_for_each_program(data, monkeypatch):
     assert [start for _, start in result.phases] == [0, 1, 2, 4]
 
 
-RECIPE = (Adam(1e-2, 300), BestSoFar(LBFGS(40)))
+RECIPE = (Adam(1e-2, 300), LBFGS(40))
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Values along one coordinate with their bands: forces, diffusion, a reference."""
+"""Values along one coordinate with their bands, and the truth where it is known."""
 
 from collections.abc import Sequence
 
@@ -6,21 +6,62 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
-from pinav.evaluation import normal_quantile
-from pinav.figures.palette import (
-    GREEN,
-    GREY,
-    LEARNED,
-    PURPLE,
-    TRACK,
+from pinav.evaluation import normal_interval
+from pinav.figures.palette import GREEN, GREY, LEARNED, PURPLE, TRUTH
+from pinav.figures.style import (
+    WIDE,
+    add_legend,
+    label_axes,
+    prepare_axes,
+    with_unit,
 )
-from pinav.figures.style import add_legend, label_axes, prepare_axes, with_unit
+
+Points = Float[np.ndarray, " point"]
+
+
+def band(
+    places: Points,
+    mean: Points,
+    interval: tuple[Points, Points],
+    *,
+    truth: Points | None = None,
+    color: str = LEARNED,
+    name: str | None = None,
+    line: str = "-",
+    width: float = 1.2,
+    alpha: float = 0.25,
+    labels: tuple[str, str] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """A line within its band, over the truth.
+
+    Args:
+        places: along the coordinate.
+        mean: the line.
+        interval: lower and upper end of the band, such as `normal_interval` gives.
+        truth: drawn below, where it is known.
+        color: of line and band.
+        name: of the line in a legend.
+        line: format of the line, such as "o-".
+        width: of the line [pt].
+        alpha: opacity of the band.
+        labels: of the axes; left alone unless given.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepare_axes(ax)
+    if truth is not None:
+        ax.plot(places, truth, color=TRUTH, lw=WIDE, label="truth")
+    ax.fill_between(places, *interval, color=color, alpha=alpha, lw=0)
+    ax.plot(places, mean, line, color=color, lw=width, ms=4, label=name)
+    if labels is not None:
+        label_axes(ax, *labels)
+    return ax
 
 
 def profile_band(
-    places: Float[np.ndarray, " point"],
-    values: Float[np.ndarray, " point"],
-    sd: Float[np.ndarray, " point"],
+    places: Points,
+    values: Points,
+    sd: Points,
     *,
     coordinate: str,
     units: tuple[str, str] = ("1", "1"),
@@ -37,37 +78,8 @@ def profile_band(
         ax: where to draw; a new figure unless given.
     """
     labels = with_unit(coordinate, units[0]), with_unit("force", units[1])
-    ax = value_band(places, values, sd, labels=labels, ax=ax)
+    ax = band(places, values, normal_interval(values, sd), labels=labels, ax=ax)
     ax.axhline(0.0, color=GREY, lw=0.6)
-    return ax
-
-
-def value_band(
-    places: Float[np.ndarray, " point"],
-    values: Float[np.ndarray, " point"],
-    sd: Float[np.ndarray, " point"],
-    *,
-    labels: tuple[str, str],
-    color: str = LEARNED,
-    name: str | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Values along one coordinate, with their band of 95 %.
-
-    Args:
-        places: along the coordinate.
-        values: there.
-        sd: their standard deviation.
-        labels: of the axes.
-        color: of line and band.
-        name: of the line in a legend.
-        ax: where to draw; a new figure unless given.
-    """
-    ax = prepare_axes(ax)
-    half = normal_quantile() * sd
-    ax.fill_between(places, values - half, values + half, color=color, alpha=0.25, lw=0)
-    ax.plot(places, values, color=color, lw=1.2, label=name)
-    label_axes(ax, *labels)
     return ax
 
 
@@ -103,10 +115,10 @@ def diffusion_bands(
     for color, group in zip(colors, columns.values(), strict=False):
         name = ", ".join(channels[index] for index in group)
         first = group[0]
-        value_band(
+        band(
             places,
             values[:, first],
-            sd[:, first],
+            normal_interval(values[:, first], sd[:, first]),
             labels=labels,
             color=color,
             name=f"along {name}",
@@ -115,29 +127,4 @@ def diffusion_bands(
     ax.set_ylim(bottom=0.0)
     if len(columns) > 1:
         add_legend(ax)
-    return ax
-
-
-def positions_over_time(
-    times: Sequence[Float[np.ndarray, " time"]],
-    observed: Sequence[Float[np.ndarray, " time"]],
-    predicted: Sequence[Float[np.ndarray, " time"]],
-    *,
-    labels: tuple[str, str],
-    ax: Axes | None = None,
-) -> Axes:
-    """Observed positions on a line as dots, rollouts of the model as lines.
-
-    Args:
-        times: of each trajectory [T].
-        observed: positions [L]; NaN where not observed.
-        predicted: positions of its rollout [L].
-        labels: of the axes.
-        ax: where to draw; a new figure unless given.
-    """
-    ax = prepare_axes(ax)
-    for ts, measured, path in zip(times, observed, predicted, strict=True):
-        ax.plot(ts, measured, ".", color=TRACK, markersize=1.5)
-        ax.plot(ts, path, color=LEARNED, lw=0.8)
-    label_axes(ax, *labels)
     return ax
