@@ -80,7 +80,7 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
         rmse=rmse,
         constants=fit.constants,
         remarks=(*sentences, *remarks(data)),
-        units=dict(fit.units),
+        units=dict(sorted(fit.units.items())),
         rollouts=Rollouts(
             data.channels,
             data.times,

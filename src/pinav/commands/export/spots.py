@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from pinav.commands.force_units import units_of
 from pinav.dynamics import with_dtype
 from pinav.errors import InputError
 from pinav.fitting import Posterior
@@ -106,7 +105,7 @@ def force_sds(
 
 def result_units(run: Learned) -> tuple[str, str, str]:
     """Units of length, time and the learned force; "?" where not stated."""
-    units = units_of(run.data, run.system)
+    units = run.units
     return units["x"], units["t"], force_unit(units)
 
 
