@@ -5,8 +5,8 @@ import json
 import jax
 import pytest
 from validation.conftest import program
+from validation.zermelo import quickest_of_task
 
-from pinav.navigation.reference.zermelo import quickest_of_task
 from pinav.navigation.task.catalogue import task
 
 

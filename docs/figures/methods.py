@@ -1,5 +1,6 @@
 """One figure for each page of a method, drawn from runs of the command line."""
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 from pinav.analysis import Analysis, Discovery
 from pinav.commands.identify.metrics import IdentifyMetrics, as_float
 from pinav.commands.identify.report import DRAWN
-from pinav.evaluation import BASELINE, ErrorCurve, Evaluation, FieldMap
+from pinav.evaluation import BASELINE, ErrorCurve, Evaluation
 from pinav.figures.analysis import growth_map
 from pinav.figures.errors import error_over_time
 from pinav.figures.heat import perfusion_law, probe_curves
@@ -25,7 +26,7 @@ from pinav.figures.maps import (
     one_legend,
     trust_map,
 )
-from pinav.figures.navigation import Course, paths_map, spread_map
+from pinav.figures.navigation import greatest_force, paths_map, spread_map
 from pinav.figures.palette import GREY, TRUTH
 from pinav.figures.style import (
     SMALL,
@@ -40,6 +41,7 @@ from pinav.figures.style import (
 from pinav.identification.forecast import HORIZONS
 from pinav.learning.findings import ForceMaps
 from pinav.learning.learn import open_run
+from pinav.navigation import OnlineNavigation
 from pinav.runs import RunFolder
 from pinav.trajectories import load
 
@@ -155,7 +157,7 @@ def evaluation(workshop: Workshop) -> Figure:
     curves: dict[str, ErrorCurve] = {}
     styles = dict(zip(folders, map(style_of, ("ude", "kernel-force")), strict=True))
     for name, folder in folders.items():
-        edges, errors = error_by_distance(read(folder, "results.npz"))
+        edges, errors = error_by_distance(maps_of(folder))
         look = {"color": styles[name].color, "ls": styles[name].dash, "lw": 1.5}
         above.stairs(errors, edges, label=name, **look)
         scored = RunFolder.open(folder).load("evaluation", Evaluation)
@@ -174,12 +176,14 @@ def evaluation(workshop: Workshop) -> Figure:
 
 
 def error_by_distance(
-    arrays: Arrays, count: int = 12
+    maps: ForceMaps, count: int = 12
 ) -> tuple[Float[np.ndarray, " edge"], Float[np.ndarray, " bin"]]:
     """Relative L2 error of a force over the distance from the data."""
-    distance = arrays["field/distance"]
-    error = np.sum((arrays["field/learned"] - arrays["field/true"]) ** 2, axis=-1)
-    size = np.sum(arrays["field/true"] ** 2, axis=-1)
+    learned, true = maps.learned, maps.true
+    assert true is not None  # the truth of a scenario is known
+    distance = learned.distance
+    error = np.sum((learned.force - true) ** 2, axis=-1)
+    size = np.sum(true**2, axis=-1)
     edges = np.concatenate([[0.0, 0.35, 1.0], np.linspace(2.0, 7.0, count - 6)])
     sums = [
         np.histogram(distance, edges, weights=values)[0] for values in (error, size)
@@ -238,20 +242,17 @@ def adaptive(workshop: Workshop) -> Figure:
         "--visits",
         "1",
     )
-    arrays = read(workshop.run("vortex", *words), "results.npz")
-    times, step = arrays["moments/time"], float(arrays["step"])
-    course, path = Course(arrays), arrays["path/visit 1/0"]
-    limit = float(np.linalg.norm(arrays["field/true"], axis=-1).max())
+    result = RunFolder(workshop.run("vortex", *words)).load("metrics", OnlineNavigation)
+    shown, course, path = result.shown, result.course, result.paths["visit 1"][0]
+    times, limit = shown.times, greatest_force(shown.maps)
     chosen = np.linspace(1, len(times) - 1, 3).round().astype(int)
     figure = new_figure(WIDTH, 4.2)
     axes = figure.subplots(2, 3)
     for column, k in zip(axes.T, chosen, strict=True):
-        mean, sd = arrays["moments/mean"][k], arrays["moments/sd"][k]
-        nothing = np.zeros(mean.shape[:2])
-        field = FieldMap(arrays["field/x"], arrays["field/y"], mean, nothing)
-        so_far = path[: round(float(times[k]) / step) + 1]
+        field = dataclasses.replace(shown.maps.learned, force=shown.means[k])
+        so_far = path[: round(float(times[k]) / result.step) + 1]
         paths_map(field, course, {"visit 1": [so_far]}, limit=limit, ax=column[0])
-        spread_map(field, sd, course, thrust=1.0, route=so_far, ax=column[1])
+        spread_map(field, shown.sds[k], course, thrust=1.0, route=so_far, ax=column[1])
         title_panel(column[0], f"t = {float(times[k]):.2g}")
         if k != chosen[0]:
             for ax in column:

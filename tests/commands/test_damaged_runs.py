@@ -58,7 +58,7 @@ STAGES = (
     (evaluation, "clean_trajectories"),
     (analysis, "helmholtz_split"),
     (discovery, "discover_law"),
-    (navigate_job, "controller_of"),
+    (navigate_job, "navigate"),
     (reproduce_job, "matching"),
     (reproduce_job, "predict"),
     (truth_job, "judge_trap"),

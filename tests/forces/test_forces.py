@@ -210,12 +210,6 @@ def test_barrier_pushes_out_and_a_trap_pulls_in():
     assert trap(T, X, V) @ outward < 0
 
 
-@pytest.mark.parametrize("dim", [1, 2, 3])
-def test_barrier_and_drag_take_any_dimension(dim):
-    force = GaussianBarrier(1.0, jnp.zeros(dim), 2.0) + LinearDrag(0.5)
-    assert force(T, jnp.ones(dim), jnp.ones(dim)).shape == (dim,)
-
-
 def test_paper_thrust_is_constant_along_y():
     thrust = jax.vmap(lambda t: propulsion()(t, X, V))(jnp.linspace(0.0, 5.0, 23))
     np.testing.assert_allclose(thrust, jnp.full((23, 2), 0.3) * jnp.array([[0, 1.0]]))

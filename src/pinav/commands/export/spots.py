@@ -105,8 +105,7 @@ def force_sds(
 
 def result_units(run: Learned) -> tuple[str, str, str]:
     """Units of length, time and the learned force; "?" where not stated."""
-    units = run.units
-    return units["x"], units["t"], force_unit(units)
+    return run.units["x"], run.units["t"], force_unit(run.units)
 
 
 def napari_csv(table: SpotTable) -> str:

@@ -10,9 +10,9 @@ from scipy.optimize import fsolve, minimize
 
 from pinav.errors import FitError, InputError
 from pinav.forces import ShearFlow
-from pinav.navigation.reference import zermelo
 from pinav.navigation.task import catalogue as tasks
 from pinav.navigation.task.steering import direction
+from validation import zermelo
 
 
 @pytest.mark.parametrize("drift", [[0.0, 0.0], [0.5, 0.0], [-0.3, 0.6]])
@@ -114,7 +114,7 @@ def test_what_cannot_be_reached_is_said():
 
 def test_bad_numbers_are_refused():
     with pytest.raises(
-        InputError, match="quickest: expected speed > 0, .* got 0.0, 9.0"
+        InputError, match=r"quickest: expected speed > 0, .* got 0.0, 9.0"
     ):
         zermelo.quickest(
             lambda x: x, jnp.zeros(2), jnp.zeros(2), speed=0.0, longest=9.0

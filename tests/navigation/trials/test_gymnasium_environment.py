@@ -22,7 +22,7 @@ FULL_AHEAD = np.array([1.0, 0.0], np.float32)
 
 
 def environment(task):
-    from pinav.navigation.trials.gym import NavigationEnv
+    from examples.gymnasium_environment import NavigationEnv
 
     return NavigationEnv(task)
 
@@ -99,7 +99,7 @@ def test_an_action_is_two_numbers(action):
 
 
 def test_actions_cover_all_headings_and_frequencies():
-    from pinav.navigation.trials.gym import _command
+    from examples.gymnasium_environment import _command
 
     task = tasks.task("vortex")
     low, high = (_command(task, a) for a in ([-1.0, -1.0], [1.0, 1.0]))

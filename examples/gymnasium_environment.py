@@ -2,7 +2,7 @@
 
 The same true swimmer, noise, sensor and delay as in
 `pinav.navigation.trials.closed_loop`: what an agent gets here is what a controller
-gets there.
+gets there. Copy this file; run it to see an agent that drives straight ahead.
 """
 
 import math
@@ -17,9 +17,10 @@ from gymnasium.spaces import Box
 from jaxtyping import Array, Float, Float32, PRNGKeyArray
 
 from pinav.errors import InputError
+from pinav.navigation.task.catalogue import task
 from pinav.navigation.task.steering import Command, SteeredSwimmer
 from pinav.navigation.task.task import Task
-from pinav.navigation.trials.closed_loop import (
+from pinav.navigation.trials.situation import (
     Situation,
     advance,
     begin,
@@ -147,3 +148,17 @@ def _distance_to_target(task: Task, situation: Situation) -> Float[Array, ""]:
 
 def _time(task: Task, situation: Situation) -> Float[Array, ""]:
     return task.step * situation.step.astype(situation.state.dtype)
+
+
+def main() -> None:
+    """Drive straight ahead on a task, and print what it was worth."""
+    env, total, over = NavigationEnv(task("barrier-strong")), 0.0, False
+    env.reset(seed=0)
+    while not over:
+        _, reward, ended, truncated, info = env.step([1.0, 0.25])
+        total, over = total + reward, ended or truncated
+    print(f"reward {total:.2f} after {info['time']:.1f}, reached: {info['reached']}")
+
+
+if __name__ == "__main__":
+    main()

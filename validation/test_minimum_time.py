@@ -14,10 +14,10 @@ from pinav.dynamics import RK4, FixedStep
 from pinav.errors import FitError, InputError
 from pinav.forces import GaussianBarrier
 from pinav.navigation.control.simple import StraightLine
-from pinav.navigation.reference import minimum_time
 from pinav.navigation.task import catalogue as tasks
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.trials.closed_loop import run
+from validation import minimum_time
 
 needs_casadi = pytest.mark.extras("casadi")
 
@@ -60,7 +60,7 @@ def test_the_strong_thrust_crosses_the_barrier_as_quickly_as_can_be():
 
 @pytest.mark.parametrize("name", ["vortex", "rotating-barrier", "y-junction"])
 def test_other_tasks_are_refused(name):
-    with pytest.raises(InputError, match="minimum_time: (task .* no inertia|expec)"):
+    with pytest.raises(InputError, match=r"minimum_time: (task .* no inertia|expec)"):
         minimum_time.minimum_time(tasks.task(name))
 
 
