@@ -34,7 +34,7 @@ import tomli_w
 
 from pinav import __version__
 from pinav.checkpoints import FileCheckpoint, Tree, read_tree, write_tree
-from pinav.codec import decode, encode, kebab
+from pinav.codec import decode, encode, kebab, members
 from pinav.errors import InputError
 from pinav.files import append_line, atomic_write, is_temporary, write_text
 from pinav.manifest import MANIFEST_FILE, Manifest
@@ -288,7 +288,7 @@ class RunFolder:
         self.write_json(f"{name}.json", Stored(FORMAT, kind, document, digest))
 
     def load(self, name: str, wanted: type[Result]) -> Result:
-        """Read what `store` wrote.
+        """Read what `store` wrote: a result of the class, or of its family.
 
         Raises:
             InputError: a file is missing, damaged or of another result.
@@ -302,7 +302,8 @@ class RunFolder:
             raise InputError(
                 f"{self.path / file} is damaged ({error}); {repair}"
             ) from error
-        if (stored.format, stored.kind) != (FORMAT, kebab(wanted)):
+        known = {kebab(wanted): wanted} | members(wanted)
+        if stored.format != FORMAT or stored.kind not in known:
             raise InputError(
                 f"{self.path / file} was written by another version of pinav; {repair}"
             )
@@ -314,7 +315,7 @@ class RunFolder:
                     f"{self.path / name}.npz does not belong to {file}; {repair}"
                 )
         try:
-            return decode(wanted, stored.value, arrays)
+            return decode(known[stored.kind], stored.value, arrays)
         except InputError as error:
             raise InputError(
                 f"{self.path / file} is damaged ({error}); {repair}"

@@ -30,13 +30,13 @@ from pinav.commands.analyse import job as analyse_job
 from pinav.commands.discover import job as discover_job
 from pinav.commands.evaluate import job as evaluate_job
 from pinav.commands.explore import job as explore_job
-from pinav.commands.heat.learn import LearnTask
-from pinav.commands.heat.simulate import SimulateTask
+from pinav.commands.heat import job as heat_job
 from pinav.commands.navigate import job as navigate_job
 from pinav.commands.reproduce import job as reproduce_job
 from pinav.commands.truth import job as truth_job
 from pinav.errors import FitError
 from pinav.live.messages import encode
+from pinav.thermal.setup import Setup
 
 KEYS = range(300)
 """Faults were sought with even keys, and what was mended was judged by odd ones."""
@@ -61,8 +61,8 @@ STAGES = (
     (reproduce_job, "predict"),
     (truth_job, "judge_trap"),
     (explore_job, "document"),
-    (SimulateTask, "run"),
-    (LearnTask, "run"),
+    (heat_job, "simulate"),
+    (Setup, "readings"),
     (report_page, "write_report"),
     (compare, "_train"),
 )
