@@ -35,11 +35,11 @@ validate: .venv/installed-dev
 	PINAV_LONG=1 XLA_FLAGS=--xla_cpu_use_fusion_emitters=false $(BIN)/python -m pytest -v tests/test_docs.py -k "code and (bead or tracker or wrong-force)"
 
 bench: .venv/installed-dev
-	$(BIN)/pinav bench gradient
-	$(BIN)/pinav bench growth
-	$(BIN)/pinav bench fit
-	$(BIN)/pinav bench heat
-	$(BIN)/pinav bench navigate
+	$(BIN)/python -m benchmarks gradient
+	$(BIN)/python -m benchmarks growth
+	$(BIN)/python -m benchmarks fit
+	$(BIN)/python -m benchmarks heat
+	$(BIN)/python -m benchmarks navigate
 
 # The documentation site, offline after the install; examples are run for the gallery.
 docs: .venv/installed-docs

@@ -1,1 +1,1 @@
-"""Benchmarks, one module or package each, run by `pinav bench NAME`."""
+"""Benchmarks, one module or package each, run by `python -m benchmarks NAME`."""

@@ -27,7 +27,7 @@ def begin(kind: type[Options], argv: Sequence[str], name: str) -> Options | None
     Raises:
         InputError: a word is unknown, or an option makes no sense.
     """
-    options = parse(kind, argv, prog=f"pinav bench {name}")
+    options = parse(kind, argv, prog=f"python -m benchmarks {name}")
     if options is not None:
         options.check()
         jax.config.update("jax_enable_x64", val=True)

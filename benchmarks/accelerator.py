@@ -1,10 +1,10 @@
 """Work that an accelerator takes side by side, timed on whatever device JAX finds.
 
-Run with `pinav bench accelerator`; `JAX_PLATFORMS=cpu` before it measures the processor
-of the same machine. Three kinds of work: fits of the paper's benchmark from many first
-guesses of its network in one call, half an hour of bioheat in space with its gradient,
-and closed loops with the path integral controller. All in float64; each is timed in its
-first call, compilation included, and in a second one.
+Run with `python -m benchmarks accelerator`; `JAX_PLATFORMS=cpu` before it measures the
+processor of the same machine. Three kinds of work: fits of the paper's benchmark from
+many first guesses of its network in one call, half an hour of bioheat in space with its
+gradient, and closed loops with the path integral controller. All in float64; each is
+timed in its first call, compilation included, and in a second one.
 """
 
 import time

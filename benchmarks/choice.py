@@ -1,9 +1,10 @@
 """Errors and bands of the chosen model on many tracks, each split several times.
 
-Run with `pinav bench choice`. Tracks of at least 40 s stand in alphabetical order: the
-even ones are for development, the odd ones judge what was chosen on those. Sessions are
-split at 30, 50 and 70 % of their time, other tracks at 50 and 70 %; of the large groups
-every second one of a half is taken. Splits that were done are kept in the folder.
+Run with `python -m benchmarks choice`. Tracks of at least 40 s stand in alphabetical
+order: the even ones are for development, the odd ones judge what was chosen on those.
+Sessions are split at 30, 50 and 70 % of their time, other tracks at 50 and 70 %; of the
+large groups every second one of a half is taken. Splits that were done are kept in the
+folder.
 """
 
 import os

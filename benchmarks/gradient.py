@@ -1,10 +1,11 @@
 """One loss gradient of the paper's 501-sample rollout, by every gradient method.
 
-Run with `pinav bench gradient`. Float32, the paper's untrained network (seed 42), the
-same loss in every row; the methods take turns, so that a change of the machine's speed
-meets all of them. "error" is the relative distance of the gradient from a float64
-reference (our fixed step against itself in float64; the others against diffrax at
-1e-10), so it holds rounding and, for the continuous adjoints, their own solver error.
+Run with `python -m benchmarks gradient`. Float32, the paper's untrained network (seed
+42), the same loss in every row; the methods take turns, so that a change of the
+machine's speed meets all of them. "error" is the relative distance of the gradient from
+a float64 reference (our fixed step against itself in float64; the others against
+diffrax at 1e-10), so it holds rounding and, for the continuous adjoints, their own
+solver error.
 """
 
 import time
@@ -20,13 +21,13 @@ import numpy as np
 import tyro
 from jax.flatten_util import ravel_pytree
 
+from benchmarks.continuous_adjoint import InterpolatingAdjoint
 from pinav.commands.parsing import parse
 from pinav.dynamics import (
     RK4,
     AbstractSolver,
     Adaptive,
     FixedStep,
-    InterpolatingAdjoint,
     with_dtype,
 )
 from pinav.fitting.environments.choice import learned_part
@@ -84,7 +85,7 @@ METHODS: dict[str, AbstractSolver] = {
     "diffrax Tsit5 1e-6, DirectAdjoint": adaptive(diffrax.DirectAdjoint()),
     "diffrax Tsit5 step 0.1, RecursiveCheckpointAdjoint": DiffraxFixedStep(),
     "diffrax Tsit5 1e-6, BacksolveAdjoint": adaptive(diffrax.BacksolveAdjoint()),
-    "pinav InterpolatingAdjoint 1e-6 (as in the paper)": InterpolatingAdjoint(),
+    "InterpolatingAdjoint 1e-6 (as in the paper)": InterpolatingAdjoint(),
 }
 
 
@@ -119,7 +120,7 @@ class Options(msgspec.Struct, frozen=True):
 
 
 def main(argv: Sequence[str]) -> None:
-    options = parse(Options, argv, prog="pinav bench gradient")
+    options = parse(Options, argv, prog="python -m benchmarks gradient")
     if options is not None:
         compare(options.rounds)
 

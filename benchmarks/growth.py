@@ -1,8 +1,9 @@
 """How the time of a Gauss-Newton iteration grows with data, samples and weights.
 
-Run with `pinav bench growth`. Full rollouts of the clean `barrier-crossings` scenario,
-the network recipe in float64; and many fits of the paper's benchmark in one call. What
-is compared takes turns, so that a change of the machine's speed meets all of it.
+Run with `python -m benchmarks growth`. Full rollouts of the clean `barrier-crossings`
+scenario, the network recipe in float64; and many fits of the paper's benchmark in one
+call. What is compared takes turns, so that a change of the machine's speed meets all of
+it.
 """
 
 import time

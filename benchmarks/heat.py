@@ -1,9 +1,9 @@
 """Half an hour of bioheat and its gradient: time after compilation, and memory.
 
-Run with `pinav bench heat`. A heated tumour in muscle with the perfusion laws of Lang
-et al., 15 intervals of two minutes, float64; the gradient is that of the logarithm of
-the dose by all amplitudes. Each grid has a process of its own; "memory" is by how much
-the peak of the process grew while the gradient was compiled and run.
+Run with `python -m benchmarks heat`. A heated tumour in muscle with the perfusion laws
+of Lang et al., 15 intervals of two minutes, float64; the gradient is that of the
+logarithm of the dose by all amplitudes. Each grid has a process of its own; "memory" is
+by how much the peak of the process grew while the gradient was compiled and run.
 """
 
 import json
@@ -101,7 +101,7 @@ class Options(msgspec.Struct, frozen=True):
 
 
 def main(argv: Sequence[str]) -> None:
-    options = parse(Options, argv, prog="pinav bench heat")
+    options = parse(Options, argv, prog="python -m benchmarks heat")
     if options is None:
         return
     options.check()

@@ -1,9 +1,9 @@
 """Every recording of a folder through `pinav inspect` and `pinav fit`, cold.
 
-Run with `pinav bench recordings`. Each command is a process of its own without a store
-of compiled code, so that import and compilation count. Nothing is set by hand but what
-a file cannot know: the scale and frame rate of files in pixels and frames, where their
-notes give them.
+Run with `python -m benchmarks recordings`. Each command is a process of its own without
+a store of compiled code, so that import and compilation count. Nothing is set by hand
+but what a file cannot know: the scale and frame rate of files in pixels and frames,
+where their notes give them.
 """
 
 import json
@@ -51,7 +51,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def main(argv: Sequence[str]) -> None:
-    options = parse(Options, argv, prog="pinav bench recordings")
+    options = parse(Options, argv, prog="python -m benchmarks recordings")
     if options is None:
         return
     files = recordings(options.folder, options.only)

@@ -1,9 +1,9 @@
 """What arithmetic would cost at best on this machine, beside what it costs.
 
-Run with `pinav bench roofline`. The machine is measured first: the rate of a product of
-matrices and that of moving arrays. A piece of work with so many operations on so many
-bytes cannot take less than the longer of both times. Operations and bytes are counted
-by hand; each array counts once for each time that it cannot be in a cache.
+Run with `python -m benchmarks roofline`. The machine is measured first: the rate of a
+product of matrices and that of moving arrays. A piece of work with so many operations
+on so many bytes cannot take less than the longer of both times. Operations and bytes
+are counted by hand; each array counts once for each time that it cannot be in a cache.
 
 References:
     Williams, Waterman and Patterson, Communications of the ACM 52, 65 (2009).

@@ -99,7 +99,7 @@ class Options(Settings, frozen=True):
 
 
 def main(argv: Sequence[str]) -> None:
-    options = parse(Options, argv, prog="pinav bench start")
+    options = parse(Options, argv, prog="python -m benchmarks start")
     if options is None:
         return
     options.check()

@@ -59,7 +59,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
     "filename_pattern": r"\.py$",
-    "ignore_pattern": r"(heat|systems)/|rig_client",
+    "ignore_pattern": r"(heat|systems)/|rig_client|gymnasium_environment",
     "image_scrapers": (_figures,),
     "write_computation_times": False,
     "abort_on_example_error": True,

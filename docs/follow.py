@@ -71,11 +71,13 @@ def follow(page: Path, folder: Path) -> None:
             for words in command_lines(text):
                 if words[0] == "pinav":
                     run_python(["-m", *words], folder)
+                elif words[0] == "python":
+                    run_python(words[1:], folder)
 
 
 def run_python(arguments: list[str], folder: Path) -> None:
     """Run this Python in a folder, with the package of this checkout."""
-    places = [str(ROOT / "src"), os.environ.get("PYTHONPATH", "")]
+    places = [str(ROOT / "src"), str(ROOT), os.environ.get("PYTHONPATH", "")]
     path = os.pathsep.join(place for place in places if place)
     subprocess.run(
         [sys.executable, *arguments],

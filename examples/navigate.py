@@ -22,7 +22,7 @@ import numpy as np
 jax.config.update("jax_enable_x64", val=True)
 
 from pinav.figures.files import save_figure
-from pinav.figures.navigation import Course, plan_map
+from pinav.figures.navigation import plan_map
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.forces import KernelPotential
 from pinav.navigation.control.default import controller
@@ -30,6 +30,7 @@ from pinav.navigation.control.simple import StraightLine, steered_swimmer
 from pinav.navigation.design.candidates import Experiment
 from pinav.navigation.design.information import suggest
 from pinav.navigation.design.prior import PriorField, prior_uncertainty
+from pinav.navigation.maps import Course
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.task.catalogue import task, training
 from pinav.navigation.task.zones import Rectangle
@@ -64,16 +65,9 @@ route = plan.route(crossing.start)
 print(f"planned: {float(route.arrival_time):.1f} from start to goal")
 print(f"out of reach in time: {plan.unreachable.mean():.0%} of the arena")
 
-arrays = {
-    "arena": np.array([crossing.arena.lower, crossing.arena.upper]),
-    "start": np.asarray(crossing.start[:2]),
-    "goal": np.asarray(crossing.objective.target(0.0)),
-    "tolerance": np.asarray(crossing.objective.tolerance),
-    "discs": np.zeros((0, 3)),
-}
 times = np.where(plan.unreachable, np.inf, plan.map)
 with tempfile.TemporaryDirectory() as folder:
-    ax = plan_map(times, Course(arrays), route=np.asarray(route.ys[:, :2]))
+    ax = plan_map(times, Course.of(crossing), route=np.asarray(route.ys[:, :2]))
     print("drawn:", save_figure(ax.figure, Path(folder), "plan").png.name)
 
 # %% [markdown]

@@ -131,11 +131,6 @@ def test_every_part_of_a_command_can_be_imported(command):
         ),
         (["evaluate", "nowhere", "x.npz"], "nowhere holds no run"),
         (["report", "nowhere"], "nowhere holds no run"),
-        (["bench"], "Missing from pinav bench: NAME"),
-        (
-            ["bench", "nothing"],
-            "benchmark 'nothing' is unknown; choose one of: .*gradient",
-        ),
     ],
 )
 def test_mistakes_get_one_line(argv, message, capsys, tmp_path, monkeypatch):

@@ -16,6 +16,8 @@ from docs.figures.draw import RECIPES
 from docs.figures.workshop import Workshop
 from docs.follow import blocks, command_lines, save_settings
 from PIL import Image
+from validation.truth import TRUTH
+from validation.truth import __main__ as truth
 
 from pinav import cli
 from pinav.commands import COMMANDS
@@ -93,6 +95,8 @@ def run_commands(text: str) -> None:
         if words[0] == "pinav":
             with jax.numpy_dtype_promotion("standard"):
                 assert cli.run(words[1:]) == 0, words
+        elif words[:3] == TRUTH.words.split():
+            assert truth.run(words[3:]) == 0, words
         else:
             assert words[0] == "make", f"{words} is never run"
 
@@ -104,13 +108,16 @@ def test_the_command_line_knows_the_options_that_a_page_uses(page):
         r"^```(?:sh|bash)\n(.*?)^```", text, re.DOTALL | re.MULTILINE
     ):
         for words in command_lines(block):
-            if words[0] != "pinav":
+            if words[0] == "pinav":
+                command = cli.command_named(words[1])
+            else:
+                command = TRUTH if words[:3] == TRUTH.words.split() else None
+                words = words[1:]
+            if command is None:
+                assert words[0] != "pinav", words
                 continue
-            command = cli.command_named(words[1])
-            assert command is not None, words
             options = resolve(command.options)
-            known = words[2:3] if command.forwards else words[2:]
-            assert parse(options, known, prog="pinav") is not None, words
+            assert parse(options, words[2:], prog="pinav") is not None, words
 
 
 def test_the_page_of_commands_holds_the_help_of_each(monkeypatch):
@@ -232,7 +239,11 @@ def test_the_make_targets_exist():
         assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
 
 
-@pytest.mark.parametrize("page", PAGES, ids=page_id)
+NOTEBOOK = sorted((DOCS / "notebook").glob("*.md"))
+"""What tells of earlier versions, and may name what is gone."""
+
+
+@pytest.mark.parametrize("page", [*PAGES, *NOTEBOOK], ids=page_id)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), f"{page.name} links to {target}"

@@ -70,10 +70,3 @@ def test_data_are_simulated_and_a_run_is_explored(installed, tmp_path, fitted_ru
     done = call(installed, tmp_path, "explore", run)
     assert done.returncode == 0, done.stderr
     assert (run / "explore.html").stat().st_size < 1.5e6
-
-
-def test_benchmarks_say_that_they_need_the_checkout(installed, tmp_path):
-    done = call(installed, tmp_path, "bench", "gradient")
-    assert done.returncode == 2
-    (line,) = done.stderr.strip().splitlines()
-    assert "checkout" in line

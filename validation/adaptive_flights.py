@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import msgspec
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.actuation import LinearResponse
 from pinav.arguments import Scalar, Vector
@@ -36,13 +36,20 @@ from pinav.navigation import (
     SteeredSwimmer,
     Task,
 )
-from pinav.navigation.adaptive.flight import Flight, advance_compiled, fly, see_frame
+from pinav.navigation.adaptive.flight import fly
 from pinav.navigation.adaptive.known import with_known
-from pinav.navigation.adaptive.scores import score_force
-from pinav.navigation.adaptive.steering import Adaptive
-from pinav.navigation.adaptive.strategies import Certain
+from pinav.navigation.adaptive.prior import with_truth
+from pinav.navigation.adaptive.scores import Flight, score_force
+from pinav.navigation.adaptive.steering import AdaptiveController
+from pinav.navigation.adaptive.strategies import MeanForce
+from pinav.navigation.belief.belief import Frame
 from pinav.navigation.design.campaign import record_positions, run_campaign
-from pinav.navigation.trials.closed_loop import begin
+from pinav.navigation.trials.situation import (
+    Situation,
+    advance_compiled,
+    begin,
+    observe_compiled,
+)
 from pinav.numerics import ONE_CORE
 
 Result = TypeVar("Result")
@@ -179,11 +186,11 @@ def fly_row(world: str, number: int, *, delay: float, oracle: bool, visits: int)
         task = gate_task(number)
     else:
         task = online_task(world, position_noise=NOISE, delay=delay)
-    adaptive, key = Adaptive.of(task), jax.random.key(number)
-    first = fly(adaptive, key=key)
-    known = fly(adaptive, key=key, oracle=True) if oracle else None
-    again = fly(adaptive, key=key, belief=first.belief) if visits > 1 else None
-    error, cover = score_force(first.states[:, :2], first.belief, task)
+    adaptive, key = AdaptiveController.of(task), jax.random.key(number)
+    first, belief, _ = fly(adaptive, key=key)
+    known = fly(with_truth(adaptive), key=key).flight if oracle else None
+    informed = dataclasses.replace(adaptive, known=belief)
+    again = fly(informed, key=key).flight if visits > 1 else None
     return Row(
         world,
         number,
@@ -195,9 +202,9 @@ def fly_row(world: str, number: int, *, delay: float, oracle: bool, visits: int)
         any(flight.violated for flight in (first, again) if flight),
         first.changed,
         first.stalls,
-        error,
-        cover,
-        float(np.mean(first.consistency)),
+        first.force_error,
+        first.cover,
+        first.consistency,
         quantile(first, "learn_times", 0.99),
         quantile(first, "command_times", 0.5),
         quantile(first, "replan_times", 0.5),
@@ -232,12 +239,12 @@ def wander(world: str, number: int) -> Lesson:
     """
     task = online_task(world, position_noise=NOISE, delay=0.0)
     task = dataclasses.replace(task, time_limit=16.0)
-    adaptive, key = Adaptive.of(task), jax.random.key(number)
+    adaptive, key = AdaptiveController.of(task), jax.random.key(number)
     draw = np.random.default_rng([1801, number])
     now, turned = begin(task), 0.0
     path, scores, times = [], [], []
     sensing = [jax.random.fold_in(key, 2 * k) for k in range(200)]
-    belief = adaptive.believe(see_frame(task, now, np.zeros(2), sensing[0]))
+    belief = adaptive.believe(frame_of(task, now, np.zeros(2), sensing[0]))
     assert isinstance(task.objective, ReachGoal)
     while not bool(now.ended(task)):
         step = int(now.step)
@@ -248,7 +255,7 @@ def wander(world: str, number: int) -> Lesson:
         pushes = jax.random.fold_in(key, 2 * step + 1)
         now, allowed = advance_compiled(task, task.truth, now, command, pushes)
         thrust = np.asarray(task.truth.actuator(allowed), float)
-        frame = see_frame(task, now, thrust, sensing[int(now.step)])
+        frame = frame_of(task, now, thrust, sensing[int(now.step)])
         began = time.perf_counter()
         belief = belief.after(with_known(frame, belief, adaptive.physics))
         times.append(time.perf_counter() - began)
@@ -263,6 +270,14 @@ def wander(world: str, number: int) -> Lesson:
         float(np.mean(scores)),
         float(np.quantile(times[2:], 0.99)),
     )
+
+
+def frame_of(
+    task: Task, now: Situation, thrust: Float[np.ndarray, "2"], key: PRNGKeyArray
+) -> Frame:
+    """The position that a camera tells, with its error."""
+    position = np.asarray(observe_compiled(task, now, key).state[:2], float)
+    return Frame(task.step * int(now.step), position, task.position_sd, thrust)
 
 
 class Ending(msgspec.Struct, frozen=True):
@@ -296,7 +311,7 @@ def end_campaign(world: str, design: str, number: int) -> Ending:
         number: seed of the noise.
     """
     task = online_task(world, position_noise=NOISE, delay=0.0)
-    adaptive = Adaptive.of(task, Certain())
+    adaptive = AdaptiveController.of(task, MeanForce())
     experiment = record_positions(task, task.arena, 5.0)
     campaign = run_campaign(
         adaptive,

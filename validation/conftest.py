@@ -20,8 +20,12 @@ def double_precision():
 
 def pinav(*words: str, **options) -> subprocess.CompletedProcess:
     """Run the command line in a process of its own, with nothing compiled yet."""
-    code = "from pinav.cli import main; main()"
-    command = [sys.executable, "-c", code, *words]
+    return program("pinav", *words, **options)
+
+
+def program(module: str, *words: str, **options) -> subprocess.CompletedProcess:
+    """Run a module as a program, in a process of its own."""
+    command = [sys.executable, "-m", module, *words]
     environ = os.environ | COLD
     return subprocess.run(
         command, text=True, capture_output=True, env=environ, **options

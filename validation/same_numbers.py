@@ -73,14 +73,14 @@ STEPS: dict[str, tuple[str, ...]] = {
         *("--system", "identify-cellbot/system.toml"),
     ),
     "evaluate": ("evaluate", "fit-noisy", "judge.npz"),
-    "analyse": ("analyse", "fit-noisy", "--points", "5", "--samples", "8"),
+    "analyse": ("analyse", "fit-noisy", "--points", "15", "--samples", "8"),
     "discover": ("discover", "fit-noisy", "--refits", "1"),
     "compare": (
         *("compare", "noisy.npz", "--models", "physics-only", "kernel-potential"),
     ),
     "study": ("study", "noise", "--models", "physics-only", "--count", "1"),
     "design": ("design", "shear", "--from=1,5", "--to=9,5", *COARSE, *SHORT),
-    "navigate": ("navigate", "fit-noisy", "--from=1,1", "--to=8,8", *SHORT),
+    "navigate": ("navigate", "fit-noisy", "--from=1,1", "--to=3,2", *SHORT),
     "navigate-online": (
         *("navigate", "--learn-online", "--task", "barrier-weak"),
         *("--seeds", "1", "--visits", "1", "--time-limit", "10"),

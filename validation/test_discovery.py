@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.fields.families import FAMILIES, random_system
 
-from pinav.analysis import Verdict, discover
+from pinav.analysis import Verdict, discover_law
 from pinav.analysis.discovery.laws import LawForce
 from pinav.analysis.discovery.learned_fit import laplace_posterior
 from pinav.analysis.discovery.potentials import GAUSSIAN, HARMONIC
@@ -25,7 +26,7 @@ from pinav.fitting import (
 )
 from pinav.fitting.environments.kernels import WITHOUT_PRIOR
 from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
-from pinav.scenarios import FAMILIES, barrier_crossings, paper, random_system
+from pinav.scenarios import barrier_crossings, paper
 from pinav.trajectories import Trajectories, simulate
 
 TRUTH = np.array([5.25, 5.0, 5.0, 2.9])
@@ -81,7 +82,7 @@ def discovered(environment, seed, *, kind: Any = KernelPotential, **options):
     known, data = observe(environment, seed, **options)
     model = known.with_environment(kernel_environment(kind, data))
     assert isinstance(model, Swimmer)
-    found = discover(fit_bayes(model, data).posterior, data)
+    found = discover_law(fit_bayes(model, data).posterior, data)
     print(environment, seed, found.verdict, found.central)
     for c in found.candidates:
         print("  ", c.name, round(c.delta_bic, 2), c.outcome, c.fits)
@@ -124,7 +125,7 @@ def test_barrier_from_the_papers_single_trajectory():
     ).model
     assert isinstance(fitted, Swimmer)
     posterior = laplace_posterior(fitted, data, lambda m: m.environment.weights)
-    best = discover(posterior, data).best
+    best = discover_law(posterior, data).best
     assert best.law == GAUSSIAN
     values = np.array([own.value for own in best.constants])
     np.testing.assert_allclose(values, TRUTH, rtol=1e-3)
@@ -148,7 +149,7 @@ def test_three_hills_have_one_law():
     """Their structure is found first: hills of one kind at three places."""
     known, data = observe(Hills(THREE), 0, trajectories=16)
     model = known.with_environment(kernel_environment(KernelPotential, data))
-    found = discover(fit_structured(model, data).fit.posterior, data)
+    found = discover_law(fit_structured(model, data).fit.posterior, data)
     assert found.structure == ("obstacles",)
     assert found.best.name == "Gaussian at 3 places"
     assert found.verdict is Verdict.IDENTIFIED
@@ -191,7 +192,7 @@ def test_no_law_is_claimed_for_a_profile_that_has_none(name):
     known, data = observe(RadialHill(PROFILES[name]), 1, columns=2, trajectories=16)
     model = known.with_environment(kernel_environment(KernelPotential, data))
     fit = fit_structured(model, data).fit
-    found = discover(fit.posterior, data)
+    found = discover_law(fit.posterior, data)
     print(name, found.structure, found.verdict, found.best.name)
     assert found.structure == ("central",)
     assert found.verdict is Verdict.NO_LAW_FITS
@@ -201,11 +202,11 @@ def test_no_law_is_claimed_for_a_profile_that_has_none(name):
     "family", ["gaussian", "screened", "lorentzian", "compact", "ring", "hill-wall"]
 )
 def test_laws_of_a_structured_fit(family):
-    """A draw on which nothing was developed; `pinav bench fields` has many more."""
+    """A draw on which nothing was developed; the benchmark `fields` has many more."""
     system = random_system(family, 137)
     data = simulate(system, key=jax.random.key(137)).only(("x", "y"))
     model = system.swimmer.with_environment(kernel_environment(KernelPotential, data))
-    found = discover(fit_structured(model, data).fit.posterior, data)
+    found = discover_law(fit_structured(model, data).fit.posterior, data)
     assert found.verdict is Verdict.IDENTIFIED
     assert tuple(sorted(found.best.terms)) == FAMILIES[family].laws
 

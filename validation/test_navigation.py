@@ -1,12 +1,12 @@
-"""The bars of navigation, by `pinav bench navigate`: 5 fits, 20 seeds each, a task."""
+"""The bars of navigation, by the benchmark of that name: 5 fits, 20 seeds, a task."""
 
 import json
 
 import jax
 import pytest
-from validation.conftest import pinav
+from validation.conftest import program
+from validation.zermelo import quickest_of_task
 
-from pinav.navigation.reference.zermelo import quickest_of_task
 from pinav.navigation.task.catalogue import task
 
 
@@ -17,7 +17,7 @@ def results(tmp_path_factory):
 
     def made(name):
         if name not in known:
-            done = pinav("bench", "navigate", "--tasks", name, "--out", str(out))
+            done = program("benchmarks", "navigate", "--tasks", name, "--out", str(out))
             assert done.returncode == 0, done.stderr
             print(done.stdout)
             known[name] = json.loads((out / f"task-{name}.json").read_text())

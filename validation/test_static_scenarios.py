@@ -44,7 +44,9 @@ def evaluation(folder, name, model):
     done = pinav("evaluate", run, str(folder / "test.npz"))
     assert done.returncode == 0, done.stderr
     print(name, model, f"{seconds:.0f} s", fit.stdout, done.stdout)
-    return json.loads((folder / "run" / "evaluation.json").read_text()), seconds
+    return json.loads((folder / "run" / "evaluation.json").read_text())[
+        "value"
+    ], seconds
 
 
 FOUND = (

@@ -7,13 +7,13 @@ drawn field, with the processor time of its fit.
 import jax
 import numpy as np
 import pytest
-from validation import fields_in_space
 
 from pinav.evaluation import force_error_at_samples
 from pinav.fitting import fit_bayes, fit_structured, kernel_environment
 from pinav.forces import CentralTerm, GaussianBarrier, KernelPotential
 from pinav.scenarios import scenario
 from pinav.trajectories import simulate
+from validation import fields_in_space
 
 KEY = 1
 

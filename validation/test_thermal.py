@@ -22,8 +22,9 @@ from validation.heat.verification import verify
 from pinav.runs import RunFolder
 from pinav.thermal.dose import value_exceeded_by
 from pinav.thermal.grids import CartesianGrid, RadialGrid
-from pinav.thermal.heated_run import AbstractHeatResult
+from pinav.thermal.learned_tissue import LearnedTissue
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion
+from pinav.thermal.planned_run import PlannedRun
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.setup import Setup
 from pinav.thermal.solve import solve
@@ -40,7 +41,7 @@ def test_every_case_is_within_its_tolerance():
 
 @pytest.mark.parametrize("name", CASES)
 def test_what_the_gradient_of_half_an_hour_costs(name):
-    """In memory, and in runs; `pinav bench heat` measures seconds."""
+    """In memory, and in runs; `python -m benchmarks heat` measures seconds."""
     cost = in_own_process(name)
     print(name, cost)
     assert cost.memory < CASES[name].memory
@@ -94,7 +95,7 @@ def test_a_tumour_at_constant_field(power, perfusion, listed):
     assert [float(v) for v in reached] == pytest.approx(listed, abs=0.1)
 
 
-def ran(tmp_path, task, content, name="case"):
+def ran(tmp_path, task, content, kind, name="case"):
     """The result of a task on a case, and its seconds."""
     case, out = tmp_path / f"{name}.toml", tmp_path / name
     case.write_text(tomli_w.dumps(content))
@@ -103,7 +104,7 @@ def ran(tmp_path, task, content, name="case"):
     seconds = time.perf_counter() - begin
     print(done.stdout)
     assert done.returncode == 0, done.stderr
-    return RunFolder.open(out).load("metrics", AbstractHeatResult), seconds
+    return RunFolder.open(out).load("metrics", kind), seconds
 
 
 EXAMPLE_SEED = 0
@@ -116,8 +117,9 @@ def test_perfusion_from_seven_probes(tmp_path, kind, seed):
     """Demonstration 2."""
     content = tomllib.loads((EXAMPLES / "learn.toml").read_text())
     content["learn"] |= {"kind": kind, "seed": seed}
-    found, seconds = ran(tmp_path, "learn", content)
+    found, seconds = ran(tmp_path, "learn", content, LearnedTissue)
     law = found.laws["tissue"]
+    assert law.true is not None
     at = np.array([40.0, 41.0, 42.0, 43.0, 44.0])
     values, true, low, high = (
         np.exp(np.interp(at, law.temperatures, np.log(curve)))
@@ -145,7 +147,7 @@ def test_a_protocol_under_limits(tmp_path, edge_weighted, least):
     """Demonstration 3, from a flat start."""
     content = tomllib.loads((EXAMPLES / "optimise.toml").read_text())
     content["heating"]["edge_weighted"] = edge_weighted
-    found, seconds = ran(tmp_path, "optimise", content)
+    found, seconds = ran(tmp_path, "optimise", content, PlannedRun)
     print(found.amplitudes, f"{seconds:.1f} s with imports and figures")
     assert least <= found.result.D90
     (temperature, _) = found.constraints

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from validation import thermal_twins
-from validation.conftest import pinav
+from validation.conftest import program
 from validation.rotating_trap import judge_trap
+from validation.truth.cases import BUILT_IN, Case
+from validation.truth.trap_fit import fit_trap
+from validation.truth.wall_fields import fit_wall
 
-from pinav.commands.truth.cases import BUILT_IN, Case
-from pinav.commands.truth.wall_fields import fit_wall
-from pinav.fitting import SlowReference, fit_trap
+from pinav.fitting import SlowReference
+from validation import thermal_twins
 
 ROOT = Path(__file__).parents[1]
 FOLDER = Path(os.environ.get("PINAV_RECORDINGS", ROOT.parent / "shared" / "data"))
@@ -29,10 +30,10 @@ def judge(name, folder):
     if not any((RECORDINGS / name).glob("*.csv.gz")):
         pytest.skip(f"no {name} in {RECORDINGS}; pinav data fetch {name} gets it")
     out = str(folder / "run")
-    done = pinav("truth", str(RECORDINGS), "--only", name, "--out", out)
+    done = program("validation.truth", str(RECORDINGS), "--only", name, "--out", out)
     assert done.returncode == 0, done.stderr
     print(done.stdout)
-    cases = json.loads((folder / "run" / "truth.json").read_text())["cases"]
+    cases = json.loads((folder / "run" / "metrics.json").read_text())["value"]["cases"]
     return next(case for case in cases if case["name"] == name)
 
 

@@ -9,11 +9,11 @@ from typing import Any, cast
 import jax
 import jax.numpy as jnp
 import pytest
+from benchmarks.fields.families import random_system
 
 from pinav.fitting import fit_structured, kernel_environment
 from pinav.forces import KernelPotential, forces_at
 from pinav.forces.profile_laws import RingLaw
-from pinav.scenarios import random_system
 from pinav.trajectories import simulate
 
 

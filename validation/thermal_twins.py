@@ -1,4 +1,4 @@
-"""Synthetic twins of the recordings of `pinav truth`, drawn without pinav's solvers.
+"""Synthetic twins of the recordings of known truth, drawn without pinav's solvers.
 
 A twin has the law of a recording and numbers that are known. Paths are those of Euler
 and Maruyama with twenty steps a frame, each frame is the mean over the last steps of
@@ -11,9 +11,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from validation.truth.cases import Recording
+from validation.truth.wall_fields import fit_wall
 
-from pinav.commands.truth.cases import Recording
-from pinav.commands.truth.wall_fields import fit_wall
 from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer
 from pinav.fitting import (
     Estimate,
@@ -210,8 +210,8 @@ def drift_of_wall(random, frames):
 def judge_drifting_walls(seed, draws, frames=30_000):
     """Misses of as many single beads, each above a wall that drifts, with all learned.
 
-    They are fitted as `pinav truth` fits the recording. The path is scored at its
-    knots, and by its root mean square error [um].
+    They are fitted as `python -m validation.truth` fits the recording. The path is
+    scored at its knots, and by its root mean square error [um].
     """
     random = np.random.default_rng([17, seed])
     times = np.arange(frames) / WALL_RATE

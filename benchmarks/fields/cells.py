@@ -11,15 +11,15 @@ import msgspec
 import numpy as np
 
 from benchmarks._sweep import write_measurement
-from pinav.analysis import Discovery, Verdict, discover
-from pinav.commands.study.stochastic_force_inference import infer_force
+from benchmarks.fields.families import FAMILIES, random_system
+from benchmarks.fields.stochastic_force_inference import infer_force
+from pinav.analysis import Discovery, Verdict, discover_law
 from pinav.evaluation import field_map, force_coverage
 from pinav.evaluation.force_fields import force_agreement
 from pinav.fitting import Posterior, StructuredFit, fit_bayes, fit_structured
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.summary import summarise_for
-from pinav.scenarios import FAMILIES, random_system
 from pinav.sweeps import Cell
 from pinav.systems import System
 from pinav.trajectories import Trajectories, simulate
@@ -123,7 +123,7 @@ def _network(name: str) -> Callable[[System, Trajectories], Fitted]:
 def _laws(system: System, data: Trajectories) -> Fitted:
     fitted = _structured(system, data)
     assert fitted.posterior is not None
-    return fitted._replace(discovery=discover(fitted.posterior, data))
+    return fitted._replace(discovery=discover_law(fitted.posterior, data))
 
 
 def _law_known(system: System, data: Trajectories) -> Fitted:

@@ -15,13 +15,13 @@ from benchmarks.fields.cells import (
     Measurement,
     cell_of,
 )
+from benchmarks.fields.families import FAMILIES
 from pinav.commands.parsing import parse
 from pinav.commands.settings import Settings
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.errors import InputError
 from pinav.figures.files import save_figure
 from pinav.figures.style import label_axes, new_figure, prepare_axes
-from pinav.scenarios import FAMILIES
 from pinav.sweeps import Cell
 
 
@@ -68,7 +68,7 @@ class Options(Settings, frozen=True):
 
 
 def main(argv: Sequence[str]) -> None:
-    options = parse(Options, argv, prog="pinav bench fields")
+    options = parse(Options, argv, prog="python -m benchmarks fields")
     if options is None:
         return
     options.check()

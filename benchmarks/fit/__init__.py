@@ -1,7 +1,7 @@
 """One table of fits: the paper's recipe, other tools, and ours, on the same data.
 
-Run with `pinav bench fit`. Every contestant trains in a process of its own, one after
-the other; the parent solves what each learned anew and scores it.
+Run with `python -m benchmarks fit`. Every contestant trains in a process of its own,
+one after the other; the parent solves what each learned anew and scores it.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
 """Learned models against baselines in closed loop, on the tasks of navigation.
 
-Run with `pinav bench navigate`. Each task is fitted from several draws of 8 noisy
-trajectories by the default recipe; every controller runs with the same noise. All data
-are synthetic.
+Run with `python -m benchmarks navigate`. Each task is fitted from several draws of 8
+noisy trajectories by the default recipe; every controller runs with the same noise. All
+data are synthetic.
 """
 
 from collections.abc import Sequence

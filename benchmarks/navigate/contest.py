@@ -5,14 +5,14 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import msgspec
 import numpy as np
 
+from benchmarks.navigate.gaussian_process import gaussian_process
+from pinav.codec import encode
 from pinav.commands.fit.job import fit
 from pinav.commands.fit.plan import plan_fit
 from pinav.commands.fit.settings import FitSettings, ModelName
 from pinav.commands.fitted_run import FittedRun
-from pinav.commands.navigate.metrics import ControllerRow, IntervalRow
 from pinav.commands.system_choice import choose_system
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
@@ -24,7 +24,6 @@ from pinav.navigation.control.simple import (
     physics_only,
     steered_swimmer,
 )
-from pinav.navigation.reference.gaussian_process import gaussian_process
 from pinav.navigation.task.catalogue import TASKS, task, training
 from pinav.navigation.task.objectives import FollowPath
 from pinav.navigation.task.steering import SteeredSwimmer
@@ -168,10 +167,8 @@ def _episodes(
 def _row(own: Task, episodes: Episodes) -> dict[str, Any]:
     """Metrics of a controller, as JSON."""
     found = summary(episodes, own)
-    row = msgspec.to_builtins(ControllerRow.of_summary(found))
-    if isinstance(own.objective, FollowPath):
-        row |= {"tracking": found.tracking, "tracking_rms": found.tracking_rms}
-    else:
+    row = encode(found).document
+    if not isinstance(own.objective, FollowPath):
         lost = len(episodes.steps) - int(episodes.reached.sum())
         row["failed"] = _interval(proportion(lost, len(episodes.steps)))
     return row
@@ -179,4 +176,4 @@ def _row(own: Task, episodes: Episodes) -> dict[str, Any]:
 
 def _interval(interval: Interval) -> dict[str, Any]:
     """An interval, as JSON."""
-    return msgspec.to_builtins(IntervalRow.of(interval))
+    return encode(interval).document

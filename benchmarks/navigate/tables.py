@@ -2,10 +2,9 @@
 
 from typing import Any
 
-import msgspec
-
-from pinav.commands.navigate.metrics import ControllerRow, IntervalRow
-from pinav.commands.navigate.tables import controller_table
+from pinav.codec import decode
+from pinav.commands.navigate.sections import controller_table
+from pinav.navigation import Interval, Summary
 from pinav.report import Table, number
 from pinav.report.text import as_text
 
@@ -16,7 +15,7 @@ def text(name: str, result: dict[str, Any]) -> str:
     tracking = {
         title: row["tracking"]
         for title, row in result["controllers"].items()
-        if "tracking" in row
+        if row["tracking"] != "nan"
     }
     for title, value in tracking.items():
         lines.append(f"mean tracking error, {title}: {number(value, 3)}")
@@ -31,19 +30,27 @@ def text(name: str, result: dict[str, Any]) -> str:
 
 
 def _controllers(result: dict[str, Any]) -> Table:
-    rows = msgspec.convert(result["controllers"], dict[str, ControllerRow])
-    return controller_table(
-        rows, msgspec.convert(result["regret"], dict[str, IntervalRow])
-    )
+    return controller_table(_summaries(result), _regrets(result))
+
+
+def _summaries(result: dict[str, Any]) -> dict[str, Summary]:
+    """Metrics of each controller, without its failures."""
+    return {
+        name: decode(Summary, {k: v for k, v in row.items() if k != "failed"}, {})
+        for name, row in result["controllers"].items()
+    }
+
+
+def _regrets(result: dict[str, Any]) -> dict[str, Interval]:
+    return decode(dict[str, Interval], result["regret"], {})
 
 
 def successes_and_regrets(
     result: dict[str, Any],
-) -> tuple[dict[str, IntervalRow], dict[str, IntervalRow]]:
+) -> tuple[dict[str, Interval], dict[str, Interval]]:
     """Intervals of the success and of the regret of each controller."""
-    rows = msgspec.convert(result["controllers"], dict[str, ControllerRow])
-    successes = {name: row.success for name, row in rows.items()}
-    return successes, msgspec.convert(result["regret"], dict[str, IntervalRow])
+    successes = {name: row.success for name, row in _summaries(result).items()}
+    return successes, _regrets(result)
 
 
 def outcome_table(results: dict[str, Any]) -> Table:
@@ -91,6 +98,6 @@ def tracking_table(results: dict[str, Any]) -> Table:
         [name, title, row["tracking"], row["tracking_rms"]]
         for name, result in results.items()
         for title, row in result["controllers"].items()
-        if "tracking" in row
+        if row["tracking"] != "nan"
     ]
     return Table(["task", "controller", "mean", "rms"], rows)

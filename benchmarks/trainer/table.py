@@ -67,7 +67,7 @@ class Options(Settings, frozen=True):
 
 
 def main(argv: Sequence[str]) -> None:
-    options = parse(Options, argv, prog="pinav bench trainer")
+    options = parse(Options, argv, prog="python -m benchmarks trainer")
     if options is None:
         return
     options.check()

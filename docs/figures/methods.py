@@ -1,5 +1,6 @@
 """One figure for each page of a method, drawn from runs of the command line."""
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -8,18 +9,24 @@ from docs.figures.workshop import Workshop
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from pinav.analysis import Discovery
-from pinav.commands.analyse.result import Analysis
+from pinav.analysis import Analysis, Discovery
 from pinav.commands.identify.metrics import IdentifyMetrics, as_float
 from pinav.commands.identify.report import DRAWN
-from pinav.evaluation import ErrorCurve, FieldMap
-from pinav.figures.analysis import growth_map, one_legend, trust_map
+from pinav.evaluation import BASELINE, ErrorCurve, Evaluation, FieldMap
+from pinav.figures.analysis import growth_map
 from pinav.figures.errors import error_over_time
-from pinav.figures.force_maps import force_error_map, force_map, largest_near
 from pinav.figures.heat import perfusion_law, place_names, probe_curves
 from pinav.figures.identification import horizon_errors, speed_law
 from pinav.figures.laws import law_agreement, law_ranking
-from pinav.figures.navigation import Course, paths_map, spread_map
+from pinav.figures.maps import (
+    ERROR,
+    FORCE,
+    largest_near,
+    map_panel,
+    one_legend,
+    trust_map,
+)
+from pinav.figures.navigation import greatest_force, paths_map, spread_map
 from pinav.figures.palette import GREY, TRUTH
 from pinav.figures.style import (
     SMALL,
@@ -32,6 +39,7 @@ from pinav.figures.style import (
     title_panel,
 )
 from pinav.identification.forecast import HORIZONS
+from pinav.navigation import OnlineNavigation
 from pinav.runs import RunFolder
 from pinav.thermal.learned_tissue import LearnedTissue
 from pinav.trajectories import load
@@ -71,10 +79,10 @@ def models(workshop: Workshop) -> Figure:
     true, path = FieldMap.of_arrays(arrays[0], "true"), observed_paths(folders[0])
     figure = new_figure(WIDTH, 6.2)
     axes = np.ravel(figure.subplots(2, 2))
-    force_map(true, shade=False, path=path, ax=axes[0])
+    map_panel(true, true.force, FORCE, shade=False, path=path, ax=axes[0])
     title_panel(axes[0], "(a) true force")
     for ax, letter, name, learned in zip(axes[1:], "bcd", names, maps, strict=True):
-        force_error_map(learned, true, ax=ax)
+        map_panel(true, learned.force - true.force, ERROR, ax=ax)
         title_panel(ax, f"({letter}) error of {name.removeprefix('kernel-')}")
     one_legend(figure, axes[::-1])
     return figure
@@ -143,10 +151,9 @@ def evaluation(workshop: Workshop) -> Figure:
         edges, errors = error_by_distance(read(folder, "results.npz"))
         look = {"color": styles[name].color, "ls": styles[name].dash, "lw": 1.5}
         above.stairs(errors, edges, label=name, **look)
-        arrays = read(folder, "evaluation.npz")
-        curves[name] = ErrorCurve.from_arrays(arrays, "curve/model/clean starts")
-        physics = "curve/physics-only/clean starts"
-        curves["physics only"] = ErrorCurve.from_arrays(arrays, physics)
+        scored = RunFolder.open(folder).load("evaluation", Evaluation)
+        curves[name] = scored.curves["model"]["clean starts"]
+        curves["physics only"] = scored.curves[BASELINE]["clean starts"]
     above.set(yscale="log")
     above.tick_params(which="both", labelsize=SMALL)
     for distance in (0.35, 1.0):
@@ -184,7 +191,7 @@ def analysis(workshop: Workshop) -> Figure:
     top = largest_near(np.linalg.norm(field.force, axis=-1), field)
     parts = {"(a) gradient": split.gradient, "(b) rotational": split.rotational}
     for ax, (title, part) in zip(axes, parts.items(), strict=False):
-        force_map(field.showing(part), path=path, limit=top, ax=ax)
+        map_panel(field, part, FORCE, limits=(0.0, top), path=path, ax=ax)
         title_panel(ax, f"{title} part")
     assert found.doubt is not None
     trust_map(field, found.doubt.sd, path=path, ax=axes[2])
@@ -224,20 +231,17 @@ def adaptive(workshop: Workshop) -> Figure:
         "--visits",
         "1",
     )
-    arrays = read(workshop.run("vortex", *words), "results.npz")
-    times, step = arrays["moments/time"], float(arrays["step"])
-    course, path = Course(arrays), arrays["path/visit 1/0"]
-    limit = float(np.linalg.norm(arrays["field/true"], axis=-1).max())
+    result = RunFolder(workshop.run("vortex", *words)).load("metrics", OnlineNavigation)
+    shown, course, path = result.shown, result.course, result.paths["visit 1"][0]
+    times, limit = shown.times, greatest_force(shown.maps)
     chosen = np.linspace(1, len(times) - 1, 3).round().astype(int)
     figure = new_figure(WIDTH, 4.2)
     axes = figure.subplots(2, 3)
     for column, k in zip(axes.T, chosen, strict=True):
-        mean, sd = arrays["moments/mean"][k], arrays["moments/sd"][k]
-        nothing = np.zeros(mean.shape[:2])
-        field = FieldMap(arrays["field/x"], arrays["field/y"], mean, nothing)
-        so_far = path[: round(float(times[k]) / step) + 1]
+        field = dataclasses.replace(shown.maps.learned, force=shown.means[k])
+        so_far = path[: round(float(times[k]) / result.step) + 1]
         paths_map(field, course, {"visit 1": [so_far]}, limit=limit, ax=column[0])
-        spread_map(field, sd, course, thrust=1.0, route=so_far, ax=column[1])
+        spread_map(field, shown.sds[k], course, thrust=1.0, route=so_far, ax=column[1])
         title_panel(column[0], f"t = {float(times[k]):.2g}")
         if k != chosen[0]:
             for ax in column:

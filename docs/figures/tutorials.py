@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 
 from pinav.evaluation import FieldMap
 from pinav.figures import force_comparison
-from pinav.figures.analysis import one_legend
-from pinav.figures.force_maps import force_error_map, force_map
+from pinav.figures.maps import ERROR, FORCE, map_panel, one_legend
 from pinav.figures.style import new_figure, title_panel
 
 
@@ -47,10 +46,12 @@ def one_shot(workshop: Workshop) -> Figure:
     axes = np.ravel(figure.subplots(2, 2))
     path = observed_paths(runs / "ude")
     limit = float(np.linalg.norm(true.force, axis=-1).max())
-    force_map(true, path=path, limit=limit, shade=False, ax=axes[0])
-    force_map(learned, path=path, limit=limit, ax=axes[1])
+    shown = {"path": path, "limits": (0.0, limit)}
+    map_panel(true, true.force, FORCE, shade=False, **shown, ax=axes[0])
+    map_panel(learned, learned.force, FORCE, **shown, ax=axes[1])
     for ax, model in zip(axes[2:], (learned, other), strict=True):
-        force_error_map(model, true, limit=limit / 2, ax=ax)
+        error, limits = model.force - true.force, (0.0, limit / 2)
+        map_panel(true, error, ERROR, limits=limits, ax=ax)
     titles = ("true", "network with time", "its error", "error of kernels")
     for ax, letter, title in zip(axes, "abcd", titles, strict=True):
         title_panel(ax, f"({letter}) {title}")

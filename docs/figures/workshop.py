@@ -35,9 +35,9 @@ class Workshop:
         page = ROOT / "docs" / "tutorials" / f"{name}.md"
         return self._make(f"tutorials/{name}", lambda folder: follow(page, folder))
 
-    def run(self, out: str, *words: str) -> Path:
+    def run(self, out: str, *words: str, module: str = "pinav") -> Path:
         """The file or folder `out` of a command, which is made with `--out`."""
-        command = ["-m", "pinav", *words, "--out", out]
+        command = ["-m", module, *words, "--out", out]
         return self._make(out, lambda _: run_python(command, self.folder))
 
     def file(self, name: str, write: Callable[[Path], None]) -> Path:

@@ -7,6 +7,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pinav.analysis import analyse as analyse
+    from pinav.analysis import discover as discover
     from pinav.commands.explore.job import explorer as explorer
     from pinav.commands.export.datatree import datatree_of as datatree_of
     from pinav.commands.fitted_run import FittedRun as FittedRun
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from pinav.errors import FitError as FitError
     from pinav.errors import InputError as InputError
     from pinav.evaluation import estimate_starts as estimate_starts
+    from pinav.evaluation import evaluate as evaluate
     from pinav.evaluation import field_map as field_map
     from pinav.evaluation import predict as predict
     from pinav.evaluation import score as score
@@ -47,12 +50,13 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _PUBLIC = {
+    "analysis": ("analyse", "discover"),
     "commands.explore.job": ("explorer",),
     "commands.export.datatree": ("datatree_of",),
     "commands.fitted_run": ("FittedRun",),
     "dynamics": ("OverdampedSwimmer", "Swimmer", "rollout"),
     "errors": ("FitError", "InputError"),
-    "evaluation": ("estimate_starts", "field_map", "predict", "score"),
+    "evaluation": ("estimate_starts", "evaluate", "field_map", "predict", "score"),
     "fitting": ("fit", "fit_bayes", "fit_langevin", "kernel_environment"),
     "forces": (
         *("AbstractForce", "ConstantForce", "GaussianBarrier", "HarmonicTrap"),

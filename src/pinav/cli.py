@@ -16,14 +16,26 @@ from pinav.numerics import prepare_process
 USAGE_ERROR, INTERRUPTED = 2, 130
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Entry point of the `pinav` command; exits the process."""
+OnStart = Callable[[], None]
+
+
+def main(
+    argv: Sequence[str] | None = None,
+    program: Callable[[Sequence[str], OnStart], int] | None = None,
+) -> None:
+    """Entry point of the `pinav` command; exits the process.
+
+    Args:
+        argv: The words after the name of the program; those of the process unless
+            given.
+        program: Another program, which returns its exit code as `run` does.
+    """
     words = sys.argv[1:] if argv is None else list(argv)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # where a terminal knows ASCII alone
     try:
-        code = run(words, on_start=_interruptible)
+        code = (program or run)(words, _interruptible)
         sys.stdout.flush()
     except BrokenPipeError:  # the reader of a pipe has left, which is its right
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -51,7 +63,7 @@ def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def run(argv: Sequence[str], on_start: Callable[[], None] = lambda: None) -> int:
+def run(argv: Sequence[str], on_start: OnStart = lambda: None) -> int:
     """Run one command and return its exit code.
 
     Args:
@@ -69,22 +81,37 @@ def run(argv: Sequence[str], on_start: Callable[[], None] = lambda: None) -> int
         return _complain(
             f"unknown command {argv[0]!r}{_suggestion(argv[0])}; see pinav --help"
         )
-    _prepare_process(argv)
+    prepare_process(flags=command.compiler_flags)
     from pinav.commands.dispatch import execute
 
+    return exit_code(
+        lambda: execute(command, argv[1:], on_start), again=_again(command, argv)
+    )
+
+
+def exit_code(work: Callable[[], None], *, again: str = "") -> int:
+    """Do a piece of work; say in one line what is wrong with it.
+
+    Args:
+        work: What is done.
+        again: The command that goes on with it; empty where nothing is kept.
+
+    Returns:
+        The exit code of the process.
+    """
     try:
         _check_limits()
-        execute(command, argv[1:], on_start)
+        work()
     except KeyboardInterrupt:
-        return _complain(_how_to_go_on(command, argv), code=INTERRUPTED)
+        return _complain(_how_to_go_on(again), code=INTERRUPTED)
     except Exception as error:
         if SIGNALLED.is_set():
-            return _complain(_how_to_go_on(command, argv), code=INTERRUPTED)
-        return _complain_of(error, command)
+            return _complain(_how_to_go_on(again), code=INTERRUPTED)
+        return _complain_of(error, resumable=bool(again))
     return 0
 
 
-def _complain_of(error: Exception, command: Command) -> int:
+def _complain_of(error: Exception, *, resumable: bool) -> int:
     """Say what is wrong in one line; raise an error of our own."""
     from pinav.errors import FitError, InputError
 
@@ -96,7 +123,7 @@ def _complain_of(error: Exception, command: Command) -> int:
         case BrokenPipeError():
             raise error
         case OSError():
-            return _complain(_about_files(command, error))
+            return _complain(_about_files(error, resumable=resumable))
         case MemoryError():
             line = f"not enough memory: {error}; give less data at once"
             return _complain(line, code=1)
@@ -105,9 +132,9 @@ def _complain_of(error: Exception, command: Command) -> int:
     raise error
 
 
-def _about_files(command: Command, error: OSError) -> str:
+def _about_files(error: OSError, *, resumable: bool) -> str:
     place = f"{error.filename}: " if error.filename else ""
-    advice = "then continue with --resume" if command.resumable else "then repeat it"
+    advice = "then continue with --resume" if resumable else "then repeat it"
     reason = error.strerror or error
     return f"{place}{reason}; free the place or change the path, {advice}"
 
@@ -141,16 +168,6 @@ def command_named(name: str) -> Command | None:
     return next((command for command in COMMANDS if command.name == name), None)
 
 
-def _prepare_process(argv: Sequence[str]) -> None:
-    """Set what must stand before numerical libraries are imported."""
-    # The second word counts too, because a benchmark may bear the name of a command.
-    commands = [command for word in argv[:2] if (command := command_named(word))]
-    prepare_process(
-        flags=all(command.compiler_flags for command in commands),
-        cache=commands[0].compilation_cache,
-    )
-
-
 def overview() -> str:
     """What `pinav --help` prints."""
     width = max(len(command.name) for command in COMMANDS)
@@ -177,14 +194,20 @@ def _suggestion(word: str) -> str:
     return f" (did you mean {close[0]}?)" if close else ""
 
 
-def _how_to_go_on(command: Command, argv: Sequence[str]) -> str:
+def _again(command: Command, argv: Sequence[str]) -> str:
+    """The command line that continues a run; empty where it cannot be continued."""
     if not command.resumable:
-        return "interrupted"
+        return ""
     import shlex
 
     words = [word for word in argv if word not in ("--overwrite", "--resume")]
-    line = shlex.join(["pinav", *words, "--resume"])
-    return f"interrupted; what was done is saved; continue with: {line}"
+    return shlex.join(["pinav", *words, "--resume"])
+
+
+def _how_to_go_on(again: str) -> str:
+    if not again:
+        return "interrupted"
+    return f"interrupted; what was done is saved; continue with: {again}"
 
 
 WORDS_OF_THE_LIBRARY = (

@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from pinav.commands.data_file import with_all_channels
 from pinav.commands.export.spots import exact_forces, learned_force
 from pinav.commands.fit import FIT
 from pinav.commands.fit.job import fit as fit_into
@@ -22,7 +21,7 @@ from pinav.commands.system_choice import choose_system
 from pinav.errors import InputError
 from pinav.evaluation import estimate_starts, predict, without_first
 from pinav.systems import System
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, with_all_channels
 
 try:
     from sklearn.base import BaseEstimator

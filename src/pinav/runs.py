@@ -288,7 +288,7 @@ class RunFolder:
         self.write_json(f"{name}.json", Stored(FORMAT, kind, document, digest))
 
     def load(self, name: str, wanted: type[Result]) -> Result:
-        """Read what `store` wrote: a result of the class, or of its family.
+        """Read what `store` wrote, a value of a class or of a family of classes.
 
         Raises:
             InputError: a file is missing, damaged or of another result.

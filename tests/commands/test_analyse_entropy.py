@@ -5,7 +5,7 @@ import pytest
 
 from pinav import cli
 from pinav.analysis import EntropyProduction
-from pinav.commands.analyse.job import produce_entropy
+from pinav.analysis.effects import produce_entropy
 from pinav.commands.analyse.sections import entropy_sentence
 from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.analysis import LyapunovMap, helmholtz_split
-from pinav.commands.analyse import rollouts
-from pinav.commands.analyse.result import Analysis
+from pinav.analysis import Analysis, LyapunovMap, effects, helmholtz_split
 from pinav.commands.analyse.sections import growth_sentence, rotation_sentence
 from pinav.commands.analyse.settings import AnalyseSettings
 from pinav.errors import InputError
@@ -25,7 +23,7 @@ SMALL = ["--points", "21", "--draws", "4", "--samples", "8"]
 @pytest.fixture(autouse=True, scope="module")
 def few_starts():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rollouts, "LYAPUNOV_POINTS", 5)
+        patch.setattr(effects, "LYAPUNOV_POINTS", 5)
         yield
 
 
@@ -114,7 +112,9 @@ def analysis(units, separation=2.0):
     growth = LyapunovMap(axis, axis, np.full((9, 9), separation), grid, 10.23)
     return Analysis(
         model="kernel-force",
-        settings=AnalyseSettings(),
+        reference=0,
+        relative=0.1,
+        shift=0.1,
         units=units,
         paths=(grid[0],),
         field=field,

@@ -1,30 +1,20 @@
 """Baselines in the tables, and runs whose kernels were refined."""
 
-import importlib.util
-
 import jax
 import msgspec
 import numpy as np
 import pytest
 
-from pinav.commands.evaluate.job import evaluate
 from pinav.commands.fit.metrics import FitMetrics
 from pinav.commands.fit.remarks import REMARKS
-from pinav.commands.fitted_run import ModelHeader, build_model
-from pinav.commands.study.job import study
-from pinav.commands.study.settings import StudySettings
-from pinav.commands.study.stochastic_force_inference import infer_force
-from pinav.commands.sweep import Sweep
-from pinav.errors import FitError
-from pinav.evaluation import field_map, force_errors
+from pinav.commands.fitted_run import FittedRun, ModelHeader, build_model
+from pinav.evaluation import evaluate
 from pinav.fitting import Refinement
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.summary import summarise_for
-from pinav.runs import RunFolder
 from pinav.scenarios import scenario
-from pinav.sweeps import InThisProcess
-from pinav.trajectories import simulate
+from pinav.trajectories import load, simulate
 
 MODELS = ("kernel-potential", "kernel-force", "kernel-mixture", "kernel-potential-time")
 
@@ -67,54 +57,9 @@ def test_a_coarse_fit_says_so():
 def test_an_evaluation_has_physics_alone_beside_its_models(tiny_fit):
     run, data = tiny_fit
     with jax.numpy_dtype_promotion("standard"):
-        metrics = evaluate(run, data)
-    assert metrics.force is not None
-    for table in (metrics.rmse, metrics.rollouts, metrics.force):
+        scores = evaluate(FittedRun.open(run), load(data))
+    for table in (scores.rmse, scores.rollouts, scores.force):
         assert list(table) == ["model", "physics-only"]
-    for region in metrics.force["physics-only"].values():
+    for region in scores.force["physics-only"].values():
         assert region.error == pytest.approx(1.0)
-        assert region.cosine is None
-
-
-def without_sfi(monkeypatch):
-    find = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda n, *a: None if n == "SFI" else find(n, *a)
-    )
-
-
-def test_a_study_says_why_another_tool_has_no_row(monkeypatch, tmp_path):
-    without_sfi(monkeypatch)
-    folder = RunFolder.create(
-        tmp_path / "run", {"run": {"command": "study"}}, overwrite=False
-    )
-    settings = StudySettings(models=("sfi",), counts=(1,), held_out=2)
-    sweep = Sweep(folder, InThisProcess())
-    (row,) = study("data-efficiency", "barrier-crossings", settings, sweep).rows
-    assert row.outcome == (
-        "failed: StochasticForceInference is not installed; pip install 'pinav[peers]'"
-    )
-    assert row.rollouts_median is None
-
-
-def test_another_tool_that_is_not_installed_is_named(monkeypatch, crossings):
-    without_sfi(monkeypatch)
-    with pytest.raises(FitError, match="StochasticForceInference is not installed"):
-        infer_force(crossings[0].swimmer, crossings[1], 0.02)
-
-
-@pytest.mark.slow
-@pytest.mark.extras("SFI")
-@pytest.mark.filterwarnings("default")  # of the other tool
-def test_another_tool_finds_the_force_of_crossings(crossings):
-    truth, data = crossings
-    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        inferred = infer_force(truth.swimmer, data, 0.02)
-        true = field_map(truth.environment, data)
-        error = force_errors(field_map(inferred.environment, data), true)
-    assert error["visited"] < 0.6
-
-
-def test_another_tool_is_asked_for_swimmers_with_inertia(crossings):
-    with pytest.raises(FitError, match="asked for swimmers with inertia"):
-        infer_force(scenario("brownian").swimmer, crossings[1], 0.02)
+        assert np.isnan(region.cosine)

@@ -19,22 +19,24 @@ from benchmarks.fit.contestants import Effort
 from benchmarks.fit.table import Measurement
 from tests.commands.test_heat import small
 from tests.commands.test_interruptions import one_line
-from tests.commands.test_truth import trap_folder
 from tests.damage import damage
 from tests.fitted_runs import SHORT, STUDY, blank_figures
 from tests.live.sessions import HELLO, frame_line
+from tests.validation.test_truth import trap_folder
+from validation.truth import __main__ as truth
+from validation.truth import job as truth_job
 
+from benchmarks import __main__ as benchmarks
 from pinav import cli
+from pinav.analysis import analysis
+from pinav.analysis.discovery import discovery
 from pinav.commands import report_page
-from pinav.commands.analyse import job as analyse_job
-from pinav.commands.discover import job as discover_job
-from pinav.commands.evaluate import job as evaluate_job
 from pinav.commands.explore import job as explore_job
 from pinav.commands.heat import job as heat_job
 from pinav.commands.navigate import job as navigate_job
 from pinav.commands.reproduce import job as reproduce_job
-from pinav.commands.truth import job as truth_job
 from pinav.errors import FitError
+from pinav.evaluation import evaluation
 from pinav.live.messages import encode
 from pinav.thermal.setup import Setup
 
@@ -53,10 +55,10 @@ def stop(*args, **options):
 
 
 STAGES = (
-    (evaluate_job, "clean_trajectories"),
-    (analyse_job, "helmholtz_split"),
-    (discover_job, "discover_law"),
-    (navigate_job, "controller_of"),
+    (evaluation, "clean_trajectories"),
+    (analysis, "helmholtz_split"),
+    (discovery, "discover_law"),
+    (navigate_job, "navigate"),
     (reproduce_job, "matching"),
     (reproduce_job, "predict"),
     (truth_job, "judge_trap"),
@@ -188,13 +190,17 @@ SUBJECTS: dict[str, Subject] = {
     ),
     "bench": Subject(
         measured,
-        (("bench", "fit", "--out", "out", "--only", "ude", "--seeds", "0", "1"),),
+        (("benchmarks", "fit", "--out", "out", "--only", "ude", "--seeds", "0", "1"),),
     ),
     "simulate": Subject(
         systems,
         tuple(("simulate", f.name, "--out", "out.csv") for f in SYSTEMS.glob("*.toml")),
     ),
 }
+
+
+PROGRAMS = {"benchmarks": benchmarks.run, "truth": truth.run}
+"""What runs the commands that are no words of `pinav`."""
 
 
 def contents(folder: Path) -> dict[Path, bytes]:
@@ -208,7 +214,8 @@ def refusal(argv, capsys):
         for owner, name in STAGES:
             patch.setattr(owner, name, stop)
         with blank_figures():
-            code = cli.run(argv)
+            program = PROGRAMS.get(argv[0])
+            code = program(argv[1:]) if program else cli.run(argv)
     return code, capsys.readouterr().err
 
 

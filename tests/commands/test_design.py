@@ -1,18 +1,28 @@
 """`pinav design`: refusals, words, and runs from end to end."""
 
 import csv
+import dataclasses
 import json
 
 import jax
-import msgspec
 import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.design.metrics import DesignMetrics, DesignRow, NextRow
+from pinav.codec import decode, encode
+from pinav.commands.design.sections import sections
+from pinav.evaluation import FieldMap
+from pinav.navigation import Course, ForceMaps
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.motion import OverdampedMotion
 from pinav.navigation.design.campaign import Campaign, Decision
+from pinav.navigation.design.result import (
+    CampaignSummary,
+    DesignResult,
+    NextTrajectory,
+    Recorded,
+)
+from pinav.report.text import sections_text
 
 PLACES = ("--from=1,1", "--to=9,9")
 
@@ -69,49 +79,54 @@ def campaign(bounds, errors, accuracy=0.1):
     return Campaign(accuracy, paths, decisions, belief)
 
 
-def test_a_row_counts_trajectories_and_what_was_right():
+def test_a_summary_counts_trajectories_and_what_was_right():
     right = campaign([1.0, 0.3, 0.09], [1.0, 0.08, 0.05])
     wrong = campaign([1.0, 0.5, 0.2, 0.09], [1.0, 0.4, 0.3, 0.2])
     given_up = campaign([1.0, 0.9, 0.8, 0.7, 0.6], [1.0, 0.9, 0.8, 0.7, 0.6])
-    row = DesignRow.of_campaigns([right, wrong, given_up])
+    row = CampaignSummary.of([right, wrong, given_up])
     assert (row.campaigns, row.finished, row.right) == (3, 2, 1)
     assert (row.fewest, row.trajectories, row.largest) == (2, 3, 4)
-    assert row.reached is None
+    assert row.reached == np.inf
     assert row.error == pytest.approx(0.2)
-    assert DesignRow.of_campaigns([right]).reached == 1
+    assert CampaignSummary.of([right]).reached == 1
+
+
+def words(**parts):
+    field = FieldMap(*np.eye(2), np.zeros((2, 2, 2)), np.zeros((2, 2)))
+    result = DesignResult(
+        system="mine",
+        accuracy=0.1,
+        course=Course(np.eye(2), np.zeros(2), np.ones(2), 0.3, np.zeros((0, 3))),
+        maps=ForceMaps(field, sd=np.zeros((2, 2, 2))),
+        way=np.zeros((3, 2)),
+        thrust=1.0,
+        paths={},
+        **parts,
+    )
+    again = decode(DesignResult, *encode(result))
+    return sections_text(sections(again))
 
 
 def test_the_words_compare_designs():
-    done = DesignRow(4, 4, 6.0, 5, 8, 5.0, 4, 0.08)
-    slow = DesignRow(4, 4, 15.0, 12, 18, 14.0, 4, 0.09)
-    lost = DesignRow(4, 1, None, 20, 24, None, 1, 0.4)
-    rows = {"informed": done, "grid": slow, "random": lost}
-    words = DesignMetrics("mine", 0.1, rows).text()
-    assert "took 40 % of the trajectories of the grid one" in words
-    assert "Most random campaigns were given up." in words
+    done = CampaignSummary(4, 4, 6.0, 5, 8, 5.0, 4, 0.08)
+    slow = CampaignSummary(4, 4, 15.0, 12, 18, 14.0, 4, 0.09)
+    lost = CampaignSummary(4, 1, np.inf, 20, 24, np.inf, 1, 0.4)
+    found = words(designs={"informed": done, "grid": slow, "random": lost})
+    assert "took 40 % of the trajectories of the grid one" in found
+    assert "Most random campaigns were given up." in found
 
 
 def test_the_words_say_what_to_record_next():
-    row = NextRow(
-        trajectories=8,
-        arrives=True,
-        error=0.3,
-        certain=False,
-        sd=0.1,
-        sd_after=0.06,
-        start=(1.0, 2.0),
-    )
-    words = DesignMetrics("mine", 0.1, next=row).text()
-    assert "known to 30 % with a probability of 95 %. Record next" in words
-    assert "released at (1, 2)" in words
-    done = msgspec.structs.replace(row, error=0.08, certain=True)
-    assert (
-        "nothing further need be recorded"
-        in DesignMetrics("mine", 0.1, next=done).text()
-    )
-    lost = msgspec.structs.replace(row, arrives=False, start=None)
-    assert "no plan reaches the goal" in DesignMetrics("mine", 0.1, next=lost).text()
-    assert "no candidate trajectory" in DesignMetrics("mine", 0.1, next=lost).text()
+    left = Recorded(trajectories=8, arrives=True, error=0.3, certain=False, sd=0.1)
+    advice = NextTrajectory(0.06, (1.0, 2.0), *np.zeros((3, 2)))
+    found = words(recorded=left, next=advice)
+    assert "known to 30 % with a probability of 95 %. Record next" in found
+    assert "released at (1, 2)" in found
+    done = dataclasses.replace(left, error=0.08, certain=True)
+    assert "nothing further need be recorded" in words(recorded=done, next=advice)
+    lost = words(recorded=dataclasses.replace(left, arrives=False))
+    assert "no plan reaches the goal" in lost
+    assert "no candidate trajectory" in lost
 
 
 @pytest.mark.slow

@@ -2,23 +2,22 @@ import csv
 
 import equinox as eqx
 import jax
-import msgspec
 import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.evaluate.job import evaluate
-from pinav.commands.evaluate.metrics import EvaluationMetrics
-from pinav.commands.evaluate.setting import true_system
-from pinav.commands.evaluate.tables import tables
-from pinav.commands.held_out import held_out
+from pinav.commands.evaluate import EVALUATE
+from pinav.commands.evaluate.sections import error_name, purpose, sections
+from pinav.commands.fitted_run import FittedRun
+from pinav.commands.results import sections_of
 from pinav.errors import InputError
-from pinav.evaluation import Regions
+from pinav.evaluation import Evaluation, Regions, evaluate, held_out
+from pinav.evaluation.setting import true_system
 from pinav.report import Table
-from pinav.report.text import as_text
+from pinav.report.text import as_text, sections_text
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings, scenario
-from pinav.trajectories import Trajectories, save, simulate
+from pinav.trajectories import Trajectories, load, save, simulate
 
 pytestmark = pytest.mark.slow
 
@@ -58,12 +57,12 @@ def judged(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def metrics(judged):
-    return RunFolder.open(judged).read_json("evaluation.json")
+    return RunFolder.open(judged).read_json("evaluation.json")["value"]
 
 
 @pytest.mark.slow
 def test_noisy_positions_get_estimated_starts(metrics):
-    assert metrics["starts"].startswith("estimated from the first 20 samples")
+    assert metrics["has_estimated_starts"]
     row = metrics["rmse"]["model"]
     assert "vx" not in row
     assert 0.015 < row["position"] < 0.2
@@ -90,7 +89,7 @@ def test_the_force_is_judged_by_region(metrics):
     assert force["visited"]["cosine"] > 0.99
     near, far = force["near"]["points"], force["unvisited"]["points"]
     assert near + far == force["everywhere"]["points"]
-    assert "within 0.35 of an observed position" in metrics["regions"]
+    assert metrics["regions"] == {"visited": 0.35, "near": 1.0}
 
 
 @pytest.mark.slow
@@ -104,9 +103,9 @@ def test_bands_residuals_and_constants_are_judged(metrics):
     assert coverage["observations of the data"]["visited"] > 0.85
     assert coverage["force"]["visited"] > 0.7
     white = metrics["whiteness"]
-    assert white.keys() == {"x", "y", "vx", "vy"}
-    assert white["x"]["residuals"] == 4 * 51
-    assert all(row["p_value"] > 1e-4 for row in white.values())
+    assert white["channels"] == ["x", "y", "vx", "vy"]
+    assert white["counts"][0] == 4 * 51
+    assert min(white["p_value"]) > 1e-4
     (damping,) = metrics["constants"]
     assert (damping["name"], damping["true"]) == ("damping", 0.36)
     expected = (damping["value"] - 0.36) / damping["sd"]
@@ -118,7 +117,8 @@ def test_bands_residuals_and_constants_are_judged(metrics):
 def test_four_trajectories_are_too_few_for_a_conformal_band(metrics):
     found = metrics["calibration"]
     assert "4 calibration trajectories are too few" in found["says"]
-    assert (found["count"], found["covered"]) == (4, 1.0)
+    assert (found["band"]["count"], found["covered"]) == (4, 1.0)
+    assert found["data"] == "calibration.npz"
 
 
 @pytest.mark.slow
@@ -137,9 +137,10 @@ def test_the_report_and_the_table_hold_the_evaluation(judged, metrics):
         stored = dict(csv.reader(file))
     error = metrics["force"]["model"]["visited"]["error"]
     assert float(stored["force/model/visited/error"]) == error
-    assert "relative L2 error (%)" in "\n".join(
-        as_text(t) for t in tables(msgspec.convert(metrics, EvaluationMetrics))
-    )
+    said = sections_text(sections_of(EVALUATE, RunFolder.open(judged)))
+    assert "relative L2 error (%)" in said
+    assert "estimated from the first 20 samples" in said
+    assert "within 0.35 of an observed position" in said
 
 
 def test_a_fit_from_its_own_starts_says_so(tiny_fit, capsys):
@@ -149,7 +150,7 @@ def test_a_fit_from_its_own_starts_says_so(tiny_fit, capsys):
     out = capsys.readouterr().out
     assert "starts: the first sample of each trajectory" in out
     assert "Visited: within 1 of an observed position" in out
-    stored = RunFolder.open(run).read_json("evaluation.json")
+    stored = RunFolder.open(run).read_json("evaluation.json")["value"]
     assert stored["constants"][0]["sd"] is None
     assert stored["constants"][0]["z"] is None
     assert "coverage" not in stored
@@ -159,10 +160,11 @@ def test_a_fit_from_its_own_starts_says_so(tiny_fit, capsys):
 def test_data_of_other_channels_are_refused(judged, tmp_path):
     path = tmp_path / "other.csv"
     path.write_text("t,x\n0,0\n1,1\n")
+    fit = FittedRun.open(judged)
     with pytest.raises(InputError, match="expected the channels x, y, vx, vy of the"):
-        evaluate(judged, path)
+        evaluate(fit, load(path))
     with pytest.raises(InputError, match="expected 0 < visited < near"):
-        evaluate(judged, path, regions=Regions(2.0, 1.0))
+        evaluate(fit, fit.data, regions=Regions(2.0, 1.0))
 
 
 def test_data_of_a_system_with_another_state_are_refused():
@@ -192,30 +194,32 @@ def test_a_table_is_aligned_on_a_terminal():
     ]
 
 
-def metrics_of(seen, trajectories=4):
-    return EvaluationMetrics(
+def evaluation_of(seen, trajectories=4):
+    return Evaluation(
         data="data.npz",
         trajectories=trajectories,
-        starts="the first sample of each trajectory",
-        regions="visited: within 1",
+        has_estimated_starts=False,
+        regions=Regions(),
         domain=3.0,
         horizon=2.0,
         rmse={"model": {"x": 0.1}},
         rollouts={"model": {"data": {}}},
+        curves={"model": {"data": {}}},
         force={},
         num_training=seen,
+        units={},
     )
 
 
 def test_training_data_are_called_so():
-    held, trained, mixed = metrics_of(0), metrics_of(4), metrics_of(1)
-    assert held.error_name == "held-out error"
-    assert "none of those that it was fitted to" in held.purpose
-    assert trained.error_name == "training error"
-    assert "These are the training data" in trained.purpose
-    assert "Of the 4 trajectories the run was fitted to 1" in mixed.purpose
-    assert mixed.error_name == "error, in part on training data"
-    assert "training error" in as_text(tables(trained)[0])
+    held, trained, mixed = evaluation_of(0), evaluation_of(4), evaluation_of(1)
+    assert error_name(held) == "held-out error"
+    assert "none of those that it was fitted to" in purpose(held)
+    assert error_name(trained) == "training error"
+    assert "These are the training data" in purpose(trained)
+    assert "Of the 4 trajectories the run was fitted to 1" in purpose(mixed)
+    assert error_name(mixed) == "error, in part on training data"
+    assert "training error" in sections_text(sections(trained))
 
 
 def test_evaluating_the_file_that_was_fitted_is_a_training_error(tiny_fit, capsys):

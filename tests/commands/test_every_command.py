@@ -7,16 +7,14 @@ from pathlib import Path
 import jax
 import pytest
 from tests.commands.test_heat import small
-from tests.commands.test_truth import trap_folder
 from tests.fitted_runs import blank_figures
 
 from pinav import analysis, cli
-from pinav.analysis.discovery import screening
+from pinav.analysis import effects
+from pinav.analysis.discovery import discovery, screening
 from pinav.analysis.discovery.potentials import POTENTIALS
 from pinav.analysis.discovery.rotations import ROTATIONS
 from pinav.commands import COMMANDS
-from pinav.commands.analyse import rollouts
-from pinav.commands.discover import job as discover_job
 from pinav.runs import RunFolder
 
 NARROW = ("--thrust", "1", "--time-limit", "8", "--step", "0.5", "--seeds", "1")
@@ -48,7 +46,6 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
     "discover": lambda f: (f.run("kernel"), "--refits", "1"),
     "study": lambda f: ("noise", "--models", "physics-only", "--count", "1", *f.out),
     "data": lambda f: ("list",),
-    "truth": lambda f: (str(trap_folder(f.path)), *f.out),
     "heat": lambda f: ("simulate", str(small("tumour", f.path)), *f.out),
     "navigate": lambda f: (
         *(f.run("kernel"), "--from", "1,1", "--to", "2,2", *NARROW, *f.out),
@@ -73,14 +70,13 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
         *(f.run("kernel"), "--to", "napari", "--out", str(f.path / "tracks.csv")),
     ),
     "report": lambda f: (f.run("network"),),
-    "bench": lambda f: ("gradient", "--help"),
 }
 
 
 SHARED = {"reproduce": "reproduced", "identify": "identified", "fit": "kernel"}
 """Commands whose runs are made once for all tests, and those runs."""
 
-SLOW = {"design", "navigate", "truth"}  # they compile for more than ten seconds
+SLOW = {"design", "navigate"}  # they compile for more than ten seconds
 
 
 def cases():
@@ -91,10 +87,12 @@ def cases():
 @pytest.fixture(autouse=True)
 def little_work(monkeypatch):
     """Few laws, few starts of a map, blank figures: other tests have them all."""
-    few = functools.partial(analysis.discover, laws=(*POTENTIALS[:2], *ROTATIONS[:1]))
-    monkeypatch.setattr(discover_job, "discover_law", few)
+    few = functools.partial(
+        analysis.discover_law, laws=(*POTENTIALS[:2], *ROTATIONS[:1])
+    )
+    monkeypatch.setattr(discovery, "discover_law", few)
     monkeypatch.setattr(screening, "MOST_TERMS", 1)
-    monkeypatch.setattr(rollouts, "LYAPUNOV_POINTS", 5)
+    monkeypatch.setattr(effects, "LYAPUNOV_POINTS", 5)
     with blank_figures():
         yield
 

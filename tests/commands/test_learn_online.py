@@ -5,23 +5,31 @@ import json
 
 import jax
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 import pytest
 
 from pinav import cli
+from pinav.codec import encode
 from pinav.commands.fitted_run import FittedRun
-from pinav.commands.navigate.online import (
-    STRATEGIES,
-    OnlineMetrics,
-    online_task,
-    with_prior,
-)
-from pinav.commands.navigate.online_tables import text
+from pinav.commands.navigate.online import online_task, with_prior
+from pinav.commands.navigate.online_sections import online_sections
 from pinav.dynamics import paper_black_box
 from pinav.errors import InputError
-from pinav.navigation.adaptive.steering import Adaptive
+from pinav.evaluation import FieldMap
+from pinav.navigation import (
+    AbstractNavigation,
+    AdaptiveController,
+    Course,
+    ForceMaps,
+    Interval,
+    OnlineNavigation,
+    Outcome,
+    Quantiles,
+)
+from pinav.navigation.adaptive.swimmer import ShownFlight
 from pinav.navigation.belief.belief import Frame
+from pinav.report.text import sections_text
+from pinav.runs import RunFolder
 from pinav.systems import Units
 
 REFUSALS = {
@@ -82,57 +90,74 @@ def test_what_makes_no_sense_is_refused(words, message, tmp_path, capsys):
     assert not out.exists()
 
 
+SHARE = Interval(1.0, 0.8, 1.0)
+KNOWING = Outcome(
+    runs=20,
+    success=SHARE,
+    in_time=SHARE,
+    violation=Interval(0.0, 0.0, 0.2),
+    arrival=Quantiles(5.0, 5.5, 6.0),
+    regret=None,
+    clearance=0.4,
+    force_error=None,
+    cover=None,
+    consistency=1.1,
+    changed=0.0,
+    frame_time=0.002,
+    command_time=0.004,
+    replan_time=0.05,
+    memory=1e6,
+)
+LEARNING = dataclasses.replace(
+    KNOWING,
+    regret=Interval(1.14, 1.1, np.inf),
+    force_error=0.05,
+    cover=0.95,
+    changed=3.0,
+)
+
+
+def found(units):
+    field = FieldMap(*np.eye(2), np.zeros((2, 2, 2)), np.zeros((2, 2)))
+    maps = ForceMaps(field, field, np.zeros((2, 2, 2)))
+    along, over = np.zeros((3, 2)), np.zeros((1, 2, 2, 2))
+    return OnlineNavigation(
+        task="vortex",
+        position_noise=0.02,
+        delay=0.0,
+        time_limit=30.0,
+        own_limit=30.0,
+        thrust=1.0,
+        step=0.1,
+        prior=False,
+        units=units,
+        course=Course(np.eye(2), np.zeros(2), np.ones(2), 0.3, np.zeros((0, 3))),
+        controllers={"oracle": KNOWING, "visit 1": LEARNING},
+        paths={"oracle": (along,), "visit 1": (along,)},
+        shown=ShownFlight(maps, along, along, along, np.zeros(1), over, over),
+    )
+
+
 def test_the_words_name_what_was_known_and_what_it_took():
-    share = {"value": 1.0, "lower": 0.8, "upper": 1.0}
-    oracle = {
-        "runs": 20,
-        "success": share,
-        "in_time": share,
-        "violation": {"value": 0.0, "lower": 0.0, "upper": 0.2},
-        "arrival": {"low": 5.0, "median": 5.5, "high": 6.0},
-        "regret": None,
-        "clearance": 0.4,
-        "force_error": None,
-        "cover": None,
-        "consistency": 1.1,
-        "changed": 0.0,
-        "frame_time": 0.002,
-        "command_time": 0.004,
-        "replan_time": 0.05,
-        "memory": 1e6,
-    }
-    learned = oracle | {
-        "regret": {"value": 1.14, "lower": 1.1, "upper": None},
-        "force_error": 0.05,
-        "cover": 0.95,
-        "changed": 3.0,
-    }
-    metrics = {
-        "task": "vortex",
-        "strategy": "certain",
-        "position_noise": 0.02,
-        "delay": 0.0,
-        "time_limit": 30.0,
-        "own_limit": 30.0,
-        "thrust": 1.0,
-        "controllers": {"oracle": oracle, "visit 1": learned},
-    }
-    words = text(msgspec.convert(metrics, OnlineMetrics))
+    words = sections_text(online_sections(found({})))
     assert "1.140 (1.100–∞)" in words
     assert "nothing is known of the force beforehand" in words
     assert "The safety filter changed 3 commands in a flight." in words
     assert "takes 1 MB" in words
     assert "after 30.0; the task's own limit is 30.0." in words
-    stated = {"units": {"x": "um", "y": "um", "t": "s", "order": "1"}}
-    words = text(msgspec.convert(metrics | stated, OnlineMetrics))
+    stated = {"x": "um", "y": "um", "t": "s", "order": "1"}
+    words = sections_text(online_sections(found(stated)))
     assert "arrival [s]" in words
     assert "least clearance [µm]" in words
     assert "an error of 0.0200 um" in words
     assert "after 30.0 s; the task's own limit is 30.0 s." in words
 
 
-def test_every_strategy_has_a_name():
-    assert list(STRATEGIES) == ["certain", "averse", "curious", "doubted", "sampled"]
+def test_flights_come_back_from_their_files(tmp_path):
+    folder = RunFolder(tmp_path)
+    folder.store("metrics", found({"x": "um"}))
+    again = folder.load("metrics", AbstractNavigation)
+    assert encode(again).document == encode(found({"x": "um"})).document
 
 
 @pytest.mark.slow
@@ -203,7 +228,9 @@ def test_a_system_of_the_users_own_is_learned_with_what_it_knows(tmp_path, capsy
 
 
 def adaptive_of(name):
-    return Adaptive.of(online_task(name, position_noise=0.02, delay=0.0), points=13)
+    return AdaptiveController.of(
+        online_task(name, position_noise=0.02, delay=0.0), points=13
+    )
 
 
 def test_a_fit_is_taken_over_with_its_posterior(fitted_run):

@@ -1,26 +1,27 @@
 """`pinav navigate`: its settings, its words, and a run from end to end."""
 
+import dataclasses
 import json
 
 import jax
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 import pytest
 
 from pinav import cli
 from pinav.actuation import AbstractProgramme, RollingActuator, SaturatingResponse
+from pinav.codec import encode
 from pinav.commands.fitted_run import FittedRun
-from pinav.commands.navigate.job import navigate
-from pinav.commands.navigate.metrics import NavigationMetrics
-from pinav.commands.navigate.report import navigation_sections
+from pinav.commands.navigate import NAVIGATE
+from pinav.commands.navigate.sections import controller_table, sentences
 from pinav.commands.navigate.settings import NavigateSettings
 from pinav.commands.navigate.setup import navigation_problem
-from pinav.commands.navigate.tables import text
 from pinav.commands.places import numbers
+from pinav.commands.results import keep, sections_of
 from pinav.commands.steering import system_task
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
+from pinav.figures.images import Figures
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.forces import (
     AbstractCommandedForce,
@@ -30,6 +31,18 @@ from pinav.forces import (
     WallMobility,
     ZeroForce,
 )
+from pinav.navigation import (
+    AbstractNavigation,
+    Course,
+    Interval,
+    Navigation,
+    Quantiles,
+    Suggestion,
+    Summary,
+    navigate,
+)
+from pinav.navigation.result import ComputingTimes, PlannedWay
+from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories
@@ -66,44 +79,68 @@ def test_settings_without_sense_are_refused(change, message):
 
 
 def share(value):
-    return {"value": value, "lower": max(value - 0.1, 0), "upper": min(value + 0.1, 1)}
+    return Interval(value, max(value - 0.1, 0), min(value + 0.1, 1))
+
+
+ROW = Summary(
+    runs=20,
+    success=share(0.95),
+    violation=share(0.05),
+    arrival=Quantiles(5.0, 6.0, 7.0),
+    efficiency=0.9,
+    tracking=np.nan,
+    tracking_rms=np.nan,
+    clearance=0.4,
+    effort=3.0,
+    turning=2.0,
+)
+FOUND = Navigation(
+    truth="barrier-crossings",
+    plan=PlannedWay(5.5, 5.6, 0.25, np.zeros((2, 2)), np.zeros((3, 3))),
+    controllers={"learned": ROW, "physics only": ROW},
+    regret={"learned": Interval(1.02, 1.0, np.inf)},
+    refused={"oracle": "goal: expected a place that can be reached"},
+    computing=ComputingTimes(2.0, 0.003),
+    units={},
+    thrust=1.0,
+    delay=0.0,
+    step=0.1,
+    course=Course(np.eye(2), np.zeros(2), np.ones(2), 0.3, np.zeros((0, 3))),
+    episodes={},
+    suggestion=Suggestion(
+        0.3, 0.1, 0.2, (1.0, 2.0), 5.0, *np.zeros((3, 2)), np.zeros((4, 2))
+    ),
+)
+
+
+def words(**changes):
+    return " ".join(sentences(dataclasses.replace(FOUND, **changes)))
 
 
 def test_the_words_name_truth_regret_and_suggestion():
-    row = {
-        "runs": 20,
-        "success": share(0.95),
-        "violation": share(0.05),
-        "arrival": {"low": 5.0, "median": 6.0, "high": 7.0},
-        "efficiency": 0.9,
-        "clearance": 0.4,
-    }
-    metrics = {
-        "truth": "barrier-crossings",
-        "plan": {"time": 5.5, "route_time": 5.6, "unreachable": 0.25},
-        "controllers": {"learned": row, "physics only": row},
-        "regret": {"learned": {"value": 1.02, "lower": 1.0, "upper": None}},
-        "refused": {"oracle": "goal: expected a place that can be reached"},
-        "step": {"first": 2.0, "median": 0.003},
-        "suggestion": {"sd": 0.3, "sd_after": 0.1, "sd_after_random": 0.2},
-    }
-    found = text(msgspec.convert(metrics, NavigationMetrics))
+    found = words()
     assert "from 25 % of the arena the goal cannot be reached in time." in found
-    whole = metrics | {"plan": metrics["plan"] | {"unreachable": 0.0}}
-    reached = text(msgspec.convert(whole, NavigationMetrics))
-    assert "from everywhere in the arena the goal can be reached in time." in reached
-    assert "95 % (85–100)" in found
-    assert "1.020 (1.000–∞)" in found
+    whole = words(plan=dataclasses.replace(FOUND.plan, unreachable=0.0))
+    assert "from everywhere in the arena the goal can be reached in time." in whole
     assert "the true environment of barrier-crossings (synthetic)" in found
     assert "from 0.30 to 0.10, a random one to 0.20." in found
     assert "No run with the model oracle: goal: expected a place" in found
-    known = metrics | {"units": {"x": "um", "t": "s"}, "order": 1, "delay": 0.1}
-    stated = text(msgspec.convert(known, NavigationMetrics))
+    stated = words(units={"x": "um", "t": "s", "order": "1"}, delay=0.1)
     assert "The plan takes 5.50 s from rest" in stated
     assert "Commands act after 0.100 s." in stated
     assert "from 0.30 um s⁻¹ to 0.10 um s⁻¹, a random one to 0.20 um s⁻¹." in stated
-    unknown = text(msgspec.convert(metrics | {"truth": None}, NavigationMetrics))
-    assert "the true one is not known" in unknown
+    assert "the true one is not known" in words(truth=None)
+    table = as_text(controller_table(FOUND.controllers, FOUND.regret))
+    assert "95 % (85–100)" in table
+    assert "1.020 (1.000–∞)" in table
+
+
+def test_a_navigation_comes_back_from_its_files(tmp_path):
+    folder = RunFolder(tmp_path)
+    folder.store("metrics", FOUND)
+    again = folder.load("metrics", AbstractNavigation)
+    assert encode(again).document == encode(FOUND).document
+    assert isinstance(again, Navigation)
 
 
 @pytest.mark.slow
@@ -281,10 +318,9 @@ def test_a_run_in_space_from_plan_to_report(tmp_path):
     folder = RunFolder.create(
         tmp_path / "there", {"run": {"command": "navigate"}}, overwrite=True
     )
-    metrics = navigate(
-        NavigateSettings(**IN_SPACE, seeds=2, noise=0.02), problem, folder
-    )
-    assert metrics.controllers["learned"].success.value == 1.0
-    titles = [section.heading for section in navigation_sections(folder)]
-    assert titles == ["Outcome", "Closed loop"]
+    result = navigate(problem, seeds=2)
+    assert result.controllers["learned"].success.value == 1.0
+    keep(NAVIGATE, folder, result)
+    drawn = [Figures(folder.path).saved(s) for s in sections_of(NAVIGATE, folder)]
+    assert [section.heading for section in drawn] == ["Outcome", "Closed loop"]
     assert (folder.path / "figures" / "navigate-closed-loop.png").exists()

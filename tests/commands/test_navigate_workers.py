@@ -14,14 +14,14 @@ from pinav.commands import sweep
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate import NAVIGATE, cells
 from pinav.commands.navigate.cells import sweep_loops
-from pinav.commands.navigate.flights import SwimmerFlights
-from pinav.commands.navigate.loops import PHYSICS, attempt
 from pinav.commands.navigate.settings import NavigateOptions, NavigateSettings
 from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.sweep import start_sweep
 from pinav.commands.worker_settings import WorkerSettings
-from pinav.navigation import Episodes
-from pinav.navigation.adaptive.scores import FlightRecord
+from pinav.navigation import Episodes, Flight, SwimmerFlights
+from pinav.navigation.comparison import try_model
+from pinav.navigation.problem import PHYSICS
+from pinav.runs import RunFolder
 from pinav.sweeps import CellStore
 from pinav.sweeps.engines import InThisProcess
 
@@ -37,7 +37,7 @@ def workers_here(monkeypatch):
     monkeypatch.setattr(sweep, "LocalProcesses", lambda count: InThisProcess())
 
 
-RECORD = FlightRecord(
+RECORD = Flight(
     path=np.array([[0.0, 1.0], [2.0, 3.0]]),
     reached=True,
     violated=False,
@@ -45,6 +45,7 @@ RECORD = FlightRecord(
     clearance=0.5,
     consistency=1.1,
     changed=3,
+    stalls=1,
     learn_times=np.array([0.1, 0.2]),
     command_times=np.array([0.2, 0.3]),
     replan_times=np.zeros(0),
@@ -56,17 +57,14 @@ RECORD = FlightRecord(
 
 def test_flights_of_a_swimmer_survive_a_file(tmp_path):
     flights = SwimmerFlights(
-        {"oracle": RECORD, "visit 1": dataclasses.replace(RECORD, reached=False)},
-        {"field/x": np.arange(3.0)},
+        {"oracle": RECORD, "visit 1": dataclasses.replace(RECORD, reached=False)}
     )
-    np.savez(tmp_path / "flights.npz", **flights.arrays)
-    with np.load(tmp_path / "flights.npz", allow_pickle=False) as stored:
-        again = SwimmerFlights.of_arrays(dict(stored))
-    assert list(again.records) == ["oracle", "visit 1"]
-    np.testing.assert_array_equal(again.shown["field/x"], [0.0, 1.0, 2.0])
-    for name, record in flights.records.items():
-        for field in dataclasses.fields(FlightRecord):
-            stored = getattr(again.records[name], field.name)
+    RunFolder(tmp_path).store("flights", flights)
+    again = RunFolder(tmp_path).load("flights", SwimmerFlights)
+    assert list(again.flights) == ["oracle", "visit 1"]
+    for name, record in flights.flights.items():
+        for field in dataclasses.fields(Flight):
+            stored = getattr(again.flights[name], field.name)
             expected = getattr(record, field.name)
             assert type(stored) is type(expected)
             np.testing.assert_array_equal(stored, expected)
@@ -110,7 +108,7 @@ def test_loops_of_cells_are_those_of_the_command(
 
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         problem = navigation_problem(settings, FittedRun.open(run))
-        _, here = attempt(problem, PHYSICS, settings)
+        _, here = try_model(problem, PHYSICS, settings.seeds, settings.seed)
         first = swept(resume=False)
         stays, goes = sorted(CellStore.of_run(out).path.glob("*/outcome.json"))
         before = stays.stat().st_mtime_ns

@@ -33,7 +33,7 @@ def robot():
 
 
 def read_evaluation(folder):
-    return json.loads((folder / "evaluation.json").read_text())
+    return json.loads((folder / "evaluation.json").read_text())["value"]
 
 
 @pytest.mark.slow

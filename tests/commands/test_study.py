@@ -5,7 +5,6 @@ import pytest
 
 from pinav import cli
 from pinav.commands.study import job
-from pinav.commands.study import paper_weakness as weakness_job
 from pinav.commands.study.job import (
     StudyCell,
     cells,
@@ -20,7 +19,6 @@ from pinav.figures.errors import scaling_figure
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings
-from pinav.scenarios.crossings import paper_barrier, paper_swimmer
 from pinav.sweeps import InThisProcess
 from pinav.trajectories import load
 
@@ -152,7 +150,6 @@ def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
         (["noise", "--workers", "2", "--scheduler", "tcp://h:1"], "choose one of them"),
         (["noise", "--tls-ca", "ca.pem"], "give all three, with --scheduler"),
         (["noise", "--cell-timeout", "0"], "--cell-timeout: expected a number > 0"),
-        (["paper-weakness", "--workers", "2"], "paper-weakness is two fits"),
     ],
 )
 def test_mistakes_get_one_line_and_no_folder(words, message, tmp_path, capsys):
@@ -175,29 +172,3 @@ def test_no_noise_stands_left_of_all_noise():
     line = left.get_lines()[0]
     np.testing.assert_allclose(line.get_ydata(), [1.0, 2.0, 30.0])
     assert any("none" in str(each.get_label()) for each in left.get_lines())
-
-
-@pytest.mark.slow
-def test_the_papers_weakness_stands_beside_what_several_trajectories_give(
-    tmp_path, monkeypatch, capsys
-):
-    """The truth in place of one fit, a barrier of half the height of the other."""
-    half = eqx.tree_at(lambda force: force.height, paper_barrier(), 5.25 / 2)
-    models = {"model-ude.eqx": paper_swimmer(half), "model-kernel.eqx": paper_swimmer()}
-    monkeypatch.setattr(
-        weakness_job, "_read_or_fit", lambda _, name, *rest: models[name]
-    )
-    out = tmp_path / "run"
-    argv = ["study", "paper-weakness", "--out", str(out), "--held-out", "3"]
-    assert cli.run([*argv, "--count", "1"]) == 0
-    found = RunFolder.open(out).read_json("metrics.json")["models"]
-    ude, kernel = found[weakness_job.UDE], found[weakness_job.KERNEL]
-    assert list(ude["force"].values()) == pytest.approx([0.5] * len(ude["force"]))
-    assert set(kernel["force"].values()) == {0.0}
-    assert kernel["rollouts"]["high"] < 1e-8 < ude["rollouts"]["median"]
-    physics = found[weakness_job.PHYSICS]["force"]
-    assert physics["unvisited"] == pytest.approx(1.0)
-    assert "UDE with time, one trajectory" in capsys.readouterr().out
-    page = (out / "report.html").read_text()
-    assert "The paper&#x27;s weakness in one figure" in page
-    assert "Gauss-Newton curriculum of pinav, not the paper&#x27;s optimiser" in page

@@ -15,10 +15,10 @@ from pinav.dynamics import (
 )
 from pinav.errors import InputError
 from pinav.forces import (
-    AbstractForce,
     BrinkmanTensor,
     CholeskyTensor,
     ConstantDirector,
+    ConstantForce,
     GaussianBarrier,
     HarmonicTrap,
     ShearFlow,
@@ -26,20 +26,12 @@ from pinav.forces import (
     WavyDirector,
     ZeroForce,
     stokes_drag,
+    tensor_matrix,
 )
-
-pytestmark = pytest.mark.slow
 
 KEY = jax.random.key(5)
 WATER = 1 / stokes_drag(1.0, 0.89)
 HEAT = thermal_energy(298.15)
-
-
-class Pull(AbstractForce):
-    """The same force everywhere."""
-
-    def __call__(self, t, x, v):
-        return jnp.array([0.02, -0.01])
 
 
 def brownian(force=None, mobility=WATER, heat=HEAT):
@@ -62,32 +54,24 @@ def test_a_bead_of_one_micrometre_in_water():
     np.testing.assert_allclose(diffusion, 0.245 * np.eye(2), rtol=3e-3)
 
 
-def test_mean_squared_displacement_is_2_d_D_t():
-    ts = jnp.array([0.0, 0.3, 1.0, 2.5])
-    ends = paths(brownian(), jnp.zeros((20_000, 2)), ts, KEY, substeps=1)
-    squares = np.mean(np.sum(np.asarray(ends) ** 2, axis=2), axis=0)
-    # relative error of a mean of 20 000 squares in two dimensions: 1/sqrt(20 000)
-    expected = 4 * HEAT * WATER * np.asarray(ts)
-    np.testing.assert_allclose(squares, expected, rtol=4 / np.sqrt(20_000))
+def test_a_force_makes_a_drift_and_heat_spreads_along_the_mobility():
+    """The mean is M F t, the covariance 2 k_B T M t."""
+    count, times, pull = 4000, np.array([0.0, 0.3, 2.5]), [0.02, -0.01]
+    mobility = UniaxialTensor(2 * WATER, WATER, ConstantDirector(0.5))
+    swimmer = brownian(ConstantForce(pull), mobility)
+    moved = np.asarray(
+        paths(swimmer, jnp.zeros((count, 2)), jnp.asarray(times), KEY, substeps=1)
+    )
+    matrix = np.asarray(tensor_matrix(mobility, jnp.zeros(2)))
+    for time, ends in zip(times[1:], moved.swapaxes(0, 1)[1:], strict=True):
+        covariance = 2 * HEAT * matrix * time
+        error = 4 * covariance.max() / np.sqrt(count)
+        np.testing.assert_allclose(np.cov(ends.T), covariance, atol=error)
+        error = 4 * np.sqrt(covariance.max() / count)
+        np.testing.assert_allclose(ends.mean(axis=0), matrix @ pull * time, atol=error)
 
 
-def test_anisotropic_diffusion_is_thermal_energy_times_mobility():
-    tensor = UniaxialTensor(2 * WATER, WATER, ConstantDirector(0.5))
-    swimmer = brownian(mobility=tensor)
-    ends = paths(swimmer, jnp.zeros((20_000, 2)), jnp.array([0.0, 2.0]), KEY)[:, -1]
-    measured = np.cov(np.asarray(ends).T) / 4.0
-    expected = np.asarray(swimmer.diffusion(jnp.zeros(2)))
-    np.testing.assert_allclose(measured, expected, atol=4 * expected.max() / 141)
-
-
-def test_a_force_makes_a_drift():
-    ts = jnp.array([0.0, 1.0])
-    ends = paths(brownian(Pull()), jnp.zeros((4000, 2)), ts, KEY)[:, -1]
-    error = np.sqrt(2 * HEAT * WATER / 4000)
-    expected = WATER * np.array([0.02, -0.01])
-    np.testing.assert_allclose(np.mean(ends, axis=0), expected, atol=4 * error)
-
-
+@pytest.mark.slow
 def test_equipartition_in_a_trap():
     stiffness, steps = 0.05, 20
     ts = jnp.linspace(0.0, 2.0, 5)  # six relaxation times
@@ -101,6 +85,7 @@ def test_equipartition_in_a_trap():
     )
 
 
+@pytest.mark.slow
 def test_boltzmanns_distribution_where_the_mobility_varies():
     """Without its divergence, the swimmers would leave where the mobility is high."""
     mobility = BrinkmanTensor(0.5, 1.0, jnp.array([3.0]), jnp.zeros((1, 1)), 0.7)
@@ -136,6 +121,7 @@ def test_the_divergence_of_the_mobility_agrees_with_differences():
     np.testing.assert_allclose(swimmer(0.0, x), expected, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_path_belongs_to_its_key_and_converges_with_its_steps():
     """The strong order is one where the mobility is constant."""
     swimmer = brownian(GaussianBarrier(0.1, [0.3, 0.0], 0.7))

@@ -26,8 +26,6 @@ from pinav.forces import (
 )
 from pinav.trajectories import Trajectories
 
-pytestmark = pytest.mark.slow
-
 GAIN = jnp.array([[2.0, 0.1], [-0.1, 3.0]])
 RESPONSE = SlippingResponse(3.0, 0.4)
 TIMES = np.arange(0.0, 6.0, 0.1)
@@ -75,6 +73,7 @@ def test_a_commanded_swimmer_goes_along_the_integral_of_its_commands(lag):
     np.testing.assert_allclose(moved, (cycles - cycles[:1]) @ GAIN.T + drift, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_predictions_are_driven_by_each_trajectory_of_its_own():
     data = observed(3)
     model = swimmer(HarmonicTrap(stiffness=0.3, center=[0.0, 0.0]), delay=0.15, lag=0.2)
@@ -84,6 +83,7 @@ def test_predictions_are_driven_by_each_trajectory_of_its_own():
     assert np.abs(states[0] - states[1]).max() > 0.1
 
 
+@pytest.mark.slow
 def test_a_window_is_driven_by_what_was_commanded_before_it():
     whole = observed()
     model = swimmer(delay=0.45)
@@ -103,6 +103,7 @@ def test_commands_reach_a_propulsion_anywhere_in_a_model():
     assert drive_by_commands(bound, observed().trajectory(0)) is bound
 
 
+@pytest.mark.slow
 def test_a_path_is_differentiable_by_response_and_lag():
     piece = observed().trajectory(0)
     start = swimmer(delay=jnp.asarray(0.2), lag=jnp.asarray(0.1))

@@ -9,10 +9,14 @@ from pinav.dynamics import RK4, Adaptive, FixedStep, OverdampedSwimmer, Swimmer,
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractForce,
+    ConstantDirector,
     GaussianBarrier,
     HarmonicTrap,
     LinearDrag,
+    ShearFlow,
+    UniaxialTensor,
     ZeroForce,
+    tensor_matrix,
 )
 
 TS = jnp.linspace(0.0, 2.0, 21)
@@ -39,15 +43,14 @@ def solve():
     return eqx.filter_jit(rollout)
 
 
-@pytest.mark.parametrize("dim", [1, 2, 3])
-def test_a_trap_decays_exponentially(dim, solve):
-    center = jnp.arange(1.0, dim + 1.0)
-    swimmer = OverdampedSwimmer(ZeroForce(), HarmonicTrap(3.0, center), 0.5)
-    start = center + jnp.linspace(1.0, 2.0, dim)
-    run = solve(swimmer, start, TS)
-    decay = np.exp(-1.5 * np.asarray(TS))[:, None]
-    expected = np.asarray(center)[None] + np.asarray(start - center)[None] * decay
-    np.testing.assert_allclose(run.ys, expected, atol=1e-10)
+def test_the_flow_carries_and_the_mobility_moves_along_the_sum_of_all_forces():
+    push, barrier = crossing()
+    trap, flow = HarmonicTrap(0.4, [0.5, 1.0]), ShearFlow(0.3, 1.0)
+    mobility = UniaxialTensor(0.2, 0.5, ConstantDirector(0.4))
+    swimmer = OverdampedSwimmer(push, barrier, mobility, flow, trap)
+    total = sum(force(0.0, Y0, jnp.zeros(2)) for force in (push, barrier, trap))
+    expected = flow(0.0, Y0) + tensor_matrix(mobility, Y0) @ total
+    np.testing.assert_allclose(swimmer(0.0, Y0), expected, rtol=1e-13)
 
 
 def test_drag_among_the_forces_is_without_effect():

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.continuous_adjoint import InterpolatingAdjoint
 from jax.flatten_util import ravel_pytree
 from scipy.integrate import solve_ivp
 
@@ -14,7 +15,7 @@ from pinav.dynamics import (
     Adaptive,
     FixedStep,
     ForwardOnly,
-    InterpolatingAdjoint,
+    Outcome,
     OverdampedSwimmer,
     Swimmer,
     linear_recursion,
@@ -89,7 +90,6 @@ TIGHT = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("solver", FIXED.values(), ids=list(FIXED))
 def test_fixed_step_gradient_equals_differences(solver):
     loss, vector = loss_of(solver)
@@ -234,13 +234,15 @@ def test_constant_thrust_against_drag_follows_the_closed_form():
     thrust = MagneticPropulsion(field, [0.0, 0.0, 1.0], gain=0.4, axis=[0.6, 0.8])
     swimmer = Swimmer(thrust, LinearDrag(0.7), ZeroForce())
     ts, x0, v0 = np.linspace(0, 9, 10)[:, None], np.array([[1, -2]]), np.array([[3, 1]])
-    ys = eqx.filter_jit(rollout)(
+    run = eqx.filter_jit(rollout)(
         swimmer, jnp.array([1.0, -2.0, 3.0, 1.0]), jnp.linspace(0.0, 9.0, 10)
-    ).ys
+    )
     terminal, decay = 0.8 * np.array([[0.6, 0.8]]) / 0.7, np.exp(-0.7 * ts)
     v = terminal + (v0 - terminal) * decay
     x = x0 + terminal * ts + (v0 - terminal) * (1 - decay) / 0.7
-    np.testing.assert_allclose(ys, np.hstack([x, v]), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.ys, np.hstack([x, v]), rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(run.ts[:, None], ts)
+    assert run.outcome == Outcome.SUCCESS
 
 
 @pytest.mark.parametrize(

@@ -43,8 +43,9 @@ def solve():
 
 
 def test_swimmer_adds_its_forces_to_the_acceleration():
-    swimmer = Swimmer(LinearDrag(1.0), LinearDrag(10.0), LinearDrag(100.0))
-    np.testing.assert_allclose(swimmer(0.0, Y0), [1.0, -2.0, -111.0, 222.0])
+    forces = [LinearDrag(size) for size in (1.0, 10.0, 100.0, 1000.0)]
+    swimmer = Swimmer(*forces[:3], known_force=forces[3])
+    np.testing.assert_allclose(swimmer(0.0, Y0), [1.0, -2.0, -1111.0, 2222.0])
 
 
 @pytest.mark.parametrize("dim", [1, 3])
@@ -52,16 +53,6 @@ def test_swimmer_takes_any_dimension(dim):
     y = jnp.ones(2 * dim)
     expected = np.repeat([1.0, -0.5], dim)
     np.testing.assert_array_equal(coasting()(0.0, y), expected)
-
-
-def test_drag_alone_decays_exponentially(solve):
-    run = solve(coasting(), Y0, TS)
-    decay = np.exp(-0.5 * np.asarray(TS))[:, None]
-    velocity = np.array([[1.0, -2.0]])
-    expected = np.hstack([velocity * (1 - decay) / 0.5, velocity * decay])
-    np.testing.assert_allclose(run.ys, expected, rtol=0, atol=1e-8)
-    np.testing.assert_array_equal(run.ts, TS)
-    assert run.outcome == Outcome.SUCCESS
 
 
 def test_rollout_takes_host_arrays(solve):

@@ -4,6 +4,7 @@ import pytest
 from pinav import figures
 from pinav.analysis import LyapunovMap, SobolIndices, helmholtz_split
 from pinav.evaluation import FieldMap
+from pinav.figures.maps import POTENTIAL, above_least, map_panel, trust_map
 from pinav.figures.style import with_unit
 from pinav.units import force_unit, with_order
 
@@ -29,12 +30,13 @@ def bars(figure):
 
 
 def potential():
-    return figures.potential_map(GRID[..., 0], field(), path=PATH, units=UNITS).figure
+    lifted = above_least(GRID[..., 0], field())
+    return map_panel(field(), lifted, POTENTIAL, path=PATH, units=UNITS).figure
 
 
 def trust():
     sd = np.full((*GRID.shape[:2], 2), 0.1)
-    return figures.trust_map(field(), sd, path=PATH, units=UNITS).figure
+    return trust_map(field(), sd, path=PATH, units=UNITS).figure
 
 
 def parts():

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from pinav import figures
 from pinav.evaluation import NEAR, VISITED, Decomposition, FieldMap, Regions
+from pinav.figures.maps import ERROR, FORCE
 from pinav.figures.palette import (
     BLACK,
     BLUE,
@@ -63,6 +64,15 @@ def paper_figure(**options):
     return figures.figure1(*parts, barrier=([2.0, 0.0], 1.0), **options)
 
 
+def force_map(shown, **options):
+    return figures.map_panel(shown, shown.force, FORCE, **options)
+
+
+def error_map(learned, **options):
+    true = field()
+    return figures.map_panel(true, learned.force - true.force, ERROR, **options)
+
+
 PANELS = {
     "trajectory": lambda ax=None: figures.trajectory(
         states()[:, :2], {"ude": states(0.1)[:, :2]}, units=UNITS, ax=ax
@@ -71,10 +81,8 @@ PANELS = {
         TIMES, states()[:, 2:], {"ude": states(0.1)[:, 2:]}, units=UNITS, ax=ax
     ),
     "loss_curve": lambda ax=None: figures.loss_curve(losses(), PHASES, ax=ax),
-    "force_map": lambda ax=None: figures.force_map(field(), units=UNITS, ax=ax),
-    "force_error_map": lambda ax=None: figures.force_error_map(
-        field(1.1), field(), units=UNITS, ax=ax
-    ),
+    "force_map": lambda ax=None: force_map(field(), units=UNITS, ax=ax),
+    "error_map": lambda ax=None: error_map(field(1.1), units=UNITS, ax=ax),
     "decomposition": lambda ax=None: figures.decomposition(
         budget(), units=UNITS, ax=ax
     ),
@@ -84,7 +92,7 @@ LABELS = {
     "velocity": ("$t$ [s]", "velocity [µm/s]"),
     "loss_curve": ("step", "training loss"),
     "force_map": ("$x$ [µm]", "$y$ [µm]"),
-    "force_error_map": ("$x$ [µm]", "$y$ [µm]"),
+    "error_map": ("$x$ [µm]", "$y$ [µm]"),
     "decomposition": ("$t$ [s]", "$a_x$ [µm s⁻²]"),
 }
 FIGURES = {
@@ -119,7 +127,7 @@ def test_every_panel_draws_where_it_is_told(name):
     assert PANELS[name](ax) is ax
 
 
-@pytest.mark.parametrize("name", ["trajectory", "force_map", "force_error_map"])
+@pytest.mark.parametrize("name", ["trajectory", "force_map", "error_map"])
 def test_maps_have_equal_axes(name):
     assert PANELS[name]().get_aspect() == 1.0
 
@@ -231,13 +239,13 @@ def test_loss_that_is_nowhere_finite_still_draws():
 
 
 def test_force_map_marks_visited_ground_and_shades_the_unvisited():
-    ax = figures.force_map(field(), path=np.zeros((2, 2)))
+    ax = force_map(field(), path=np.zeros((2, 2)))
     levels = [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
     furthest = field().distance.max()
     assert levels == [[NEAR, furthest], [NEAR, furthest], [VISITED], [NEAR]]
     assert legend_texts(ax)[0] == "trajectory"
     assert "no data: extrapolation" in legend_texts(ax)
-    bare = figures.force_map(field(), shade=False)
+    bare = force_map(field(), shade=False)
     levels = [list(c.levels) for c in bare.collections if hasattr(c, "levels")]
     assert levels == [[VISITED], [NEAR]]
 
@@ -245,7 +253,7 @@ def test_force_map_marks_visited_ground_and_shades_the_unvisited():
 def test_force_map_draws_the_regions_of_its_unit():
     regions = Regions(visited=0.2, near=0.9)
     shown = dataclasses.replace(field(), regions=regions)
-    ax = figures.force_map(shown, shade=False, units={"x": "um", "y": "um"})
+    ax = force_map(shown, shade=False, units={"x": "um", "y": "um"})
     levels = [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
     assert levels == [[0.2], [0.9]]
     assert "visited (within 0.2 µm)" in legend_texts(ax)
@@ -255,14 +263,14 @@ def test_force_map_scales_by_what_is_near_the_data():
     spread = field()
     magnitude = np.linalg.norm(spread.force, axis=-1)
     near = magnitude[spread.distance <= NEAR].max()
-    assert figures.force_map(spread).collections[0].get_clim() == (0.0, near)
-    shared = figures.force_map(spread, limit=7.0)
+    assert force_map(spread).collections[0].get_clim() == (0.0, near)
+    shared = force_map(spread, limits=(0.0, 7.0))
     assert shared.collections[0].get_clim() == (0.0, 7.0)
 
 
 @pytest.mark.parametrize("limit", [0.0143, 0.143, 1.43, 14.3, 143.0])
 def test_a_colour_bar_has_few_labels(limit):
-    figure = figures.force_map(field(), limit=limit).figure
+    figure = force_map(field(), limits=(0.0, limit)).figure
     figure.set_size_inches(3.0, 3.6)
     FigureCanvasAgg(figure).draw()
     (bar,) = figure.axes[1:]
@@ -271,7 +279,7 @@ def test_a_colour_bar_has_few_labels(limit):
 
 
 def test_force_error_map_shows_the_size_of_the_difference():
-    ax = figures.force_error_map(field(1.5), field())
+    ax = error_map(field(1.5))
     values = ax.collections[0].get_array()
     expected = 0.5 * np.linalg.norm(field().force, axis=-1)
     np.testing.assert_allclose(np.ravel(values), np.ravel(expected))
@@ -282,7 +290,7 @@ def test_force_map_without_a_finite_force_still_draws(value):
     flat = FieldMap(
         field().x, field().y, np.full_like(field().force, value), field().distance
     )
-    figures.force_map(flat).figure.draw_without_rendering()
+    force_map(flat).figure.draw_without_rendering()
 
 
 @pytest.mark.parametrize(

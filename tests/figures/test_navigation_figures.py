@@ -4,37 +4,30 @@ import numpy as np
 import pytest
 from PIL import Image as Picture
 
-from pinav.commands.navigate.metrics import IntervalRow
+from pinav.evaluation import FieldMap
 from pinav.figures.animation import FRAMES, LAST_FRAME, Trails, save_animation
-from pinav.figures.navigation import (
-    Course,
-    closed_loop_figure,
-    outcome_bars,
-    plan_map,
+from pinav.figures.navigation import closed_loop_figure, outcome_bars, plan_map
+from pinav.navigation import Course, ForceMaps, Interval
+
+COURSE = Course(
+    arena=np.array([[0.0, 0.0], [4.0, 3.0]]),
+    start=np.array([0.5, 0.5]),
+    goal=np.array([3.5, 2.5]),
+    tolerance=0.3,
+    discs=np.array([[2.0, 1.0, 0.4]]),
 )
+ROUTE = np.array([[0.5, 0.5], [3.5, 2.5]])
 
 
-def results(*, true=True, sd=True):
-    """What `pinav navigate` writes, small."""
+def maps(*, true=True, sd=True):
+    """Forces on the arena, few points."""
     x, y = np.linspace(0.0, 4.0, 9), np.linspace(0.0, 3.0, 7)
     force = np.stack(np.meshgrid(np.sin(x), np.cos(y)), axis=-1)
-    arrays = {
-        "arena": np.array([[0.0, 0.0], [4.0, 3.0]]),
-        "start": np.array([0.5, 0.5]),
-        "goal": np.array([3.5, 2.5]),
-        "tolerance": np.asarray(0.3),
-        "discs": np.array([[2.0, 1.0, 0.4]]),
-        "route": np.array([[0.5, 0.5], [3.5, 2.5]]),
-        "field/x": x,
-        "field/y": y,
-        "field/learned": force,
-        "field/distance": np.zeros((7, 9)),
-    }
-    if true:
-        arrays["field/true"] = 1.1 * force
-    if sd:
-        arrays |= {"field/sd": 0.1 * np.abs(force), "suggestion": arrays["route"]}
-    return arrays
+    learned = FieldMap(x, y, force, np.zeros((7, 9)))
+    truth = FieldMap(x, y, 1.1 * force, np.zeros((7, 9)))
+    return ForceMaps(
+        learned, truth if true else None, 0.1 * np.abs(force) if sd else None
+    )
 
 
 def walk(steps, length):
@@ -45,10 +38,10 @@ def walk(steps, length):
 
 def test_ground_without_a_way_is_hatched_and_the_rest_is_not():
     time = np.tile(np.linspace(0.0, 5.0, 9)[:, None], (1, 7))
-    open_ground = plan_map(time, Course(results()))
+    open_ground = plan_map(time, COURSE)
     blocked = time.copy()
     blocked[:4] = np.inf
-    closed = plan_map(blocked, Course(results()), route=results()["route"])
+    closed = plan_map(blocked, COURSE, route=ROUTE)
 
     def hatches(ax):
         found = [getattr(artist, "hatches", None) for artist in ax.collections]
@@ -60,9 +53,11 @@ def test_ground_without_a_way_is_hatched_and_the_rest_is_not():
 
 @pytest.mark.parametrize(("true", "sd", "panels"), [(1, 1, 3), (1, 0, 2), (0, 0, 1)])
 def test_a_panel_for_each_force_that_is_known(true, sd, panels):
-    arrays = results(true=bool(true), sd=bool(sd))
+    forces = maps(true=bool(true), sd=bool(sd))
     paths = {"learned": [walk(5, 9)], "oracle": [walk(4, 9)]}
-    figure = closed_loop_figure(arrays, paths, thrust=1.0)
+    figure = closed_loop_figure(
+        COURSE, forces, paths, thrust=1.0, route=ROUTE, suggestion=ROUTE
+    )
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert len([title for title in titles if title]) == panels
     keys = [text.get_text() for text in figure.legends[0].get_texts()]
@@ -71,11 +66,11 @@ def test_a_panel_for_each_force_that_is_known(true, sd, panels):
 
 
 def test_bars_show_success_with_its_interval_and_an_endless_regret():
-    success = IntervalRow(0.5, 0.3, 0.7)
+    success = Interval(0.5, 0.3, 0.7)
     successes = dict.fromkeys(("learned", "oracle", "straight line"), success)
     regrets = {
-        "learned": IntervalRow(1.1, 1.0, None),
-        "straight line": IntervalRow(None, None, None),
+        "learned": Interval(1.1, 1.0, np.inf),
+        "straight line": Interval(np.inf, np.inf, np.inf),
     }
     left, right = outcome_bars(successes, regrets).axes
     assert [bar.get_width() for bar in left.patches] == [50.0] * 3
@@ -87,7 +82,7 @@ def test_the_animation_has_a_frame_for_each_step_up_to_a_limit(tmp_path):
     for steps, frames in ((5, 6), (4 * FRAMES, FRAMES)):
         trails = Trails({"learned": walk(steps, steps + 30)}, 0.1)
         assert trails.steps == steps
-        path = save_animation(results(), trails, tmp_path / "figures" / "run.gif")
+        path = save_animation(COURSE, maps(), trails, tmp_path / "figures" / "run.gif")
         with Picture.open(path) as picture:
             assert picture.n_frames == frames
             picture.seek(frames - 1)
@@ -95,5 +90,5 @@ def test_the_animation_has_a_frame_for_each_step_up_to_a_limit(tmp_path):
             assert picture.info["loop"] == 0
         if frames == 6:
             before = path.read_bytes()
-            again = save_animation(results(), trails, tmp_path / "again.gif")
+            again = save_animation(COURSE, maps(), trails, tmp_path / "again.gif")
             assert again.read_bytes() == before

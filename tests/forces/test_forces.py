@@ -1,269 +1,60 @@
+"""Laws of all forces, and closed forms of some."""
+
 import dataclasses
 import importlib
 import inspect
 import pkgutil
 import types
-from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.forces.pullbacks import check_pullback
+from tests.forces.examples import (
+    FORCES,
+    KEY,
+    MIDDLE,
+    PLACES,
+    TERMS,
+    WEIGHTS,
+    WIDTH,
+    T,
+    V,
+    X,
+    barrier,
+    kernel_force,
+    kernel_potential,
+    propulsion,
+)
 
 import pinav
-from pinav.actuation import LinearProgramme, RotatingField, SaturatingResponse
-from pinav.analysis.discovery.laws import LawForce
-from pinav.analysis.discovery.potentials import GAUSSIAN
 from pinav.arguments import point
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractForce,
-    Advection,
-    BrinkmanTensor,
     CentralTerm,
-    ChangingPotential,
-    CholeskyTensor,
-    CircularMotion,
     CompactHill,
-    ConstantDirector,
-    ConstantForce,
-    DipolePull,
-    Domain,
-    DoubleLayer,
-    EllipticTerm,
     GaussianBarrier,
-    GaussianRidge,
-    GaussianSwirl,
-    HarmonicTrap,
     HillsTerm,
-    InductionPull,
-    InFlow,
     IsotropicTensor,
-    KernelAxis,
-    KernelBasis,
-    KernelForce,
-    KernelMixture,
     KernelPotential,
-    KernelProfile,
-    KernelStream,
-    LatticeTerm,
-    LayeredPotential,
     LinearDrag,
     LinearForce,
-    LinearMotion,
-    LinearTerm,
-    MagneticFieldTable,
-    MagneticPropulsion,
-    Moving,
-    NeuralForce,
-    NeuralPotential,
-    ObstaclesTerm,
-    Plane,
     PlaneWaves,
-    PoiseuilleFlow,
-    PositionFeatures,
     PowerHill,
     RingBarrier,
-    RollingPropulsion,
-    ScheduledThrust,
-    SegmentTerm,
     ShearFlow,
     SoftWall,
     StructuredForce,
     SumForce,
-    TensorDrag,
-    TimedKernelPotential,
-    UniaxialTensor,
-    VortexFlow,
-    WallTerm,
-    WavyDirector,
-    Weight,
     ZeroForce,
     check_kernels,
     kernel_centers,
     paper_force,
-    random_barriers,
     tanh_network,
 )
-from pinav.navigation.design.candidates import CommandedThrust
-from pinav.navigation.task.steering import HeldThrust, RollingActuator
 
-KEY = jax.random.key(0)
-
-
-def propulsion(moment=(0.0, 0.0, 1.0), axis=(0.0, 1.0)):
-    field = RotatingField(amplitude=1.5, frequency=2.0)
-    return MagneticPropulsion(field, list(moment), gain=0.2, axis=list(axis))
-
-
-def barrier():
-    return GaussianBarrier(height=2.0, center=[5.0, 4.0], width=1.5)
-
-
-def position_force():
-    features = PositionFeatures(center=(5.0, 4.0), scale=(2.0, 3.0))
-    network = tanh_network(2, 2, width=3, depth=1, key=KEY)
-    return NeuralForce(network, features, scale=0.7)
-
-
-def neural_potential():
-    features = PositionFeatures(center=(5.0, 4.0), scale=(2.0, 3.0))
-    network = tanh_network(2, 1, width=3, depth=1, key=KEY)
-    return NeuralPotential(network, features, scale=0.7)
-
-
-def kernel_force():
-    centers = jnp.array([[4.0, 5.0], [5.0, 5.5], [4.5, 6.5]])
-    return KernelForce(jnp.array([[0.3, -0.2], [0.1, 0.5], [-0.4, 0.2]]), centers, 1.3)
-
-
-def kernel_potential():
-    return KernelPotential(jnp.array([0.3, -0.2, 0.5]), kernel_force().centers, 1.3)
-
-
-def kernel_profile():
-    places = np.array([[3.0, 4.0], [5.0, 7.0]])
-    basis = KernelBasis.around((KernelAxis(0),), places, across=3, margin=1)
-    weights = jnp.linspace(-0.4, 0.5, 2 * len(basis.centers)).reshape(-1, 2)
-    return KernelProfile(weights, basis, (0, 1), 2)
-
-
-def ridge():
-    return GaussianRidge(2.0, [5.0, 4.0], length=3.0, width=0.8, angle=0.6)
-
-
-def swirl():
-    return GaussianSwirl(2.0, [5.0, 4.0], width=1.5)
-
-
-def porous():
-    centers = jnp.array([[4.0, 5.0], [5.0, 5.5]])
-    return TensorDrag(BrinkmanTensor(0.3, 0.5, jnp.array([3.0, 1.0]), centers, 1.2))
-
-
-DRAGS = {
-    "linear": lambda: LinearDrag(0.3),
-    "uniaxial": lambda: TensorDrag(UniaxialTensor(0.2, 0.5, ConstantDirector(0.4))),
-    "varying director": lambda: TensorDrag(
-        UniaxialTensor(0.2, 0.5, WavyDirector(0.4, 0.8, [0.5, -0.3]))
-    ),
-    "cholesky": lambda: TensorDrag(
-        CholeskyTensor.of(jnp.array([[0.5, -0.2], [-0.2, 0.3]]))
-    ),
-    "porous": porous,
-}
-
-
-def field_table():
-    """Of a smooth field in the plane."""
-
-    def field(places):
-        x, y, _ = places.T
-        return np.stack([1 + 0.2 * x * y, 0.5 * x**2, 2 + np.sin(y)], axis=1)
-
-    return MagneticFieldTable.sample(field, (2.0, 3.0), (8.0, 9.0), (9, 14))
-
-
-FORCES = {
-    **DRAGS,
-    "ridge": ridge,
-    "swirl": swirl,
-    "random barriers": lambda: random_barriers(
-        Domain((3.0, 3.0), (7.0, 7.0)),
-        3,
-        heights=(1.0, 2.0),
-        widths=(1.0, 2.0),
-        key=KEY,
-    ),
-    "circling barrier": lambda: Moving(barrier(), CircularMotion(1.0, 0.7, 0.3)),
-    "moving trap": lambda: Moving(HarmonicTrap(0.7, [5.0, 4.0]), LinearMotion([1, 2])),
-    "drag in shear": lambda: InFlow(LinearDrag(0.3), ShearFlow(0.2, 1.0)),
-    "drag in a channel": lambda: InFlow(porous(), PoiseuilleFlow(0.8, 5.0, 6.0)),
-    "drag in a vortex": lambda: InFlow(LinearDrag(0.3), VortexFlow(0.4, [4, 4], 2.0)),
-    "zero": ZeroForce,
-    "barrier": barrier,
-    "trap": lambda: HarmonicTrap(0.7, [5.0, 4.0]),
-    "propulsion": propulsion,
-    "tilted propulsion": lambda: propulsion((1.0, 0.5, -0.3)),
-    "network of position": position_force,
-    "network of the paper": lambda: paper_force(KEY),
-    "neural potential": neural_potential,
-    "kernel force": kernel_force,
-    "kernel potential": kernel_potential,
-    "sum": lambda: LinearDrag(0.3) + barrier() + propulsion(),
-}
-centers = jnp.array([[4.0, 5.0], [5.0, 5.5], [4.5, 6.5]])
-PROGRAMME = LinearProgramme(
-    jnp.array([0.0, 1.0]), jnp.array([2.0, 3.0]), jnp.array([0.3, 0.9])
-)
-timed = TimedKernelPotential(jnp.arange(15.0).reshape(3, 5) / 9, centers, 1.3, 0.0, 2.0)
-FORCES |= {
-    "constant": lambda: ConstantForce([0.3, -0.2]),
-    "advection": lambda: Advection(VortexFlow(0.4, [4, 4], 2.0)),
-    "rolling": lambda: RollingPropulsion(
-        jnp.eye(2), SaturatingResponse(3.0), PROGRAMME, delay=0.1
-    ),
-    "scheduled thrust": lambda: ScheduledThrust(
-        *(jnp.array([0.0, 1.0]), jnp.ones((2, 2)), jnp.zeros((2, 2)), 0.1, 0.2)
-    ),
-    "kernel profile": kernel_profile,
-    "weight": lambda: Weight(1.5, 50.0, [0.3, -1.0]),
-    "double layer": lambda: DoubleLayer(0.3, 1.2, 0.5, Plane([0.2, 1.0], 0.4)),
-    "dipole pull": lambda: DipolePull(field_table(), 0.7),
-    "induction pull": lambda: InductionPull(field_table(), 0.4),
-    "kernel stream": lambda: KernelStream(jnp.array([0.3, -0.2, 0.5]), centers, 1.3),
-    "kernel mixture": lambda: KernelMixture(
-        kernel_potential(), KernelStream(jnp.array([0.1, -0.4, 0.2]), centers, 1.3)
-    ),
-    "layered potential": lambda: LayeredPotential(
-        (kernel_potential(), KernelPotential(jnp.array([0.2]), centers[:1], 0.4))
-    ),
-    "timed potential": lambda: timed,
-    "changing potential": lambda: ChangingPotential(kernel_potential(), timed),
-    "law": lambda: LawForce(GAUSSIAN, jnp.array([2.0, 5.0, 4.0, 1.5])),
-    "held thrust": lambda: HeldThrust(jnp.array([0.3, -0.2])),
-    "commanded thrust": lambda: CommandedThrust(
-        PROGRAMME, RollingActuator(jnp.eye(2), SaturatingResponse(3.0))
-    ),
-}
-SHAPED: dict[str, Callable[[], Any]] = {
-    "power hill": lambda: PowerHill(2.0, [5.0, 4.0], 1.5, 0.5),
-    "compact hill": lambda: CompactHill(2.0, [5.0, 4.0], 4.0),
-    "ring": lambda: RingBarrier(2.0, [5.0, 4.0], 1.5, 0.8),
-    "soft wall": lambda: SoftWall(2.0, 0.6, 5.0, 1.2),
-    "plane waves": lambda: PlaneWaves(
-        [0.5, 0.3], jnp.array([[1.0, 0.2], [-0.3, 0.8]]), [0.1, 0.7]
-    ),
-    **{
-        f"{name} term": make
-        for name, make in {
-            "central": lambda: CentralTerm(WEIGHTS, centers[0], PLACES, WIDTH),
-            "elliptic": lambda: EllipticTerm(
-                WEIGHTS, centers[0], jnp.array([0.2, -0.1]), PLACES, WIDTH
-            ),
-            "wall": lambda: WallTerm(WEIGHTS, 0.6, centers[0], PLACES, WIDTH),
-            "segment": lambda: SegmentTerm(WEIGHTS, centers[:2], PLACES, WIDTH),
-            "obstacles": lambda: ObstaclesTerm(WEIGHTS, centers, PLACES, WIDTH),
-            "lattice": lambda: LatticeTerm(
-                jnp.linspace(-0.3, 0.5, 12), jnp.array([[1.0, 0.1], [0.2, 0.9]]), X
-            ),
-            "linear": lambda: LinearTerm(jnp.arange(5.0) / 9, centers[0], 2.0),
-            "hills": lambda: HillsTerm(
-                jnp.linspace(-0.4, 0.7, 6),
-                centers[:2],
-                jnp.array([[0.3, 0.2, -0.4], [0.9, 0.0, 0.0]]),
-            ),
-        }.items()
-    },
-}
-PLACES, WEIGHTS, WIDTH = jnp.arange(0.5, 3.0, 0.5), jnp.linspace(0.4, -0.2, 5), 0.6
-FORCES |= SHAPED | {
-    "linear force": lambda: LinearForce(jnp.array([[0.3, 0.1], [0.2, -0.4]]), [5, 4]),
-    "structured": lambda: StructuredForce((SHAPED["wall term"](),), kernel_potential()),
-}
 every_force = pytest.mark.parametrize("make", FORCES.values(), ids=list(FORCES))
 
 
@@ -291,15 +82,8 @@ def test_every_class_of_forces_obeys_the_laws_below():
     assert not missing, "give these classes an example in FORCES"
 
 
-@pytest.mark.parametrize("make", SHAPED.values(), ids=list(SHAPED))
-def test_shaped_forces_are_minus_the_gradient_of_their_potential(make):
-    force = make()
-    expected = -jax.grad(force.potential, argnums=1)(T, X)
-    np.testing.assert_allclose(force(T, X, V), expected, atol=1e-12)
-
-
 def test_a_central_force_vanishes_at_its_centre_and_points_away_from_it():
-    term = SHAPED["central term"]()
+    term = TERMS["central"]()
     np.testing.assert_allclose(term(T, term.center, V), 0.0, atol=1e-12)
     offset = X - term.center
     force = term(T, X, V)
@@ -333,24 +117,12 @@ def test_gaps_between_hills_are_in_their_own_sizes():
 
 
 def test_a_rotational_term_is_turned_by_a_right_angle():
-    plain = SHAPED["central term"]()
+    plain = TERMS["central"]()
     swirl = dataclasses.replace(plain, rotational=True)
     assert float(jnp.abs(plain(T, X, V) @ swirl(T, X, V))) < 1e-12
     assert (plain.kind, swirl.kind) == ("central", "central swirl")
     with pytest.raises(InputError, match="expected conservative terms"):
         StructuredForce((swirl,), kernel_potential()).potential(T, X)
-
-
-@pytest.mark.parametrize("kind", ["central", "wall", "lattice", "linear", "hills"])
-def test_the_prior_of_a_structured_force_has_the_pullback_of_its_covariance(kind):
-    term = SHAPED[f"{kind} term"]()
-    prior = StructuredForce((term,), kernel_potential()).prior()
-    shape, count = prior.start + 0.1, len(term.weights) + 3
-    assert prior.covariance(shape).shape == (count, count)
-    check_pullback(prior, shape)
-
-
-T, X, V = 0.4, jnp.array([4.2, 5.5]), jnp.array([0.3, -0.1])
 
 
 @every_force
@@ -406,12 +178,29 @@ def test_sum_is_associative_and_flat():
     np.testing.assert_array_equal(left(T, X, V), right(T, X, V))
 
 
-def test_barrier_is_minus_the_gradient_of_its_potential():
-    hill = barrier()
-    np.testing.assert_allclose(
-        hill(T, X, V), -jax.grad(hill.potential, argnums=1)(T, X), rtol=1e-13
-    )
-    np.testing.assert_allclose(hill.potential(T, hill.center), 2.0)
+@every_force
+def test_a_force_with_a_potential_is_minus_its_gradient_and_has_no_curl(make):
+    force = make()
+    if hasattr(force, "potential"):
+        expected = -jax.grad(force.potential, argnums=1)(T, X)
+        np.testing.assert_allclose(force(T, X, V), expected, rtol=1e-12, atol=1e-12)
+        slopes = jax.jacfwd(force, argnums=1)(T, X, V)
+        np.testing.assert_allclose(slopes[0, 1], slopes[1, 0], rtol=1e-10, atol=1e-12)
+
+
+@every_force
+def test_a_force_with_a_stream_function_has_no_divergence_and_its_curl(make):
+    force = make()
+    if hasattr(force, "stream") and not hasattr(force, "potential"):
+        slopes = jax.jacfwd(force, argnums=1)(T, X, V)
+        np.testing.assert_allclose(jnp.trace(slopes), 0.0, atol=1e-14)
+        laplacian = jnp.trace(jax.hessian(force.stream)(X))
+        curl = slopes[1, 0] - slopes[0, 1]
+        np.testing.assert_allclose(curl, -laplacian, rtol=1e-12)
+
+
+def test_the_height_of_a_barrier_is_its_potential_at_the_centre():
+    np.testing.assert_allclose(barrier().potential(T, jnp.array(MIDDLE)), 2.0)
 
 
 def test_barrier_pushes_out_and_a_trap_pulls_in():
@@ -419,12 +208,6 @@ def test_barrier_pushes_out_and_a_trap_pulls_in():
     trap = GaussianBarrier(height=-2.0, center=[5.0, 4.0], width=1.5)
     assert barrier()(T, X, V) @ outward > 0
     assert trap(T, X, V) @ outward < 0
-
-
-@pytest.mark.parametrize("dim", [1, 2, 3])
-def test_barrier_and_drag_take_any_dimension(dim):
-    force = GaussianBarrier(1.0, jnp.zeros(dim), 2.0) + LinearDrag(0.5)
-    assert force(T, jnp.ones(dim), jnp.ones(dim)).shape == (dim,)
 
 
 def test_paper_thrust_is_constant_along_y():
@@ -442,7 +225,7 @@ def test_thrust_varies_where_the_moment_is_not_normal_to_the_field():
 
 
 def test_network_sees_centred_and_scaled_inputs():
-    force = position_force()
+    force = FORCES["network of position"]()
     inputs = jnp.array([(4.2 - 5.0) / 2.0, (5.5 - 4.0) / 3.0])
     np.testing.assert_allclose(force(T, X, V), 0.7 * force.network(inputs))
 
@@ -479,21 +262,6 @@ def test_paper_network_has_the_printed_shape_and_sees_time():
 def test_bad_arguments_are_named(make, message):
     with pytest.raises(InputError, match=message):
         make()
-
-
-POTENTIALS = {
-    "neural": neural_potential,
-    "kernel": kernel_potential,
-}
-
-
-@pytest.mark.parametrize("make", POTENTIALS.values(), ids=list(POTENTIALS))
-def test_a_learned_potential_gives_minus_its_gradient(make):
-    force = make()
-    expected = -jax.grad(force.potential, argnums=1)(T, X)
-    np.testing.assert_allclose(force(T, X, V), expected, rtol=1e-12)
-    curl = jax.jacfwd(force, argnums=1)(T, X, V)
-    np.testing.assert_allclose(curl[0, 1], curl[1, 0], rtol=1e-10)  # no rotation
 
 
 def test_a_single_kernel_is_the_gaussian_barrier():

@@ -16,7 +16,7 @@ from pinav.forces import (
     kernel_centers,
     kernels,
 )
-from pinav.forces.kernel_gaps import KernelGaps
+from pinav.forces.kernels import KernelGaps
 
 SPACING, WIDTH = 0.7, 0.7
 AROUND = np.array([[0.0, 0.0], [1.0, 0.4]])
@@ -110,10 +110,10 @@ def test_draws_of_missing_kernels_have_the_variance_beyond():
     force = KernelPotential.with_zero_weights(centers, WIDTH)
     inside = np.array([[6.5, 6.9], [3.0, 5.0], [0.0, 7.0]])
     generator = np.random.default_rng(0)
-    drawn = [force.draw_beyond(SHAPE, 1.7, generator)[0] for _ in range(600)]
+    drawn = [force.draw_beyond(SHAPE, 1.7, generator)[0] for _ in range(150)]
     forces = np.array([forces_at(one, np.zeros(3), inside) for one in drawn])
     expected = 1.7 * np.sqrt(force.variance_beyond(SHAPE, inside))
-    np.testing.assert_allclose(forces.std(axis=0), expected, rtol=0.1, atol=0.02)
+    np.testing.assert_allclose(forces.std(axis=0), expected, rtol=0.2, atol=0.04)
     assert expected[:2].min() > 0.2
 
 

@@ -1,4 +1,4 @@
-"""Kernels with a rotational part, and kernels in time."""
+"""Kernels with a rotational part, in layers, and in time."""
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ from pinav.forces import (
     KernelMixture,
     KernelPotential,
     KernelStream,
+    LayeredPotential,
     TimedKernelPotential,
     cubic_spline,
 )
@@ -28,31 +29,33 @@ MOVING = TimedKernelPotential(
 )
 
 
-def jacobian(force, t=0.0):
-    return jax.jacfwd(lambda x: force(t, x, jnp.zeros(2)))(X)
-
-
-def test_a_stream_has_no_divergence_and_turns_as_its_function_says():
-    slope = jax.grad(STREAM.stream)(X)
-    expected = jnp.stack([slope[1], -slope[0]])
-    np.testing.assert_allclose(STREAM(0.0, X, X), expected, rtol=1e-12)
-    assert abs(jnp.trace(jacobian(STREAM))) < 1e-12
-    laplacian = jnp.trace(jax.hessian(STREAM.stream)(X))
-    curl = jacobian(STREAM)[1, 0] - jacobian(STREAM)[0, 1]
-    np.testing.assert_allclose(curl, -laplacian, rtol=1e-12)
-
-
 def test_one_kernel_of_a_stream_is_a_swirl():
     one = KernelStream(jnp.array([2.0]), CENTERS[:1], 1.3)
     swirl = GaussianSwirl(2.0, CENTERS[0], 1.3)
     np.testing.assert_allclose(one(0.0, X, X), swirl(0.0, X, X), rtol=1e-12)
 
 
-def test_a_mixture_is_the_sum_of_its_parts():
-    mixture = KernelMixture(POTENTIAL, STREAM)
-    expected = POTENTIAL(0.0, X, X) + STREAM(0.0, X, X)
-    np.testing.assert_allclose(mixture(0.0, X, X), expected, rtol=1e-14)
-    assert [p.shape for p in mixture.parameters] == [(3,), (3,)]
+NARROW = KernelPotential(jnp.array([0.4]), jnp.array([[0.5, 0.3]]), 0.3)
+WHOLES = {
+    "mixture": (KernelMixture(POTENTIAL, STREAM), (POTENTIAL, STREAM)),
+    "changing": (ChangingPotential(POTENTIAL, MOVING), (POTENTIAL, MOVING)),
+    "layered": (LayeredPotential((POTENTIAL, NARROW)), (POTENTIAL, NARROW)),
+    "one layer": (LayeredPotential((POTENTIAL,)), (POTENTIAL,)),
+}
+
+
+@pytest.mark.parametrize(("whole", "parts"), WHOLES.values(), ids=WHOLES)
+def test_a_force_of_parts_is_their_sum(whole, parts):
+    expected = sum(part(2.5, X, X) for part in parts)
+    np.testing.assert_allclose(whole(2.5, X, X), expected, rtol=1e-14)
+    if hasattr(whole, "potential"):
+        energy = sum(part.potential(2.5, X) for part in parts)
+        np.testing.assert_allclose(whole.potential(2.5, X), energy, rtol=1e-14)
+
+
+def test_the_two_parts_of_a_mixture_have_weights_of_their_own():
+    shapes = [leaf.shape for leaf in KernelMixture(POTENTIAL, STREAM).parameters]
+    assert shapes == [(3,), (3,)]
 
 
 @pytest.mark.parametrize("t", [0.0, 2.0, 3.3, 6.0, 9.0])
@@ -61,14 +64,6 @@ def test_weights_that_do_not_change_make_a_static_potential(t):
         jnp.repeat(WEIGHTS[:, None], 7, axis=1), CENTERS, 1.3, 2.0, 6.0
     )
     np.testing.assert_allclose(constant(t, X, X), POTENTIAL(t, X, X), rtol=1e-12)
-
-
-def test_a_changing_potential_is_the_sum_of_its_parts():
-    changing = ChangingPotential(POTENTIAL, MOVING)
-    expected = POTENTIAL(2.5, X, X) + MOVING(2.5, X, X)
-    np.testing.assert_allclose(changing(2.5, X, X), expected, rtol=1e-14)
-    force = -jax.grad(changing.potential, argnums=1)(2.5, X)
-    np.testing.assert_allclose(force, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("t", [2.0, 3.3, 5.9])
@@ -98,3 +93,7 @@ def test_wrong_shapes_are_refused():
         TimedKernelPotential(jnp.zeros((3, 2)), CENTERS, 1.0, 0.0, 1.0)
     with pytest.raises(InputError, match="expected last > first, got 0.0 and 1.0"):
         TimedKernelPotential(jnp.zeros((3, 5)), CENTERS, 1.0, 1.0, 0.0)
+    line = KernelPotential(jnp.array([0.4]), jnp.array([[0.5]]), 0.3)
+    for layers in ((), (POTENTIAL, line)):
+        with pytest.raises(InputError, match="expected one or more, of one dimension"):
+            LayeredPotential(layers)

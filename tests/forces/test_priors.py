@@ -1,7 +1,5 @@
 """Every prior of every learned force is a covariance, for any shape in its bounds."""
 
-import inspect
-
 import equinox as eqx
 import hypothesis.strategies as st
 import jax
@@ -9,76 +7,38 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from tests.forces.examples import FORCES, TERMS
 
-import pinav.forces
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
+from pinav.fitting.evidence.evidence import (
+    LinearisedObservations,
+    best_hyperparameters,
+    weight_posterior,
+)
+from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.forces import (
     AbstractLearnedForce,
     CentralTerm,
-    ChangingPotential,
     HillsTerm,
-    KernelAxis,
-    KernelBasis,
-    KernelForce,
     KernelMixture,
     KernelPotential,
-    KernelProfile,
-    KernelStream,
     LatticeTerm,
-    LayeredPotential,
     LinearTerm,
-    NeuralForce,
-    NeuralPotential,
-    PositionFeatures,
     StructuredForce,
-    TimedKernelPotential,
-    tanh_network,
+    split_structure,
 )
-from pinav.forces.priors import WeightPrior
+from pinav.forces.priors import IsotropicPrior, MixturePrior, WeightPrior
+from pinav.forces.profile_priors import DistancePrior, ProfilePrior
 
 CENTERS = np.random.default_rng(0).uniform(-3.0, 3.0, size=(9, 2))
 STILL = KernelPotential.with_zero_weights(CENTERS, 1.0)
-TIMED = TimedKernelPotential(jnp.zeros((9, 5)), jnp.asarray(CENTERS), 1.0, 0.0, 1.0)
-FEATURES = PositionFeatures((0.0, 0.0), (1.0, 1.0))
-
-
-def network(outputs):
-    return tanh_network(2, outputs, width=3, depth=1, key=jax.random.key(0))
-
-
-FORCES = {
-    KernelForce: KernelForce.with_zero_weights(CENTERS, 1.0),
-    KernelPotential: STILL,
-    KernelStream: KernelStream.with_zero_weights(CENTERS, 1.0),
-    KernelMixture: KernelMixture.with_zero_weights(CENTERS, 1.0),
-    KernelProfile: KernelProfile.with_zero_weights(
-        KernelBasis.around((KernelAxis(0),), CENTERS, across=3, margin=1), (0, 1), 2
-    ),
-    LayeredPotential: LayeredPotential(
-        (STILL, KernelPotential.with_zero_weights(CENTERS[:3], 0.5))
-    ),
-    TimedKernelPotential: TIMED,
-    ChangingPotential: ChangingPotential(STILL, TIMED),
-    NeuralForce: NeuralForce(network(2), FEATURES),
-    NeuralPotential: NeuralPotential(network(1), FEATURES),
-    StructuredForce: StructuredForce(
-        (
-            CentralTerm(jnp.zeros(5), jnp.zeros(2), jnp.arange(0.5, 5.0), 1.0),
-            LinearTerm(jnp.zeros(5), jnp.zeros(2), 2.0),
-        ),
-        STILL,
-    ),
+LEARNED = {
+    name: force
+    for name, force in ((name, make()) for name, make in FORCES.items())
+    if isinstance(force, AbstractLearnedForce)
 }
-every_force = pytest.mark.parametrize("force", FORCES.values(), ids=lambda f: type(f))
-
-
-def test_every_learned_force_is_tried():
-    kinds = {
-        kind
-        for _, kind in inspect.getmembers(pinav.forces, inspect.isclass)
-        if issubclass(kind, AbstractLearnedForce) and not inspect.isabstract(kind)
-    }
-    assert kinds == set(FORCES)
+every_force = pytest.mark.parametrize("force", LEARNED.values(), ids=LEARNED)
 
 
 @every_force
@@ -98,13 +58,50 @@ def test_a_prior_is_symmetric_and_positive_semidefinite(force, data):
     assert values[0] > -1e-10 * max(values[-1], 1e-300)
 
 
+def check_pullback(prior, shape, step=1e-5):
+    """Compare the pullback with differences of the covariance, for some matrix."""
+    count = len(prior.covariance(shape))
+    pull = np.random.default_rng(0).normal(size=(count, count))
+    pull += pull.T
+
+    def value(at):
+        return np.vdot(pull, prior.covariance(at))
+
+    expected = [
+        (value(shape + unit) - value(shape - unit)) / (2 * step)
+        for unit in step * np.eye(len(shape))
+    ]
+    scale = np.abs(expected).max(initial=1.0)
+    np.testing.assert_allclose(
+        prior.pullback(shape, pull), expected, rtol=1e-6, atol=1e-7 * scale
+    )
+
+
+@pytest.mark.parametrize(
+    "force",
+    [
+        *LEARNED.values(),
+        *(StructuredForce((make(),), STILL) for make in TERMS.values()),
+    ],
+    ids=[*LEARNED, *TERMS],
+)
+def test_a_prior_has_the_pullback_of_its_covariance(force):
+    prior = force.prior()
+    move = np.random.default_rng(0).uniform(-0.3, 0.3, size=len(prior.start))
+    check_pullback(prior, prior.start + move)
+
+
 @every_force
 def test_kernels_on_other_places_are_untrained_and_of_that_width(force):
     made = force.kernels_on(CENTERS[:4], 0.5)
     assert made.dim == force.dim == 2
     assert made.kernels.width == 0.5
-    assert not np.any(jax.tree.leaves(made.parameters)[0])
+    _, free = split_structure(made)
+    assert not np.any(jax.tree.leaves(free.parameters)[0])
     assert made.is_linear
+    prior = made.prior()
+    assert np.all(prior.bounds[:, 0] <= prior.start)
+    assert np.all(prior.start <= prior.bounds[:, 1])
 
 
 @every_force
@@ -162,15 +159,99 @@ def test_the_unit_of_length_decides_nothing_between_parts_of_a_force(second):
     np.testing.assert_allclose(covariances[1], covariances[0], rtol=1e-5)
 
 
-@pytest.mark.parametrize("remainder", [STILL, FORCES[KernelMixture]], ids=["U", "U, ψ"])
+@pytest.mark.parametrize(
+    "remainder",
+    [STILL, KernelMixture.with_zero_weights(CENTERS, 1.0)],
+    ids=["U", "U, ψ"],
+)
 def test_free_kernels_beside_terms_are_no_hill(remainder):
     """Their envelope reaches over half of their extent at least, in the same place."""
     alone, beside = (
         remainder.prior(),
-        StructuredForce(FORCES[StructuredForce].terms, remainder).prior().second,
+        StructuredForce(LEARNED["structured"].terms, remainder).prior().second,
     )
     low = np.log(0.5 * np.ptp(CENTERS, axis=0).max())
     reaches = np.flatnonzero(alone.bounds[:, 0] != beside.bounds[:, 0])
     np.testing.assert_allclose(beside.bounds[reaches, 0], low)
     assert len(reaches) == len(alone.start) // len(STILL.prior().start)
     np.testing.assert_array_equal(alone.start, beside.start)
+
+
+PLACES = np.linspace(0.5, 20.0, 40)
+FADED = np.array([1.0, 0.5, -19.0])
+"""A length scale of 2.7 widths, an envelope of 1.6 at the lower end."""
+
+
+def test_a_floor_holds_the_variance_where_the_envelope_ends():
+    without = ProfilePrior(PLACES, 0.5, floor=0.0).covariance(FADED)
+    with_floor = ProfilePrior(PLACES, 0.5, floor=0.1).covariance(FADED)
+    assert without[-1, -1] < 1e-12
+    np.testing.assert_allclose(with_floor[-1, -1], 0.01, rtol=1e-9)
+    np.testing.assert_allclose(with_floor[0, 0], without[0, 0] + 0.01)
+
+
+def test_the_prior_of_a_distance_has_the_pullback_of_its_covariance():
+    prior = DistancePrior(ProfilePrior(PLACES, 0.5, floor=0.1))
+    check_pullback(prior, np.array([1.2, 2.0, -3.0]))
+
+
+def test_a_profile_is_matern_of_order_seven_halves():
+    # The spectrum of that order is (7 / l^2 + k^2)^-4: its ratio at two frequencies.
+    spacing, scale = 0.02, 1.0
+    places = np.arange(-1500, 1501) * spacing
+    a = np.sqrt(7.0) * np.abs(places) / scale
+    prior = ProfilePrior(np.arange(3.0) * scale, 1.0, floor=0.0)
+    alike = prior.covariance(np.array([0.0, 9.0, 0.0]))
+    closed = (1 + a + 0.4 * a**2 + a**3 / 15) * np.exp(-a)
+    at = len(places) // 2 + np.round(np.array([0, 1, 2]) * scale / spacing).astype(int)
+    np.testing.assert_allclose(alike[0], closed[at], rtol=1e-6)
+    spectrum = [spacing * closed @ np.cos(k * places) for k in (0.0, 5.0)]
+    np.testing.assert_allclose(spectrum[1] / spectrum[0], (7 / 32) ** 4, rtol=1e-6)
+
+
+def test_a_search_begins_at_the_likeliest_of_several_envelopes():
+    # A hill near the origin, seen among places that reach far out of it.
+    prior = MixturePrior(DistancePrior(ProfilePrior(PLACES, 0.5)), IsotropicPrior(1))
+    starts = prior.starts
+    assert len(starts) == 3
+    np.testing.assert_array_equal(starts[0], prior.start)
+    narrow = starts[2]
+    rng = np.random.default_rng(0)
+    root = np.linalg.cholesky(prior.covariance(narrow) + 1e-12 * np.eye(41))
+    quadratic = _seen(np.eye(41), root @ rng.normal(size=41), 1e-3, rng)
+    chosen = GaussianWeights(prior).first_shape(quadratic, None)
+    np.testing.assert_array_equal(chosen, narrow)
+
+
+def test_the_band_of_a_wall_covers_it_where_that_of_a_smooth_process_does_not():
+    z, places = np.linspace(-5.0, 5.0, 120), np.arange(-6.0, 6.01, 0.4)
+    truth = 1.5 / np.cosh(z / 0.6) ** 2
+    rows = np.exp(-0.5 * ((z[:, None] - places) / 0.4) ** 2)
+    few, endless = ProfilePrior(places, 0.4), WeightPrior(places[:, None], 0.4)
+    shares = [_share(few, rows, truth, seed) for seed in range(3)]
+    assert 0.88 < np.mean(shares) < 0.99
+    assert max(_share(endless, rows, truth, seed) for seed in range(3)) < 0.5
+
+
+def _seen(rows, values, noise, rng):
+    """Values at the rows with noise, as the quadratic of a fit."""
+    residuals = -(values + noise * rng.normal(size=len(rows)))
+    return Quadratic(
+        point=np.zeros(rows.shape[1]),
+        hessian=rows.T @ rows,
+        gradient=rows.T @ residuals,
+        squares=float(residuals @ residuals),
+        num_free=len(rows),
+        log_determinant=0.0,
+    )
+
+
+def _share(prior, rows, truth, seed) -> float:
+    """Share of a profile that the band of 95 % covers, data everywhere."""
+    data = LinearisedObservations.of(
+        _seen(rows, truth, 0.01, np.random.default_rng(seed))
+    )
+    chosen = best_hyperparameters(data, prior, prior.start)
+    mean, covariance = weight_posterior(data, prior.covariance(chosen.shape), chosen)
+    sd = np.sqrt(np.maximum(((rows @ covariance) * rows).sum(axis=1), 0.0))
+    return float(np.mean(np.abs(rows @ mean - truth) < 1.96 * sd))

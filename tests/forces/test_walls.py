@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from validation.truth.known import brenner_mobility
 
 from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer
 from pinav.errors import InputError
@@ -13,7 +14,6 @@ from pinav.forces import (
     WallMobility,
     Weight,
     ZeroForce,
-    brenner_mobility,
     normal_mobility,
     parallel_mobility,
     stokes_drag,

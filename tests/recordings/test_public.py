@@ -12,9 +12,9 @@ import urllib.error
 import numpy as np
 import pytest
 from scipy.io import savemat
+from validation.truth.cases import BUILT_IN, read_recording
 
 from pinav import cli
-from pinav.commands.truth.cases import BUILT_IN, read_recording
 from pinav.errors import InputError
 from pinav.recordings import public
 from pinav.recordings.public import PUBLIC, fetch_recording, public_recording

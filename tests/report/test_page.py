@@ -119,7 +119,7 @@ def test_contents_lead_to_every_section():
 def test_only_columns_of_numbers_are_flush_right():
     rows = [
         ["ude", 0.015, "1.2 × 10⁻³", None, "100 % (34–100)", "50 (of 100)"],
-        ["nn-only", float("nan"), "7 %", 3, "1.025 (1.0–∞)", "7"],
+        ["nn-only", float("inf"), "7 %", 3, "1.025 (1.0–∞)", "7"],
     ]
     header = ["model", "total", "loss", "seed", "success", "share"]
     outline = Outline(Table(header, rows).html())
@@ -147,7 +147,7 @@ def test_empty_table_and_page_are_well_formed():
         (501, "501"),
         (-3, "−3"),
         (float("inf"), "diverged"),
-        (float("nan"), "diverged"),
+        (float("nan"), "–"),
         (None, "–"),
     ],
 )

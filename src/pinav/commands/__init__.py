@@ -1,7 +1,6 @@
 """The commands of the command line: one folder and one entry of `COMMANDS` for each."""
 
 from pinav.commands.analyse import ANALYSE
-from pinav.commands.bench import BENCH
 from pinav.commands.compare import COMPARE
 from pinav.commands.data import DATA
 from pinav.commands.design import DESIGN
@@ -19,7 +18,6 @@ from pinav.commands.report import REPORT
 from pinav.commands.reproduce import REPRODUCE
 from pinav.commands.simulate import SIMULATE
 from pinav.commands.study import STUDY
-from pinav.commands.truth import TRUTH
 
 COMMANDS = (
     REPRODUCE,
@@ -33,7 +31,6 @@ COMMANDS = (
     DISCOVER,
     STUDY,
     DATA,
-    TRUTH,
     HEAT,
     NAVIGATE,
     DESIGN,
@@ -41,6 +38,5 @@ COMMANDS = (
     EXPLORE,
     EXPORT,
     REPORT,
-    BENCH,
 )
 """All commands, in the order in which help lists them."""

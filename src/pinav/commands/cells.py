@@ -7,8 +7,6 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from pinav.evaluation import RolloutSummary
-
 Cell = float | int | str | None
 """A score: None where it is not defined, "diverged" where it is infinite."""
 
@@ -64,30 +62,3 @@ class EstimateRow(Row, frozen=True):
 
     value: float | None
     sd: float | None
-
-
-class RolloutRow(msgspec.Struct, frozen=True):
-    """Position errors of rollouts within an interval of time, over trajectories.
-
-    Attributes:
-        median: of the root-mean-square error of each trajectory [L].
-        high: its 90th percentile [L].
-        median_relative: median of that error over the way travelled.
-        high_relative: its 90th percentile.
-        diverged: fraction of trajectories that diverged.
-        trajectories: how many were scored.
-    """
-
-    median: Cell
-    high: Cell
-    median_relative: Cell
-    high_relative: Cell
-    diverged: Cell
-    trajectories: int
-
-    @classmethod
-    def of(cls, summary: RolloutSummary) -> "RolloutRow":
-        """The row of a summary of rollouts."""
-        names = cls.__struct_fields__
-        cells = {name: as_cell(getattr(summary, name)) for name in names}
-        return msgspec.convert(cells, cls)

@@ -33,10 +33,9 @@ class Command:
         sections: the function that takes this result and returns the sections that a
             terminal and the report show.
         resumable: a killed run can be continued with `--resume`.
-        forwards: the words after the first one are parsed by what the command runs.
         compiler_flags: XLA compiles the large programs of this command faster with the
             flags of `pinav.numerics.compiler_flags`.
-        compilation_cache: compiled code is kept on disk between processes.
+        call: the words of a shell that call it, where it is not `pinav` and its name.
     """
 
     name: str
@@ -49,9 +48,13 @@ class Command:
     file: str = ""
     sections: str = ""
     resumable: bool = False
-    forwards: bool = False
     compiler_flags: bool = True
-    compilation_cache: bool = True
+    call: str = ""
+
+    @property
+    def words(self) -> str:
+        """The words of a shell that call it."""
+        return self.call or f"pinav {self.name}"
 
 
 @dataclasses.dataclass(frozen=True)

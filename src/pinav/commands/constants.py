@@ -1,7 +1,5 @@
 """Learned constants by the names that tables and files give them."""
 
-import numpy as np
-
 from pinav.evaluation import field_map
 from pinav.fitting import (
     Estimate,
@@ -40,6 +38,5 @@ def rotational_part(fit: EvidenceFit, data: Trajectories) -> dict[str, Estimate]
     if learned is None or learned.helmholtz is None or split_structure(learned)[0]:
         return {}
     field = field_map(environment, data)
-    points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
-    visited = points[field.distance <= field.regions.visited]
+    visited = field.points[field.distance.ravel() <= field.regions.visited]
     return {"rotational fraction": rotational_fraction(fit.posterior, visited)}

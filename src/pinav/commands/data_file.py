@@ -8,13 +8,11 @@ import msgspec
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.errors import InputError
 from pinav.recordings.conventions import doubts
-from pinav.systems import System
 from pinav.trajectories import (
     PREFIX,
     Trajectories,
     is_trajectories,
     load,
-    with_missing_channels,
 )
 
 
@@ -72,12 +70,3 @@ def _as_a_table(path: Path) -> str:
         ):
             return example_of_columns(names)
     return ""
-
-
-def with_all_channels(data: Trajectories, system: System) -> Trajectories:
-    """The data; positions alone get velocities that nobody observed."""
-    positions = system.position_channels
-    if data.channels != positions:
-        return data
-    unseen = system.channels[len(positions) :]
-    return with_missing_channels(data, {name: system.units[name] for name in unseen})

@@ -26,28 +26,24 @@ def execute(
         InputError: an option is unknown, misses its value or has a wrong one.
         FitError: the command has failed honestly.
     """
-    words = argv[:1] if command.forwards else argv
-    options = parse(resolve(command.options), words, prog=f"pinav {command.name}")
+    options = parse(resolve(command.options), argv, prog=command.words)
     if options is None:
         return
     if isinstance(options, Settings):
         options.check()
-    if command.forwards:
-        options = msgspec.structs.replace(options, words=tuple(argv[1:]))
-    else:
-        _prepare_jax()
+    _prepare_jax()
     run = resolve(command.run)
     from pinav.manifest import REPAIR
 
     REPAIR.set(_repair(command))
     on_start()
     result = run(options)
-    _show(result, as_json=getattr(options, "json", False))
+    _show(command, result, as_json=getattr(options, "json", False))
 
 
 def _repair(command: Command) -> str:
     """How files that a command wrote are made again."""
-    again = f"repeat pinav {command.name}"
+    again = f"repeat {command.words}"
     if not command.title:
         return again
     if not command.resumable:
@@ -69,13 +65,13 @@ def _prepare_jax() -> None:
             ) from error
 
 
-def _show(result: CommandResult, *, as_json: bool) -> None:
+def _show(command: Command, result: CommandResult, *, as_json: bool) -> None:
     """Write the run's report; print its metrics, as JSON alone or for people."""
     page = result.page
     if result.folder is not None:
         from pinav.commands.report_page import write_report
 
-        page = write_report(result.folder)
+        page = write_report(result.folder, command)
     if as_json:
         json = msgspec.json.format(msgspec.json.encode(result.metrics), indent=2)
         sys.stdout.write(json.decode() + "\n")

@@ -27,6 +27,7 @@ from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap, require_x64
 from pinav.fitting import (
+    AbstractLearned,
     Estimate,
     EvidenceFit,
     Posterior,
@@ -59,7 +60,7 @@ class ModelHeader(msgspec.Struct, frozen=True):
 
 
 @dataclasses.dataclass(frozen=True)
-class FittedRun:
+class FittedRun(AbstractLearned):
     """A finished run with one model or several.
 
     Attributes:
@@ -169,9 +170,11 @@ class FittedRun:
         if self.evidence is not None:
             return self.evidence.constants
         paths = self.choice.paths() if "model" in self.models else {}
+        values = {name: attrgetter(path)(self.model) for name, path in paths.items()}
         return {
-            name: Estimate(float(attrgetter(path)(self.model)), float("nan"))
-            for name, path in paths.items()
+            name: Estimate(float(value), float("nan"))
+            for name, value in values.items()
+            if np.ndim(value) == 0
         }
 
     @property
@@ -190,10 +193,6 @@ class FittedRun:
         training = set(_hashes(self.data))
         return sum(piece in training for piece in _hashes(data))
 
-    def is_training_data(self, data: Trajectories) -> bool:
-        """The fit has seen at least one of these trajectories."""
-        return self.shared_trajectories(data) > 0
-
     def force_sd(self, field: FieldMap) -> Float[np.ndarray, "y x 2"]:
         """Standard deviation of the learned force on the grid of a map.
 
@@ -204,9 +203,7 @@ class FittedRun:
             raise InputError(
                 f"{self.folder.path} has no posterior; fit with --recipe bayes"
             )
-        points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
-        sd = self.posterior.force_sd(points.reshape(-1, 2))
-        return sd.reshape(field.force.shape)
+        return self.posterior.force_sd(field.points).reshape(field.force.shape)
 
 
 def build_model(header: ModelHeader, system: System) -> AbstractDynamics:

@@ -16,16 +16,20 @@ TABLE = "runs.csv"
 """File of the table of a run of several files."""
 
 
-def write_report(folder: RunFolder) -> Path:
+def write_report(folder: RunFolder, command: Command | None = None) -> Path:
     """Draw the figures of a finished run and write its `report.html`.
 
     The sections of the command that made the run come first, then those of every
     command that added results to it.
 
+    Args:
+        folder: The run.
+        command: What made or extended it, where that is none of `COMMANDS`.
+
     Raises:
         InputError: the run is not finished, or one of its files is damaged.
     """
-    maker = _maker(folder)
+    maker = _maker(folder, command)
     if folder.has(TABLE):
         raise InputError(
             f"{folder.path} holds the runs of several files; report one of those in "
@@ -59,10 +63,10 @@ def _figures(folder: RunFolder, images: Sequence[str | Path]) -> list[str]:
     ]
 
 
-def _maker(folder: RunFolder) -> Command:
+def _maker(folder: RunFolder, other: Command | None) -> Command:
     """The command that made the run."""
     name = folder.command
-    for command in COMMANDS:
+    for command in (*COMMANDS, *([other] if other else [])):
         if command.title and command.name == name:
             return command
     raise InputError(f"{folder.path}/config.toml: command {name!r} is unknown")

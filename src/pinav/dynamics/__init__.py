@@ -1,7 +1,6 @@
 """Equations of motion of swimmers, and their solvers."""
 
 from pinav.dynamics.adaptive import Adaptive as Adaptive
-from pinav.dynamics.adaptive import InterpolatingAdjoint as InterpolatingAdjoint
 from pinav.dynamics.brownian import BOLTZMANN as BOLTZMANN
 from pinav.dynamics.brownian import BrownianSwimmer as BrownianSwimmer
 from pinav.dynamics.brownian import sample_path as sample_path

@@ -5,7 +5,6 @@
 | `FixedStep` | one explicit Runge-Kutta step per sample | discretise, then optimise |
 | `Adaptive` | diffrax at a tolerance | that of its diffrax adjoint |
 | `ForwardOnly` | the steps of `Adaptive` | none in reverse |
-| `InterpolatingAdjoint` | diffrax at a tolerance, dense | continuous adjoint (paper) |
 """
 
 import abc

@@ -6,7 +6,6 @@ from pinav.evaluation.conformal import calibrate as calibrate
 from pinav.evaluation.conformal import least_count as least_count
 from pinav.evaluation.conformal import rollout_bands as rollout_bands
 from pinav.evaluation.conformal import trajectory_scores as trajectory_scores
-from pinav.evaluation.constants import ParameterRecovery as ParameterRecovery
 from pinav.evaluation.coverage import NOMINAL as NOMINAL
 from pinav.evaluation.coverage import Bands as Bands
 from pinav.evaluation.coverage import estimated_start_bands as estimated_start_bands
@@ -14,10 +13,12 @@ from pinav.evaluation.coverage import exact_start_bands as exact_start_bands
 from pinav.evaluation.coverage import force_coverage as force_coverage
 from pinav.evaluation.coverage import fraction_inside as fraction_inside
 from pinav.evaluation.coverage import inside_band as inside_band
+from pinav.evaluation.coverage import normal_interval as normal_interval
 from pinav.evaluation.coverage import normal_quantile as normal_quantile
 from pinav.evaluation.coverage import rollout_coverage as rollout_coverage
-from pinav.evaluation.decomposition import Decomposition as Decomposition
-from pinav.evaluation.decomposition import decompose as decompose
+from pinav.evaluation.evaluation import BASELINE as BASELINE
+from pinav.evaluation.evaluation import Evaluation as Evaluation
+from pinav.evaluation.evaluation import evaluate as evaluate
 from pinav.evaluation.force_fields import NEAR as NEAR
 from pinav.evaluation.force_fields import NEAR_FRACTION as NEAR_FRACTION
 from pinav.evaluation.force_fields import VISITED as VISITED
@@ -36,12 +37,16 @@ from pinav.evaluation.force_fields import force_agreement as force_agreement
 from pinav.evaluation.force_fields import force_error as force_error
 from pinav.evaluation.force_fields import force_errors as force_errors
 from pinav.evaluation.force_fields import square as square
+from pinav.evaluation.force_lines import Decomposition as Decomposition
 from pinav.evaluation.force_lines import ForceLine as ForceLine
+from pinav.evaluation.force_lines import decompose as decompose
 from pinav.evaluation.force_lines import (
     force_error_at_samples as force_error_at_samples,
 )
 from pinav.evaluation.force_lines import force_line as force_line
 from pinav.evaluation.force_lines import line_through as line_through
+from pinav.evaluation.judgement import CalibratedBand as CalibratedBand
+from pinav.evaluation.judgement import ParameterRecovery as ParameterRecovery
 from pinav.evaluation.restarts import RestartErrors as RestartErrors
 from pinav.evaluation.restarts import restart_errors as restart_errors
 from pinav.evaluation.rollouts import ErrorCurve as ErrorCurve
@@ -55,6 +60,7 @@ from pinav.evaluation.scores import Score as Score
 from pinav.evaluation.scores import predict as predict
 from pinav.evaluation.scores import require_x64 as require_x64
 from pinav.evaluation.scores import score as score
+from pinav.evaluation.setting import held_out as held_out
 from pinav.evaluation.starts import START_SAMPLES as START_SAMPLES
 from pinav.evaluation.starts import Starts as Starts
 from pinav.evaluation.starts import estimate_starts as estimate_starts

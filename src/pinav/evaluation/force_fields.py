@@ -135,6 +135,11 @@ class FieldMap(eqx.Module):
         x, y, distance = (arrays[f"field/{part}"] for part in ("x", "y", "distance"))
         return cls(x, y, arrays[f"field/{name}"], distance, regions or Regions())
 
+    @property
+    def points(self) -> Float[np.ndarray, "point 2"]:
+        """The points of the grid, row by row [L]."""
+        return np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
+
     def showing(self, force: Float[np.ndarray, "rows columns 2"]) -> "FieldMap":
         """Another force [L T⁻²] on the same grid."""
         return dataclasses.replace(self, force=force)

@@ -6,8 +6,6 @@ on. A quantile is the smallest value that the given fraction of trajectories doe
 exceed, so that infinite errors stay infinite and nothing is interpolated.
 """
 
-from collections.abc import Mapping
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
@@ -119,16 +117,6 @@ class ErrorCurve(eqx.Module):
     median: Float[np.ndarray, " bin"]
     high: Float[np.ndarray, " bin"]
     diverged: Float[np.ndarray, " bin"]
-
-    def as_arrays(self, key: str) -> dict[str, np.ndarray]:
-        """The curve as arrays whose names begin with a key."""
-        return {f"{key}/{name}": values for name, values in vars(self).items()}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, np.ndarray], key: str) -> "ErrorCurve":
-        """The curve that `as_arrays` gave this key."""
-        parts = ("elapsed", "median", "high", "diverged")
-        return cls(*(arrays[f"{key}/{name}"] for name in parts))
 
 
 def error_curve(errors: RolloutErrors, bins: int = BINS) -> ErrorCurve:

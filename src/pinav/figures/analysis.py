@@ -1,40 +1,39 @@
 """Figures of what was learned: potential, parts, trust, influence and sensitivity.
 
-Functions of a map take axes and return them; the others return the picture with its
-words, which is drawn when somebody looks at it.
+They return the picture with its words, which is drawn when somebody looks at it.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from pinav.analysis import HelmholtzSplit, LyapunovMap, SobolIndices
 from pinav.evaluation import FieldMap
-from pinav.figures.force_maps import (
-    draw_arrows,
-    force_map,
-    heat_map,
-    largest_near,
-    overlay,
-)
 from pinav.figures.images import Picture
+from pinav.figures.maps import (
+    CHANGE,
+    FORCE,
+    GROWTH,
+    POTENTIAL,
+    Path,
+    above_least,
+    largest_near,
+    map_panel,
+    one_legend,
+    trust_map,
+)
 from pinav.figures.palette import (
     BLACK,
     BLUE,
-    GRADED,
     ORANGE,
-    PAPER,
-    UNCERTAIN,
     VERMILLION,
-    WRONG,
 )
 from pinav.figures.style import (
     DIMENSIONLESS,
-    SMALL,
     TEXT,
     add_legend,
     label_axes,
@@ -45,75 +44,6 @@ from pinav.figures.style import (
     with_unit,
 )
 from pinav.report import quantity
-from pinav.units import force_unit
-
-Path = Float[np.ndarray, "time 2"]
-
-
-def potential_map(
-    potential: Float[np.ndarray, "rows columns"],
-    field: FieldMap,
-    *,
-    path: Path | None = None,
-    units: Mapping[str, str] = DIMENSIONLESS,
-    ax: Axes | None = None,
-) -> Axes:
-    """A potential, up to a constant: its least value near the data is zero.
-
-    Args:
-        potential: on the grid of the map [L² T⁻²].
-        field: the map, whose distances say where there was data.
-        path: positions to overlay [L]; a row of NaN separates two trajectories.
-        units: unit of each channel; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
-    """
-    near = (field.distance <= field.regions.near) & np.isfinite(potential)
-    near = near if near.any() else np.isfinite(potential)
-    lifted = potential - potential[near].min()
-    top = float(lifted[near].max()) or 1.0
-    label = with_unit("$U$ above its least value", force_unit(units, lengths=2))
-    look = (GRADED, label)
-    ax = heat_map(lifted, field, Normalize(0.0, top), look, units=units, ax=ax)
-    levels = np.linspace(0.0, top, 9)[1:-1]
-    ax.contour(field.x, field.y, lifted, levels, colors=PAPER, linewidths=0.5)
-    overlay(ax, field, path, units, shade=True)
-    return ax
-
-
-def trust_map(
-    field: FieldMap,
-    sd: Float[np.ndarray, "rows columns 2"],
-    *,
-    path: Path | None = None,
-    units: Mapping[str, str] = DIMENSIONLESS,
-    ax: Axes | None = None,
-) -> Axes:
-    """Signal to noise: size of a learned force over its standard deviation.
-
-    A line surrounds places where the force is known to better than half of its size.
-
-    Args:
-        field: the learned force.
-        sd: standard deviation of each component [L T⁻²].
-        path: as for `potential_map`.
-        units: unit of each channel; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
-    """
-    size = np.linalg.norm(field.force, axis=-1)
-    ratio = size / np.maximum(np.linalg.norm(sd, axis=-1), 1e-300)
-    norm = LogNorm(0.1, max(10.0, float(np.nanmax(ratio))))
-    look = (UNCERTAIN, r"$|F| / \mathrm{sd}(F)$")
-    ax = heat_map(ratio, field, norm, look, units=units, ax=ax)
-    if ratio.min() < SIGNIFICANT < ratio.max():
-        line = {"colors": VERMILLION, "linewidths": 1.2}
-        drawn = ax.contour(field.x, field.y, ratio, [SIGNIFICANT], **line)
-        ax.clabel(drawn, fmt={SIGNIFICANT: f"{SIGNIFICANT:g}"}, fontsize=SMALL)
-    overlay(ax, field, path, units, shade=True)
-    return ax
-
-
-SIGNIFICANT = 2.0
-"""Below this ratio of size to standard deviation a force may as well be zero."""
 
 
 def potential_figure(
@@ -128,7 +58,7 @@ def potential_figure(
     """A potential, and where the field is known.
 
     Args:
-        potential: as for `potential_map`.
+        potential: positions to overlay [L].
         field: as there.
         origin: of the potential, in words.
         sd: of the field; without it the signal to noise is left out.
@@ -139,10 +69,11 @@ def potential_figure(
     def draw() -> Figure:
         figure = new_figure(3.8 if sd is None else 7.5, 4.6)
         axes = np.ravel(figure.subplots(1, 1 if sd is None else 2))
-        potential_map(potential, field, path=path, units=units, ax=axes[0])
+        shown = {"path": path, "units": units}
+        map_panel(field, above_least(potential, field), POTENTIAL, **shown, ax=axes[0])
         title_panel(axes[0], f"(a) potential, {origin}")
         if sd is not None:
-            trust_map(field, sd, path=path, units=units, ax=axes[1])
+            trust_map(field, sd, **shown, ax=axes[1])
             title_panel(axes[1], "(b) signal to noise")
         one_legend(figure, axes)
         return figure
@@ -174,7 +105,7 @@ def helmholtz_figure(
         split: of the force.
         field: the force that was split.
         spread: standard deviation of the fraction over posterior samples.
-        path: as for `potential_map`.
+        path: positions to overlay [L].
         units: unit of each channel; "1" means dimensionless.
     """
     fractions = (
@@ -187,10 +118,12 @@ def helmholtz_figure(
         axes = figure.subplots(1, 3)
         top = largest_near(np.linalg.norm(field.force, axis=-1), field)
         plus = "" if spread is None else f" ± {spread:.1%}"
+        shown = {"path": path, "units": units}
         for ax, (part, title) in zip(axes, fractions, strict=False):
-            force_map(field.showing(part), path=path, limit=top, units=units, ax=ax)
+            map_panel(field, part, FORCE, limits=(0.0, top), **shown, ax=ax)
             title_panel(ax, title + plus)
-        potential_map(split.potential, field, path=path, units=units, ax=axes[2])
+        lifted = above_least(split.potential, field)
+        map_panel(field, lifted, POTENTIAL, **shown, ax=axes[2])
         title_panel(axes[2], "(c) potential of (a)")
         one_legend(figure, axes)
         return figure
@@ -229,14 +162,13 @@ def influence_figure(
     top = float(sizes[order][:, near].max()) or 1.0
     columns = min(2, len(order))
     rows = -(-len(order) // columns)
-    label = with_unit(r"$|\Delta F|$", force_unit(units))
 
     def draw() -> Figure:
         figure = new_figure(2.9 * 2, 3.6 * rows)
         axes = np.ravel(figure.subplots(rows, columns))
         for ax, index in zip(axes, order, strict=False):
-            change = field.showing(changes[index])
-            _draw_change(ax, change, label, top, paths[index], units)
+            shown = {"path": paths[index], "units": units, "ax": ax}
+            map_panel(field, changes[index], CHANGE, limits=(0.0, top), **shown)
             title_panel(ax, f"without trajectory {index}")
         for ax in axes[len(order) :]:
             ax.set_visible(False)
@@ -264,17 +196,16 @@ def constants_figure(
     Args:
         slopes: change of the force per percent of each constant [L T⁻²].
         field: the force, for the grid and its distances.
-        path: as for `potential_map`.
+        path: positions to overlay [L].
         units: unit of each channel; "1" means dimensionless.
     """
-    label = with_unit(r"$|\Delta F|$ per percent", force_unit(units))
+    look = dataclasses.replace(CHANGE, quantity=f"{CHANGE.quantity} per percent")
 
     def draw() -> Figure:
         figure = new_figure(max(2.7 * len(slopes), 4.0), 3.9)
         axes = np.ravel(figure.subplots(1, len(slopes)))
         for ax, (name, change) in zip(axes, slopes.items(), strict=True):
-            top = largest_near(np.linalg.norm(change, axis=-1), field)
-            _draw_change(ax, field.showing(change), label, top, path, units)
+            map_panel(field, change, look, path=path, units=units, ax=ax)
             title_panel(ax, f"{name} one percent larger")
         one_legend(figure, axes)
         return figure
@@ -286,21 +217,6 @@ def constants_figure(
         "everything else is fitted anew.",
         "Change of the field with known constants",
     )
-
-
-def _draw_change(
-    ax: Axes,
-    change: FieldMap,
-    label: str,
-    top: float,
-    path: Path | None,
-    units: Mapping[str, str],
-) -> None:
-    """A change of a force: its size in colour, its direction in arrows."""
-    size, norm = np.linalg.norm(change.force, axis=-1), Normalize(0.0, top)
-    heat_map(size, change, norm, (WRONG, label), units=units, ax=ax)
-    draw_arrows(ax, change, top)
-    overlay(ax, change, path, units, shade=True)
 
 
 def lyapunov_figure(
@@ -317,7 +233,7 @@ def lyapunov_figure(
     Args:
         exponents: the map.
         trajectory: index of the one whose first velocity all starts have.
-        path: as for `potential_map`.
+        path: positions to overlay [L].
         units: unit of each channel; "1" means dimensionless.
     """
 
@@ -357,14 +273,13 @@ def growth_map(
     """
     values = np.where(exponents.separation > 0, exponents.separation, np.nan)
     low, high = (float(f(values)) for f in (np.nanmin, np.nanmax))
-    norm = LogNorm(min(low, 0.9 * high), max(high, 1.1 * low))
-    look = (UNCERTAIN, r"growth of separations, $e^{\lambda T}$")
-    ax = heat_map(values, exponents, norm, look, units=units, ax=ax)
+    limits = min(low, 0.9 * high), max(high, 1.1 * low)
+    ax = map_panel(exponents, values, GROWTH, limits=limits, units=units, ax=ax)
     if path is not None:
         ax.plot(*path.T, color=VERMILLION, lw=1.2, label="reference trajectory")
         ax.plot(*path[0], "o", color=VERMILLION, ms=4, mec=BLACK, mew=0.5)
         add_legend(ax, loc="upper left")
-    ax.set(xlim=exponents.x[[0, -1]], ylim=exponents.y[[0, -1]])
+        ax.set(xlim=exponents.x[[0, -1]], ylim=exponents.y[[0, -1]])
     return ax
 
 
@@ -418,17 +333,3 @@ def _bars(ax: Axes, indices: SobolIndices, outcome: int) -> None:
     ax.axvline(0.0, color=BLACK, lw=0.6)
     label_axes(ax, "fraction of the variance", "")
     title_panel(ax, indices.outcomes[outcome])
-
-
-def one_legend(figure: Figure, axes: Sequence[Axes] | np.ndarray) -> None:
-    """The legend of the first panel, once, below all of them."""
-    legends = [legend for ax in axes if (legend := ax.get_legend()) is not None]
-    handles = [handle for handle in legends[0].legend_handles if handle is not None]
-    labels = [text.get_text() for text in legends[0].get_texts()]
-    for legend in legends:
-        legend.remove()
-    left = min(ax.get_position().x0 for ax in axes)
-    for ax in axes:
-        if ax.get_position().x0 > left + 1e-6:
-            ax.set_ylabel("")
-    share_legend(figure, handles, labels=labels)

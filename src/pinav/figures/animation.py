@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pinav.figures.navigation import Course, field_of, paths_map
+from pinav.figures.navigation import paths_map
 from pinav.figures.palette import (
     BLACK,
 )
@@ -25,6 +25,7 @@ from pinav.figures.style import (
     title_panel,
 )
 from pinav.files import atomic_write
+from pinav.navigation.maps import Course, ForceMaps
 
 FRAMES, DOTS = 60, 90
 """Frames of an animation at most, and dots per inch."""
@@ -56,7 +57,8 @@ class Trails:
 
 
 def save_animation(
-    arrays: Mapping[str, np.ndarray],
+    course: Course,
+    maps: ForceMaps,
     trails: Trails,
     path: Path,
     *,
@@ -67,12 +69,13 @@ def save_animation(
     The file appears whole or not at all; the same runs give the same bytes.
 
     Args:
-        arrays: results of a run of `pinav navigate`.
+        course: start, goal and obstacles.
+        maps: the forces.
         trails: what moves.
         path: of the file; its folder is made.
         units: unit of each channel; "1" means dimensionless.
     """
-    figure, axes = _stage(arrays, trails, units)
+    figure, axes = _stage(course, maps, trails, units)
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(DOTS)
     canvas.draw()
@@ -107,17 +110,17 @@ def save_animation(
 
 
 def _stage(
-    arrays: Mapping[str, np.ndarray], trails: Trails, units: Mapping[str, str]
+    course: Course, maps: ForceMaps, trails: Trails, units: Mapping[str, str]
 ) -> tuple[Figure, list[Axes]]:
     """The maps on which the runs are shown."""
-    names = [name for name in ("true", "learned") if f"field/{name}" in arrays]
-    figure = new_figure(3.2 * len(names), 4.0)
-    axes = list(np.ravel(figure.subplots(1, len(names))))
-    top = max(float(np.linalg.norm(arrays[f"field/{n}"], axis=-1).max()) for n in names)
-    for ax, name in zip(axes, names, strict=True):
-        field = field_of(arrays, f"field/{name}")
-        options = {"limit": max(top, 1e-12), "units": units, "ax": ax}
-        paths_map(field, Course(arrays), {}, **options)
+    both = {"true": maps.truth, "learned": maps.learned}
+    fields = {name: field for name, field in both.items() if field is not None}
+    figure = new_figure(3.2 * len(fields), 4.0)
+    axes = list(np.ravel(figure.subplots(1, len(fields))))
+    forces = [np.linalg.norm(field.force, axis=-1) for field in fields.values()]
+    limit = max(float(np.max(forces)), 1e-12)
+    for ax, (name, field) in zip(axes, fields.items(), strict=True):
+        paths_map(field, course, {}, limit=limit, units=units, ax=ax)
         title_panel(ax, f"{name} force")
     keys = [
         axes[0].plot([], [], color=style_of(name).color, lw=1.5, label=name)[0]

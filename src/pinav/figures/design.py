@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator
 
-from pinav.figures.navigation import Course, field_of, spread_map
+from pinav.figures.navigation import spread_map
 from pinav.figures.palette import BLACK, GREY, NEXT, PURPLE, TRACK
 from pinav.figures.style import (
     DIMENSIONLESS,
@@ -17,6 +17,7 @@ from pinav.figures.style import (
     new_figure,
     prepare_axes,
 )
+from pinav.navigation.maps import Course, ForceMaps
 
 LOOKS: Mapping[str, tuple[str, str]] = {
     "informed": (NEXT, "-"),
@@ -54,25 +55,33 @@ def bounds_figure(
 
 
 def recordings_figure(
-    arrays: Mapping[str, np.ndarray],
+    course: Course,
+    maps: ForceMaps,
     paths: Sequence[Float[np.ndarray, "_ 2"]],
+    *,
+    way: Float[np.ndarray, "_ 2"],
+    thrust: float,
     units: Mapping[str, str] = DIMENSIONLESS,
 ) -> Figure:
     """What was recorded, over what is not known of the force, and the planned way.
 
     Args:
-        arrays: results of a run of `pinav design`.
-        paths: of the trajectories [L].
+        course: start, goal and obstacles.
+        maps: the learned force, and its standard deviation.
+        paths: positions of the trajectories [L].
+        way: the planned way [L].
+        thrust: greatest thrust of the swimmer [L T⁻²].
         units: unit of each channel.
     """
     figure = new_figure(4.8, 4.8)
     ax = figure.add_subplot()
+    assert maps.sd is not None
     spread_map(
-        field_of(arrays, "field/learned"),
-        arrays["field/sd"],
-        Course(arrays),
-        thrust=float(arrays["thrust"]),
-        route=arrays["way"],
+        maps.learned,
+        maps.sd,
+        course,
+        thrust=thrust,
+        route=way,
         units=units,
         ax=ax,
     )

@@ -3,11 +3,12 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pinav.evaluation import ErrorCurve, normal_quantile
+from pinav.evaluation import ErrorCurve, Evaluation, Whiteness, normal_quantile
+from pinav.figures.bands import band
+from pinav.figures.images import Picture
 from pinav.figures.palette import (
     GREY,
     SHADE,
@@ -55,8 +56,8 @@ def error_over_time(
         style = (styles or {}).get(name) or style_of(name, index)
         color, dash = style.color, style.dash
         median, high = _positive(curve.median), _positive(curve.high)
-        ax.fill_between(curve.elapsed, median, high, color=color, alpha=0.15, lw=0)
-        ax.plot(curve.elapsed, median, dash, color=color, lw=THIN, label=name)
+        drawn = {"color": color, "line": dash, "width": THIN, "alpha": 0.15}
+        band(curve.elapsed, median, (median, high), name=name, **drawn, ax=ax)
         ax.plot(curve.elapsed, high, ":", color=color, lw=0.8)
     _set_log_if_positive(ax, [c.high for c in curves.values()])
     if horizon is not None:
@@ -79,21 +80,60 @@ def _positive(values: np.ndarray) -> np.ndarray:
     return np.where(values > 0, values, np.nan)
 
 
-def residual_autocorrelation(
-    autocorrelation: Float[np.ndarray, "channel lag"],
-    counts: Sequence[int],
-    channels: Sequence[str],
-    *,
-    ax: Axes | None = None,
-) -> Axes:
+def evaluation_errors_figure(evaluation: Evaluation, error_name: str) -> Picture:
+    """Errors of rollouts over time, one panel for each source of starts.
+
+    Args:
+        evaluation: the scores.
+        error_name: name of the errors on the data that were given.
+    """
+
+    def draw() -> Figure:
+        sources = list(next(iter(evaluation.curves.values())))
+        figure = new_figure(7.5 if len(sources) > 1 else 4.4, 3.2)
+        axes = np.atleast_1d(figure.subplots(1, len(sources)))
+        for ax, source in zip(axes, sources, strict=True):
+            curves = {name: each[source] for name, each in evaluation.curves.items()}
+            unit = evaluation.units.get("x", "")
+            error_over_time(curves, horizon=evaluation.horizon, unit=unit, ax=ax)
+            words = f"the data ({error_name})" if source == "data" else source
+            title_panel(ax, f"rollouts from {words}")
+        return figure
+
+    return Picture(
+        "evaluation-errors",
+        draw,
+        "Position error over time since the start: median (line) and 90th percentile "
+        "(dotted) over trajectories; a line ends where that fraction has diverged. "
+        "Dashed: the training horizon.",
+    )
+
+
+def residuals_figure(test: Whiteness) -> Picture:
+    """Autocorrelation of the residuals of a fit."""
+
+    def draw() -> Figure:
+        figure = new_figure(4.4, 3.2)
+        residual_autocorrelation(test, ax=figure.add_subplot())
+        return figure
+
+    return Picture(
+        "evaluation-residuals",
+        draw,
+        "Autocorrelation of the residuals on the training data; grey: what 95 % of "
+        "white residuals would show.",
+        width=0.6,
+    )
+
+
+def residual_autocorrelation(test: Whiteness, *, ax: Axes | None = None) -> Axes:
     r"""Autocorrelation at each lag, with the 95 % band of white noise.
 
     Args:
-        autocorrelation: at lags 1, 2, ...
-        counts: residuals of each channel; a channel without any is left out.
-        channels: their names.
+        test: of the residuals; a channel without any is left out.
         ax: where to draw; a new figure unless given.
     """
+    autocorrelation, counts = test.autocorrelation, test.counts
     ax = prepare_axes(ax)
     lags = np.arange(1, autocorrelation.shape[1] + 1)
     used = [i for i, count in enumerate(counts) if count]
@@ -102,7 +142,12 @@ def residual_autocorrelation(
         values, color = finite(autocorrelation[i]), SPARE[i % len(SPARE)]
         ax.vlines(lags + shift, 0.0, values, color=color, lw=THIN)
         ax.plot(
-            lags + shift, values, MARKERS[i], color=color, ms=3.5, label=channels[i]
+            lags + shift,
+            values,
+            MARKERS[i],
+            color=color,
+            ms=3.5,
+            label=test.channels[i],
         )
     bound = normal_quantile() / np.sqrt(min(counts[i] for i in used))
     ax.axhspan(-bound, bound, color=SHADE, zorder=0, label="95 % of white noise")
@@ -110,45 +155,6 @@ def residual_autocorrelation(
     label_axes(ax, "lag [samples]", "autocorrelation of residuals")
     add_legend(ax, columns=2)
     return ax
-
-
-def errors_by_region(
-    errors: Mapping[str, Mapping[str, float | str | None]],
-    *,
-    styles: Mapping[str, LineStyle] | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Bars of the relative force error in each region, one colour for each model.
-
-    Args:
-        errors: relative errors by region, by model; what is no number has no bar.
-        styles: how each model is drawn.
-        ax: where to draw; a new figure unless given.
-    """
-    ax = prepare_axes(ax)
-    regions = list(next(iter(errors.values())))
-    width = 0.8 / len(errors)
-    for index, (name, values) in enumerate(errors.items()):
-        color = ((styles or {}).get(name) or style_of(name, index)).color
-        x = np.arange(len(regions)) + width * (index - (len(errors) - 1) / 2)
-        heights = np.array([_percent(values[region]) for region in regions])
-        ax.bar(x, heights, 0.92 * width, color=color, label=name)
-        for at, height in zip(x, heights, strict=True):
-            if np.isfinite(height):
-                label = f"{height:.2g}" if height < 100 else f"{height:.0f}"
-                ax.text(at, height, label, ha="center", va="bottom", fontsize=SMALL)
-    percent = [[_percent(v) for v in row.values()] for row in errors.values()]
-    _set_log_if_positive(ax, percent)
-    ax.set_xticks(np.arange(len(regions)), regions)
-    label_axes(ax, "region", "relative force error (%)")
-    low, high = ax.get_ylim()
-    ax.set_ylim(low, high * 30 ** (ax.get_yscale() == "log"))  # room for the legend
-    add_legend(ax, loc="upper left")
-    return ax
-
-
-def _percent(value: object) -> float:
-    return 100.0 * value if isinstance(value, float) else float("nan")
 
 
 Series = Mapping[str, Sequence[tuple[float, float]]]

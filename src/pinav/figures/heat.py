@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
+from pinav.figures.bands import band
 from pinav.figures.images import Picture
 from pinav.figures.palette import (
     BLACK,
@@ -26,7 +27,6 @@ from pinav.figures.palette import (
     LEARNED,
     PAPER,
     TARGET,
-    TRUTH,
     WARM,
 )
 from pinav.figures.style import (
@@ -445,7 +445,8 @@ def _forecast(found: Forecast) -> Figure:
         color, half = SPARE[index % len(SPARE)], 1.96 * found.sd[:, index]
         curve = found.values[:, index]
         above.plot(minutes, curve, color=color, lw=THIN, label=name)
-        below.fill_between(minutes, -half, half, color=color, alpha=0.12, lw=0)
+        drawn = {"color": color, "alpha": 0.12, "width": 0.0}
+        band(minutes, 0 * half, (-half, half), **drawn, ax=below)
         for side in (-half, half):
             below.plot(minutes, side, color=color, lw=0.6, ls=(0, (1, 1)))
         if true is not None:
@@ -551,12 +552,10 @@ def perfusion_law(law: PerfusionCurve, *, ax: Axes | None = None) -> Axes:
         ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
-    temperatures, (low, high) = law.temperatures, law.band
-    if law.true is not None:
-        ax.plot(temperatures, law.true, color=TRUTH, lw=WIDE, label="truth")
-    ax.fill_between(temperatures, low, high, color=LEARNED, alpha=0.2, lw=0)
+    temperatures, drawn = law.temperatures, {"line": ":", "width": THIN, "alpha": 0.2}
+    low, high = law.band
+    band(temperatures, law.values, (low, high), truth=law.true, **drawn, ax=ax)
     known = np.where(law.inside, law.values, np.nan)
-    ax.plot(temperatures, law.values, ":", color=LEARNED, lw=THIN)
     ax.plot(temperatures, known, color=LEARNED, lw=THIN, label="learned, 95 % band")
     if np.max(high) > MANY_TIMES * np.min(low):
         ax.set_yscale("log")

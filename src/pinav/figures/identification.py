@@ -8,7 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 
-from pinav.evaluation import normal_quantile
+from pinav.evaluation import normal_interval, normal_quantile
+from pinav.figures.bands import band
 from pinav.figures.palette import (
     BLACK,
     LEARNED,
@@ -176,9 +177,9 @@ def error_growth(
     """
     ax = prepare_axes(ax)
     low, middle, high = errors
-    ax.fill_between(lengths, low, high, color=LEARNED, alpha=0.25, lw=0)
     ax.plot([], [], color=LEARNED, alpha=0.25, lw=6, label="10 to 90 % of rollouts")
-    ax.plot(lengths, middle, "o-", color=LEARNED, lw=WIDE, ms=4, label="chosen model")
+    marked = {"line": "o-", "width": WIDE, "name": "chosen model"}
+    band(lengths, middle, (low, high), **marked, ax=ax)
     ax.plot(lengths, reference, "s--", color=TRACK, lw=THIN, ms=3)
     ax.lines[-1].set_label("least squares")
     ax.plot(lengths, promised, ":", color=BLACK, lw=WIDE)
@@ -259,13 +260,8 @@ def speed_law(
     ax.plot(
         frequency, speed, ".", color=TRACK, markersize=2.5, label="observed, blocks"
     )
-    half = HALF_WIDTH_90 * sd
-    ax.fill_between(
-        places, fitted - half, fitted + half, color=LEARNED, alpha=0.25, lw=0
-    )
-    ax.plot(places, fitted, color=LEARNED, lw=WIDE, label="response, 90 %")
-    label_axes(
-        ax, with_unit("frequency", "Hz"), with_unit("speed along the command", unit)
-    )
+    labels = with_unit("frequency", "Hz"), with_unit("speed along the command", unit)
+    shown = {"width": WIDE, "name": "response, 90 %", "labels": labels}
+    band(places, fitted, normal_interval(fitted, sd, 0.9), **shown, ax=ax)
     add_legend(ax)
     return ax

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from html import escape
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -34,6 +35,25 @@ class Picture(AbstractBlock):
     def html(self) -> str:
         drawn = svg_text(self.draw()).encode()
         return figure_html(drawn, ".svg", self.alt, self.caption, self.width)
+
+
+@dataclasses.dataclass(frozen=True)
+class Movie(AbstractBlock):
+    """An animation with its words, drawn when its page is written.
+
+    Attributes:
+        name: name of its file, without ending.
+        write: writes it to a file and returns that.
+        caption: the words below it.
+    """
+
+    name: str
+    write: Callable[[Path], Path]
+    caption: str
+
+    def html(self) -> str:
+        """The words alone: a movie needs a folder."""
+        return f"<p>{escape(self.caption)}</p>"
 
 
 class Figures:
@@ -72,11 +92,14 @@ class Figures:
         return Image(files.svg, alt or caption.partition(". ")[0], caption, width)
 
     def saved(self, section: Section) -> Section:
-        """The section with its pictures drawn and written."""
-        blocks = [
-            self.image(b.name, b.draw(), b.caption, alt=b.alt, width=b.width)
-            if isinstance(b, Picture)
-            else b
-            for b in section.blocks
-        ]
-        return Section(section.heading, blocks)
+        """The section with its pictures and movies drawn and written."""
+        return Section(section.heading, [self._saved(b) for b in section.blocks])
+
+    def _saved(self, block: AbstractBlock) -> AbstractBlock:
+        if isinstance(block, Picture):
+            drawn, alt, width = block.draw(), block.alt, block.width
+            return self.image(block.name, drawn, block.caption, alt=alt, width=width)
+        if isinstance(block, Movie):
+            file = block.write(self.folder / f"{block.name}.gif")
+            return Image(file, block.caption, block.caption)
+        return block

@@ -1,12 +1,10 @@
 """Figures of navigation: the plan, routes over the force, and how runs ended."""
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
@@ -14,7 +12,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from pinav.evaluation import FieldMap
-from pinav.figures.force_maps import draw_arrows, heat_map
+from pinav.figures.maps import DEVIATION, Look, draw_arrows, map_panel
 from pinav.figures.palette import (
     BEYOND,
     BLACK,
@@ -24,7 +22,6 @@ from pinav.figures.palette import (
     PAPER,
     PLAIN,
     PLAN,
-    UNCERTAIN,
     WALL,
 )
 from pinav.figures.style import (
@@ -41,48 +38,25 @@ from pinav.figures.style import (
     title_panel,
     with_unit,
 )
-from pinav.units import force_unit
+from pinav.navigation.maps import Course, ForceMaps
+from pinav.navigation.trials.metrics import Interval
 
 
-class Course:
-    """What all maps of one task show: start, goal, obstacles and the arena.
-
-    Attributes:
-        start: [L].
-        goal: [L].
-        tolerance: radius of the goal [L].
-        arena: lower and upper corner [L].
-        discs: centre and radius of each disc that must not be entered [L].
-    """
-
-    def __init__(self, arrays: Mapping[str, np.ndarray]) -> None:
-        self.start, self.goal = arrays["start"], arrays["goal"]
-        self.tolerance = float(arrays["tolerance"])
-        self.arena = arrays["arena"]
-        self.discs = arrays["discs"].reshape(-1, 3)
-
-    def draw(self, ax: Axes) -> None:
-        """Draw it over a map."""
-        (x0, y0), (x1, y1) = self.arena
-        frame = Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=GREY, lw=0.8)
-        ax.add_patch(frame)
-        for x, y, radius in self.discs:
-            ax.add_patch(Circle((x, y), radius, fc=WALL, ec=BLACK, lw=0.8))
-        halo = [withStroke(linewidth=2.5, foreground=PAPER)]
-        ax.add_patch(
-            Circle(
-                (float(self.goal[0]), float(self.goal[1])),
-                self.tolerance,
-                fill=False,
-                ec=BLACK,
-                lw=1.2,
-                zorder=5,
-            )
-        )
-        ax.plot(*self.goal, "x", color=BLACK, ms=5, zorder=6, path_effects=halo)
-        ax.plot(*self.start, "o", mfc=PAPER, mec=BLACK, ms=5, zorder=6)
-        margin = 0.02 * float(max(x1 - x0, y1 - y0))
-        ax.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin))
+def draw_course(ax: Axes, course: Course) -> None:
+    """Draw start, goal, obstacles and arena over a map."""
+    (x0, y0), (x1, y1) = course.arena
+    frame = Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=GREY, lw=0.8)
+    ax.add_patch(frame)
+    for x, y, radius in course.discs:
+        ax.add_patch(Circle((x, y), radius, fc=WALL, ec=BLACK, lw=0.8))
+    halo = [withStroke(linewidth=2.5, foreground=PAPER)]
+    x, y = course.goal.tolist()
+    ring = {"fill": False, "ec": BLACK, "lw": 1.2, "zorder": 5}
+    ax.add_patch(Circle((x, y), course.tolerance, **ring))
+    ax.plot(x, y, "x", color=BLACK, ms=5, zorder=6, path_effects=halo)
+    ax.plot(*course.start, "o", mfc=PAPER, mec=BLACK, ms=5, zorder=6)
+    margin = 0.02 * float(max(x1 - x0, y1 - y0))
+    ax.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin))
 
 
 def plan_grid(arena: Float[np.ndarray, "2 2"], shape: tuple[int, ...]) -> FieldMap:
@@ -120,17 +94,14 @@ def plan_map(
     known = values[np.isfinite(values)]
     top = float(np.quantile(known, 0.98)) if known.size else 1.0
     label = with_unit("time to go from rest", units.get("t", "1"))
-    ax = heat_map(
-        values, grid, Normalize(0.0, top), (f"{GRADED}_r", label), units=units, ax=ax
-    )
-    levels = np.linspace(0.0, top, 11)[1:-1]
-    shown = np.ma.masked_invalid(values)
-    ax.contour(grid.x, grid.y, shown, levels, colors=PAPER, linewidths=0.5)
+    look = Look(f"{GRADED}_r", label, lengths=None, contours=9)
+    shown = {"limits": (0.0, top), "shade": None, "units": units}
+    ax = map_panel(grid, values, look, **shown, ax=ax)
     hatch_where(ax, grid, ~np.isfinite(values))
     if route is not None:
         halo = [withStroke(linewidth=2.6, foreground=PAPER)]
         ax.plot(*route.T, color=BLACK, lw=1.2, path_effects=halo, zorder=4)
-    course.draw(ax)
+    draw_course(ax, course)
     return ax
 
 
@@ -170,16 +141,16 @@ def paths_map(
         ax: where to draw; a new figure unless given.
     """
     size = np.linalg.norm(field.force, axis=-1)
-    look = (PLAIN, with_unit("$|F|$", force_unit(units)))
-    ax = heat_map(size, field, Normalize(0.0, 1.6 * limit), look, units=units, ax=ax)
-    draw_arrows(ax, field, limit)
+    shown = {"limits": (0.0, 1.6 * limit), "shade": None, "units": units}
+    ax = map_panel(field, size, Look(PLAIN, "$|F|$"), **shown, ax=ax)
+    draw_arrows(ax, field.x, field.y, field.force, limit)
     for name, runs in paths.items():
         first = name == "oracle"
         width, order = (WIDE, 2.1) if first else (THIN, 2.2)
         for path in runs:
             (line,) = ax.plot(*path.T, color=style_of(name).color, alpha=0.75)
             line.set(linewidth=width, zorder=order)
-    course.draw(ax)
+    draw_course(ax, course)
     return ax
 
 
@@ -206,52 +177,51 @@ def spread_map(
         units: unit of each channel; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
-    size = np.linalg.norm(sd, axis=-1)
-    top = min(thrust, max(float(np.nanmax(size)), 1e-12))
-    look = (UNCERTAIN, with_unit(r"$\mathrm{sd}(F)$", force_unit(units)))
-    ax = heat_map(size, field, Normalize(0.0, top), look, units=units, ax=ax)
+    top = min(thrust, max(float(np.nanmax(np.linalg.norm(sd, axis=-1))), 1e-12))
+    shown = {"limits": (0.0, top), "shade": None, "units": units}
+    ax = map_panel(field, sd, DEVIATION, **shown, ax=ax)
     halo = [withStroke(linewidth=2.4, foreground=BLACK)]
     ax.plot(*route.T, color=PLAN, lw=1.2, path_effects=halo, label="planned route")
     if suggestion is not None:
         line = {"color": NEXT, "lw": 1.2, "ls": "--", "path_effects": halo}
         ax.plot(*suggestion.T, label="trajectory to record next", **line)
-    course.draw(ax)
+    draw_course(ax, course)
     return ax
 
 
 def closed_loop_figure(
-    arrays: Mapping[str, np.ndarray],
+    course: Course,
+    maps: ForceMaps,
     paths: Mapping[str, Sequence[Float[np.ndarray, "_ 2"]]],
     *,
     thrust: float,
+    route: Float[np.ndarray, "_ 2"],
+    suggestion: Float[np.ndarray, "_ 2"] | None = None,
     units: Mapping[str, str] = DIMENSIONLESS,
 ) -> Figure:
     """Paths over the true and the learned force, and what is known of it.
 
     Args:
-        arrays: results of a run of `pinav navigate`.
+        course: start, goal and obstacles.
+        maps: the forces.
         paths: positions of the runs of each controller [L].
         thrust: greatest thrust of the swimmer [L T⁻²].
+        route: the planned way [L].
+        suggestion: predicted path of the suggested trajectory [L].
         units: unit of each channel; "1" means dimensionless.
     """
-    course, learned = Course(arrays), field_of(arrays, "field/learned")
-    panels = 1 + ("field/true" in arrays) + ("field/sd" in arrays)
+    fields = {"true force": maps.truth, "learned force": maps.learned}
+    shown = {title: field for title, field in fields.items() if field is not None}
+    panels = len(shown) + (maps.sd is not None)
     figure = new_figure(2.7 * panels, 3.7) if panels > 1 else new_figure(4.2, 4.8)
     axes = np.ravel(figure.subplots(1, panels))
-    truth = arrays.get("field/true", arrays["field/learned"])
-    limit = max(float(np.linalg.norm(truth, axis=-1).max()), 1e-12)
-    shared = {"limit": limit, "units": units}
-    titles = ["learned force"]
-    if "field/true" in arrays:
-        truth_map = field_of(arrays, "field/true")
-        paths_map(truth_map, course, paths, ax=axes[0], **shared)
-        titles = ["true force", *titles]
-    paths_map(learned, course, paths, ax=axes[len(titles) - 1], **shared)
-    if "field/sd" in arrays:
-        options = {"thrust": thrust, "route": arrays["route"], "units": units}
-        options |= {"suggestion": arrays.get("suggestion"), "ax": axes[-1]}
-        spread_map(learned, arrays["field/sd"], course, **options)
-        titles.append("its standard deviation")
+    limit = greatest_force(maps)
+    for ax, field in zip(axes, shown.values(), strict=False):
+        paths_map(field, course, paths, limit=limit, units=units, ax=ax)
+    if maps.sd is not None:
+        known = {"thrust": thrust, "route": route, "suggestion": suggestion}
+        spread_map(maps.learned, maps.sd, course, units=units, ax=axes[-1], **known)
+    titles = [*shown, "its standard deviation"]
     for ax, letter, title in zip(axes, "abc", titles, strict=False):
         title_panel(ax, f"({letter}) {title}")
     keys = [Line2D([], [], color=style_of(n).color, lw=1.5, label=n) for n in paths]
@@ -260,46 +230,20 @@ def closed_loop_figure(
     return figure
 
 
-def field_of(arrays: Mapping[str, np.ndarray], name: str) -> FieldMap:
-    """A force of a run of `pinav navigate` as a map.
-
-    Args:
-        arrays: its results.
-        name: of the force.
-    """
-    force = arrays[name]
-    distance = arrays.get("field/distance", np.zeros(force.shape[:2]))
-    return FieldMap(arrays["field/x"], arrays["field/y"], force, distance)
-
-
-@runtime_checkable
-class Bounded(Protocol):
-    """A value with its interval; None stands for infinity."""
-
-    @property
-    def value(self) -> float | None:
-        """The estimate."""
-        ...
-
-    @property
-    def lower(self) -> float | None:
-        """Lower end of the interval."""
-        ...
-
-    @property
-    def upper(self) -> float | None:
-        """Upper end of the interval."""
-        ...
+def greatest_force(maps: ForceMaps) -> float:
+    """Top of the colour scale [L T⁻²]: of the true force where that is known."""
+    field = maps.learned if maps.truth is None else maps.truth
+    return max(float(np.linalg.norm(field.force, axis=-1).max()), 1e-12)
 
 
 def outcome_bars(
-    successes: Mapping[str, Bounded], regrets: Mapping[str, Bounded]
+    successes: Mapping[str, Interval], regrets: Mapping[str, Interval]
 ) -> Figure:
     """Success of each controller, and its regret, with 95 % intervals.
 
     Args:
         successes: proportion of each controller, with its interval.
-        regrets: the same of its regret; None stands for infinity.
+        regrets: the same of its regret.
     """
     names = list(successes)
     figure = new_figure(6.4, 0.9 + 0.32 * len(names))
@@ -311,8 +255,7 @@ def outcome_bars(
         color = style_of(name).color
         success = successes[name]
         value, lower, upper = (
-            100 * (part or 0.0)
-            for part in (success.value, success.lower, success.upper)
+            100 * part for part in (success.value, success.lower, success.upper)
         )
         left.barh(place, value, color=color, height=0.6)
         left.hlines(place, lower, upper, color=BLACK)
@@ -328,13 +271,13 @@ def outcome_bars(
     return figure
 
 
-def _draw_regret(ax: Axes, place: int, ratio: Bounded | None, color: str) -> None:
+def _draw_regret(ax: Axes, place: int, ratio: Interval | None, color: str) -> None:
     if ratio is None:
         return
-    if ratio.value is None:
+    if not np.isfinite(ratio.value):
         beside = ax.get_yaxis_transform()
         ax.text(0.97, place, "∞", transform=beside, ha="right", va="center", c=color)
         return
     ax.plot(ratio.value, place, "o", color=color, ms=5)
-    if ratio.lower is not None and ratio.upper is not None:
+    if np.isfinite(ratio.upper):
         ax.hlines(place, ratio.lower, ratio.upper, color=BLACK)

@@ -16,6 +16,7 @@ from pinav.figures.style import (
     DIMENSIONLESS,
     THIN,
     add_legend,
+    label_axes,
     label_plane,
     prepare_axes,
 )
@@ -49,6 +50,31 @@ def observed_paths(
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     label_plane(ax, units, adjustable="box")
     add_legend(ax)
+    return ax
+
+
+def positions_over_time(
+    times: Sequence[Float[np.ndarray, " time"]],
+    observed: Sequence[Float[np.ndarray, " time"]],
+    predicted: Sequence[Float[np.ndarray, " time"]],
+    *,
+    labels: tuple[str, str],
+    ax: Axes | None = None,
+) -> Axes:
+    """Observed positions on a line as dots, rollouts of the model as lines.
+
+    Args:
+        times: of each trajectory [T].
+        observed: positions [L]; NaN where not observed.
+        predicted: positions of its rollout [L].
+        labels: of the axes.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepare_axes(ax)
+    for ts, measured, path in zip(times, observed, predicted, strict=True):
+        ax.plot(ts, measured, ".", color=TRACK, markersize=1.5)
+        ax.plot(ts, path, color=LEARNED, lw=0.8)
+    label_axes(ax, *labels)
     return ax
 
 

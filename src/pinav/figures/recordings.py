@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from pinav.figures.bands import band
 from pinav.figures.palette import (
     BLACK,
     BLUE,
@@ -112,11 +113,12 @@ def speeds(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
             continue
         frequency, middle, low, high = table.T
         alike = len(names) > len(_COLORS)
-        ax.plot(
-            frequency, middle, "-" if alike else f"-{mark}", color=color, lw=0.8, ms=3
-        )
+        line = "-" if alike else f"-{mark}"
         if len(names) == 1:
-            ax.fill_between(frequency, low, high, color=color, alpha=0.2, lw=0)
+            drawn = {"color": color, "line": line, "width": 0.8, "alpha": 0.2}
+            band(frequency, middle, (low, high), **drawn, ax=ax)
+        else:
+            ax.plot(frequency, middle, line, color=color, lw=0.8, ms=3)
     ax.set_ylim(bottom=0)
     label_axes(ax, "frequency [Hz]", with_unit("speed", _speed_unit(recording)))
     return ax

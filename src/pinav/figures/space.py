@@ -23,6 +23,7 @@ from pinav.figures.style import (
     style_of,
     title_panel,
 )
+from pinav.navigation.maps import Course
 
 Paths = Mapping[str, Sequence[Float[np.ndarray, "_ 3"]]]
 """Positions of the runs of each controller [L]."""
@@ -35,9 +36,10 @@ ALONG = 24
 
 
 def space_figure(
-    arrays: Mapping[str, np.ndarray],
+    course: Course,
     paths: Paths,
     *,
+    route: Float[np.ndarray, "_ 3"],
     units: Mapping[str, str] = DIMENSIONLESS,
 ) -> Figure:
     """Paths in perspective, and their projections along the three axes.
@@ -45,16 +47,17 @@ def space_figure(
     All panels show the arena whole, lengths along all axes alike.
 
     Args:
-        arrays: results of a run of `pinav navigate` in space.
-        paths: what is drawn beside the planned route.
+        course: start, goal and obstacles.
+        paths: positions of the runs of each controller [L].
+        route: the planned way [L].
         units: unit of each channel; "1" means dimensionless.
     """
     figure = new_figure(7.2, 7.4)
     perspective = figure.add_subplot(2, 2, 1, projection="3d")
-    _draw_perspective(perspective, arrays, paths, units)
+    _draw_perspective(perspective, course, paths, route, units)
     for panel, axes in enumerate(PROJECTIONS):
         ax = figure.add_subplot(2, 2, panel + 2)
-        _draw_projection(ax, arrays, paths, axes, units)
+        _draw_projection(ax, course, paths, route, axes, units)
         names = "".join("xyz"[axis] for axis in axes)
         title_panel(ax, f"({'bcd'[panel]}) projection on {names}")
     keys = [Line2D([], [], color=style_of(n).color, lw=1.5, label=n) for n in paths]
@@ -64,17 +67,21 @@ def space_figure(
 
 
 def _draw_perspective(
-    ax: Any, arrays: Mapping[str, np.ndarray], paths: Paths, units: Mapping[str, str]
+    ax: Any,
+    course: Course,
+    paths: Paths,
+    route: Float[np.ndarray, "_ 3"],
+    units: Mapping[str, str],
 ) -> None:
-    lower, upper = arrays["arena"]
-    for *center, radius in arrays["discs"].reshape(-1, 4):
+    lower, upper = course.arena
+    for *center, radius in course.discs:
         ax.plot_surface(*_ball(np.array(center), radius), color=WALL, alpha=0.5)
     for name, runs in paths.items():
         for path in runs:
             ax.plot(*path.T, color=style_of(name).color, lw=THIN, alpha=0.75)
-    ax.plot(*arrays["route"].T, color=PLAN, lw=1.2, ls="--")
-    ax.plot(*arrays["start"][:, None], "o", mfc=PAPER, mec=BLACK, ms=5)
-    ax.plot(*arrays["goal"][:, None], "x", color=BLACK, ms=6)
+    ax.plot(*route.T, color=PLAN, lw=1.2, ls="--")
+    ax.plot(*course.start[:, None], "o", mfc=PAPER, mec=BLACK, ms=5)
+    ax.plot(*course.goal[:, None], "x", color=BLACK, ms=6)
     ax.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]))
     ax.set_zlim(lower[2], upper[2])
     ax.set_box_aspect(upper - lower)
@@ -101,14 +108,15 @@ def _ball(
 
 def _draw_projection(
     ax: Axes,
-    arrays: Mapping[str, np.ndarray],
+    course: Course,
     paths: Paths,
+    route: Float[np.ndarray, "_ 3"],
     axes: tuple[int, int],
     units: Mapping[str, str],
 ) -> None:
     prepare_axes(ax)
     shown = list(axes)
-    for ball in arrays["discs"].reshape(-1, 4):
+    for ball in course.discs:
         x, y = ball[shown]
         circle = Circle((float(x), float(y)), float(ball[3]), fc=WALL, ec=BLACK)
         circle.set(alpha=0.5)
@@ -117,13 +125,13 @@ def _draw_projection(
         for path in runs:
             color = style_of(name).color
             ax.plot(*path[:, shown].T, color=color, lw=THIN, alpha=0.75)
-    ax.plot(*arrays["route"][:, shown].T, color=PLAN, lw=1.2, ls="--")
-    x, y = arrays["goal"][shown]
-    goal = Circle((float(x), float(y)), float(arrays["tolerance"]), fill=False, ec=GREY)
+    ax.plot(*route[:, shown].T, color=PLAN, lw=1.2, ls="--")
+    x, y = course.goal[shown].tolist()
+    goal = Circle((x, y), course.tolerance, fill=False, ec=GREY)
     ax.add_patch(goal)
-    ax.plot(*arrays["start"][shown], "o", mfc=PAPER, mec=BLACK, ms=5, zorder=6)
-    ax.plot(*arrays["goal"][shown], "x", color=BLACK, ms=5, zorder=6)
-    (left, low), (right, high) = arrays["arena"][:, shown]
+    ax.plot(*course.start[shown], "o", mfc=PAPER, mec=BLACK, ms=5, zorder=6)
+    ax.plot(*course.goal[shown], "x", color=BLACK, ms=5, zorder=6)
+    (left, low), (right, high) = course.arena[:, shown]
     ax.set(xlim=(left, right), ylim=(low, high))
     label_plane(ax, units, adjustable="box")
     ax.set_xlabel(channel_label("xyz"[axes[0]], units))

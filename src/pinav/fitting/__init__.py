@@ -1,5 +1,6 @@
 """Fitting: phases that minimise an objective, and the Bayesian fit of kernels."""
 
+from pinav.fitting.abstract_learned import AbstractLearned as AbstractLearned
 from pinav.fitting.bayes.derived import derive as derive
 from pinav.fitting.bayes.derived import principal_drags as principal_drags
 from pinav.fitting.bayes.derived import rotational_fraction as rotational_fraction
@@ -69,7 +70,6 @@ from pinav.fitting.matching.objectives import TrajectoryLoss as TrajectoryLoss
 from pinav.fitting.matching.phases import LBFGS as LBFGS
 from pinav.fitting.matching.phases import AbstractPhase as AbstractPhase
 from pinav.fitting.matching.phases import Adam as Adam
-from pinav.fitting.matching.phases import BestSoFar as BestSoFar
 from pinav.fitting.matching.rate_matching import RateMatching as RateMatching
 from pinav.fitting.matching.rate_matching import Rates as Rates
 from pinav.fitting.matching.recipes import curriculum as curriculum
@@ -87,5 +87,3 @@ from pinav.fitting.structure.search import StructuredFit as StructuredFit
 from pinav.fitting.structure.survey import is_network as is_network
 from pinav.fitting.structure.survey import is_worth_a_search as is_worth_a_search
 from pinav.fitting.structure.survey import may_turn as may_turn
-from pinav.fitting.traps import TrapFit as TrapFit
-from pinav.fitting.traps import fit_trap as fit_trap

@@ -4,6 +4,8 @@ A mixture holds a stream function beside a potential, for the rotational part of
 planar force; splines in time let a potential change.
 """
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
@@ -24,6 +26,7 @@ from pinav.forces.kernels import (
 )
 from pinav.forces.priors import (
     ABSENT,
+    AbstractPrior,
     Centers,
     MixturePrior,
     Shape,
@@ -244,3 +247,59 @@ def cubic_spline(offsets: Float[Array, " spline"]) -> Float[Array, " spline"]:
     inner = 2 / 3 - far**2 + far**3 / 2
     outer = jnp.maximum(2 - far, 0.0) ** 3 / 6
     return jnp.where(far < 1, inner, outer)
+
+
+class LayeredPotential(AbstractLearnedForce):
+    r"""Conservative force $-\sum_l \nabla U_l$ of layers of kernels of several widths.
+
+    A hill with sharp flanks and a long tail needs narrow kernels where it is steep and
+    wide ones far away: one width for both would take thousands.
+
+    Attributes:
+        layers: $U_l$, from wide kernels to narrow ones, one or more.
+
+    Raises:
+        InputError: there are no layers, or they are not in the same space.
+
+    References:
+        Floater and Iske, J. Comput. Appl. Math. 73, 65 (1996).
+    """
+
+    layers: tuple[KernelPotential, ...]
+
+    def __check_init__(self) -> None:
+        if len({layer.dim for layer in self.layers}) != 1:
+            raise InputError(
+                "LayeredPotential.layers: expected one or more, of one dimension, got "
+                f"{[layer.dim for layer in self.layers]}"
+            )
+
+    @property
+    def parameters(self) -> PyTree:
+        return tuple(layer.weights for layer in self.layers)
+
+    @property
+    def dim(self) -> int:
+        return self.layers[0].dim
+
+    @property
+    def is_conservative(self) -> bool:
+        return True
+
+    def prior(self) -> AbstractPrior:
+        return functools.reduce(MixturePrior, (layer.prior() for layer in self.layers))
+
+    def kernels_on(self, centers: Centers, width: float) -> KernelPotential:
+        return KernelPotential.with_zero_weights(centers, width)
+
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+        return sum(
+            (layer.potential(t, x) for layer in self.layers[1:]),
+            self.layers[0].potential(t, x),
+        )
+
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
+        return sum(
+            (layer(t, x, v) for layer in self.layers[1:]), self.layers[0](t, x, v)
+        )

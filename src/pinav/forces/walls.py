@@ -23,9 +23,6 @@ GRAVITY = 9.81e-6
 LEAST_GAP = 1e-3
 """Gap [radii] below which a mobility stays what it is there, so that it is positive."""
 
-TERMS = 600
-"""Terms of Brenner's series: at `LEAST_GAP` the last one is below 1e-20."""
-
 
 def stokes_drag(radius: float, viscosity: float) -> float:
     r"""Drag $6 \pi \mu a$ of a sphere [pN s µm⁻¹].
@@ -35,33 +32,6 @@ def stokes_drag(radius: float, viscosity: float) -> float:
         viscosity: $\mu$ [mPa s = 1e-3 pN s µm⁻²]; that of water at 25 °C is 0.89.
     """
     return 6 * math.pi * viscosity * 1e-3 * radius
-
-
-def brenner_mobility(gap: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    r"""Mobility normal to a wall, by Brenner's exact series.
-
-    $$\frac{D_0}{D_\perp} = \frac43 \sinh\alpha \sum_{n \ge 1}
-    \frac{n (n + 1)}{(2n - 1)(2n + 3)} \left[\frac{2 \sinh m\alpha + m \sinh 2\alpha}
-    {4 \sinh^2 (m \alpha / 2) - m^2 \sinh^2\alpha} - 1\right],$$
-
-    $m = 2n + 1$, $\cosh\alpha = 1 + \epsilon$. Exact from `LEAST_GAP` on.
-
-    Args:
-        gap: $\epsilon$, positive.
-
-    References:
-        Brenner, Chem. Eng. Sci. 16, 242 (1961).
-    """
-    alpha = jnp.arccosh(1 + jnp.maximum(gap, LEAST_GAP))[..., None]
-    n = jnp.arange(1.0, TERMS + 1, dtype=alpha.dtype).reshape((1,) * gap.ndim + (-1,))
-    m = 2 * n + 1
-    # Numerator and denominator are divided by exp(m alpha), which would overflow.
-    decay = jnp.exp(-m * alpha)
-    square = m**2 * jnp.sinh(alpha) ** 2 * decay
-    rest = (2 + m * jnp.sinh(2 * alpha)) * decay + square - 2 * decay**2
-    below = 1 + decay**2 - 2 * decay - square
-    terms = n * (n + 1) / ((2 * n - 1) * (2 * n + 3)) * rest / below
-    return 1 / (4 / 3 * jnp.sinh(alpha[..., 0]) * jnp.sum(terms, axis=-1))
 
 
 def normal_mobility(gap: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

@@ -1,9 +1,18 @@
 """Planning and control of a swimmer whose environment was learned.
 
 A task says what is to be done; a plan and a controller do it with a model; trials say
-how well. `pinav.navigation.trials.gym` needs the extra `gym` and is imported by name.
+how well.
 """
 
+from pinav.navigation.adaptive.flight import fly as fly
+from pinav.navigation.adaptive.scores import Flight as Flight
+from pinav.navigation.adaptive.scores import Outcome as Outcome
+from pinav.navigation.adaptive.scores import judge_controllers as judge_controllers
+from pinav.navigation.adaptive.steering import AdaptiveController as AdaptiveController
+from pinav.navigation.adaptive.swimmer import SwimmerFlights as SwimmerFlights
+from pinav.navigation.adaptive.swimmer import fly_swimmer as fly_swimmer
+from pinav.navigation.comparison import Attempt as Attempt
+from pinav.navigation.comparison import navigate as navigate
 from pinav.navigation.control.compensation import DelayCompensation as DelayCompensation
 from pinav.navigation.control.compensation import DriftEstimation as DriftEstimation
 from pinav.navigation.control.controller import AbstractController as AbstractController
@@ -33,17 +42,22 @@ from pinav.navigation.design.information import rank as rank
 from pinav.navigation.design.information import suggest as suggest
 from pinav.navigation.design.prior import PriorField as PriorField
 from pinav.navigation.design.prior import prior_uncertainty as prior_uncertainty
+from pinav.navigation.maps import ArenaGrid as ArenaGrid
+from pinav.navigation.maps import Course as Course
+from pinav.navigation.maps import ForceMaps as ForceMaps
 from pinav.navigation.model.tabulated import TabulatedModel as TabulatedModel
 from pinav.navigation.model.tabulated import tabulate_model as tabulate_model
 from pinav.navigation.model.time_cost import TimeCost as TimeCost
 from pinav.navigation.planning.plan import Route as Route
 from pinav.navigation.planning.plan import TimeToGo as TimeToGo
 from pinav.navigation.planning.plan import time_to_go as time_to_go
-from pinav.navigation.reference.gaussian_process import (
-    gaussian_process as gaussian_process,
-)
-from pinav.navigation.reference.minimum_time import minimum_time as minimum_time
-from pinav.navigation.reference.zermelo import quickest_of_task as quickest_of_task
+from pinav.navigation.problem import Evidence as Evidence
+from pinav.navigation.problem import NavigationProblem as NavigationProblem
+from pinav.navigation.problem import episode_keys as episode_keys
+from pinav.navigation.result import AbstractNavigation as AbstractNavigation
+from pinav.navigation.result import Navigation as Navigation
+from pinav.navigation.result import OnlineNavigation as OnlineNavigation
+from pinav.navigation.suggestion import Suggestion as Suggestion
 from pinav.navigation.task.catalogue import TASKS as TASKS
 from pinav.navigation.task.catalogue import task as task
 from pinav.navigation.task.catalogue import training as training
@@ -72,6 +86,7 @@ from pinav.navigation.trials.closed_loop import (
 from pinav.navigation.trials.closed_loop import run as run
 from pinav.navigation.trials.closed_loop import run_many as run_many
 from pinav.navigation.trials.metrics import Interval as Interval
+from pinav.navigation.trials.metrics import Quantiles as Quantiles
 from pinav.navigation.trials.metrics import Summary as Summary
 from pinav.navigation.trials.metrics import proportion as proportion
 from pinav.navigation.trials.metrics import regret as regret

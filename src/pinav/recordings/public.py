@@ -180,7 +180,7 @@ PUBLIC = (
         reference=GIESELER,
     ),
 )
-"""Recordings that `pinav truth` knows."""
+"""Recordings that `python -m validation.truth` knows."""
 
 
 def public_recording(name: str) -> PublicRecording:

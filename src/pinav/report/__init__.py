@@ -13,5 +13,6 @@ from pinav.report.page import capitalise as capitalise
 from pinav.report.page import heading as heading
 from pinav.report.page import measured as measured
 from pinav.report.page import number as number
+from pinav.report.page import percent as percent
 from pinav.report.page import quantity as quantity
 from pinav.report.page import render as render

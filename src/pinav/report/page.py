@@ -33,10 +33,10 @@ _WORDS_FOR_NUMBERS = frozenset({"", "–", "diverged"})
 def number(value: float | int | None, digits: int = 4) -> str:
     """A number as a reader wants it, to `digits` significant digits.
 
-    Integers are exact, what is not finite is "diverged", None is a dash, and very
-    large or small numbers are written as a power of ten.
+    Integers are exact, what is infinite is "diverged", None and NaN, which are not
+    defined, are a dash, and very large or small numbers are written as a power of ten.
     """
-    if value is None:
+    if value is None or math.isnan(value):
         return "–"
     if isinstance(value, int):
         return f"{value}".replace("-", "−")
@@ -51,6 +51,11 @@ def number(value: float | int | None, digits: int = 4) -> str:
     else:
         text = f"{mantissa} × 10{str(power).translate(_SUPERSCRIPTS)}"
     return text.replace("-", "−")
+
+
+def percent(fraction: float | None) -> float | None:
+    """A fraction in percent; None stays so."""
+    return None if fraction is None else 100 * fraction
 
 
 def quantity(value: float | int | None, unit: str, digits: int = 3) -> str:

@@ -1,9 +1,12 @@
 """Named true systems with their starts, times and noise."""
 
-from pinav.scenarios.brownian import brownian as brownian
 from pinav.scenarios.catalogue import SCENARIOS as SCENARIOS
+from pinav.scenarios.catalogue import find_system as find_system
 from pinav.scenarios.catalogue import scenario as scenario
+from pinav.scenarios.catalogue import source_system as source_system
 from pinav.scenarios.crossings import barrier_crossings as barrier_crossings
+from pinav.scenarios.crossings import fibres as fibres
+from pinav.scenarios.crossings import many_barriers as many_barriers
 from pinav.scenarios.crossings import moving_barrier as moving_barrier
 from pinav.scenarios.crossings import paper as paper
 from pinav.scenarios.crossings import swirl as swirl
@@ -11,18 +14,12 @@ from pinav.scenarios.currents import channel_current as channel_current
 from pinav.scenarios.currents import drift_current as drift_current
 from pinav.scenarios.currents import shear_current as shear_current
 from pinav.scenarios.currents import vortex_current as vortex_current
-from pinav.scenarios.families import FAMILIES as FAMILIES
-from pinav.scenarios.families import Family as Family
-from pinav.scenarios.families import random_system as random_system
-from pinav.scenarios.find import find_system as find_system
-from pinav.scenarios.find import source_system as source_system
 from pinav.scenarios.media import anisotropic_drag as anisotropic_drag
 from pinav.scenarios.media import poiseuille as poiseuille
 from pinav.scenarios.media import porous as porous
 from pinav.scenarios.media import shear as shear
 from pinav.scenarios.media import varying_director as varying_director
 from pinav.scenarios.paths import true_paths as true_paths
-from pinav.scenarios.random_fields import fibres as fibres
-from pinav.scenarios.random_fields import many_barriers as many_barriers
+from pinav.scenarios.thermal_truths import brownian as brownian
 from pinav.scenarios.thermal_truths import ring as ring
 from pinav.scenarios.thermal_truths import wall as wall

@@ -1,10 +1,19 @@
-"""Built-in systems by their names."""
+"""Systems by their names: built-in scenarios, files, names in a Python file."""
+
+from collections.abc import Mapping
+from typing import Any
 
 from jaxtyping import PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.scenarios.brownian import brownian
-from pinav.scenarios.crossings import barrier_crossings, moving_barrier, paper, swirl
+from pinav.scenarios.crossings import (
+    barrier_crossings,
+    fibres,
+    many_barriers,
+    moving_barrier,
+    paper,
+    swirl,
+)
 from pinav.scenarios.currents import (
     channel_current,
     drift_current,
@@ -18,12 +27,11 @@ from pinav.scenarios.media import (
     shear,
     varying_director,
 )
-from pinav.scenarios.random_fields import fibres, many_barriers
-from pinav.scenarios.random_starts import Scenario
 from pinav.scenarios.spaces import box
-from pinav.scenarios.thermal_truths import ring, wall
+from pinav.scenarios.starts_and_thrusts import Scenario
+from pinav.scenarios.thermal_truths import brownian, ring, wall
 from pinav.scenarios.vessels import above_wall, bifurcation, tube
-from pinav.systems import System
+from pinav.systems import System, parse_system, read_system
 
 SCENARIOS: dict[str, Scenario] = {
     "paper": paper,
@@ -70,3 +78,44 @@ def scenario(
         known = ", ".join(sorted(SCENARIOS))
         raise InputError(f"scenario {name!r} is unknown; choose one of: {known}")
     return SCENARIOS[name](key, count)
+
+
+def find_system(
+    text: str, key: PRNGKeyArray | None = None, *, count: int | None = None
+) -> System:
+    """The system of a scenario's name, a file `my.toml`, or `my.py:name`.
+
+    Args:
+        text: which system; naming a Python file runs it.
+        key: random key of its starts, where a rule draws them.
+        count: number of trajectories, where a rule draws the starts.
+
+    Raises:
+        InputError: there is no such system, or its file is at fault.
+    """
+    if text in SCENARIOS:
+        return scenario(text, key, count=count)
+    if not (text.endswith(".toml") or ".py:" in text):
+        raise InputError(
+            f"system {text!r} is unknown; name a file such as my.toml, my.py:name, or "
+            f"one of the scenarios: {', '.join(sorted(SCENARIOS))}"
+        )
+    system = read_system(text)
+    if count is None and not (key is not None and system.starts_follow_rule):
+        return system
+    return system.with_starts(key, count)
+
+
+def source_system(provenance: Mapping[str, Any]) -> System | None:
+    """The system that data were simulated from; None where they do not say so.
+
+    Args:
+        provenance: of trajectories.
+
+    Raises:
+        InputError: the text of the system is damaged, or it names Python code.
+    """
+    if text := provenance.get("system"):
+        return parse_system(str(text))
+    name = provenance.get("scenario")
+    return SCENARIOS[name]() if name in SCENARIOS else None

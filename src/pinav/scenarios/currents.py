@@ -23,7 +23,7 @@ from pinav.forces import (
     VortexFlow,
     ZeroForce,
 )
-from pinav.scenarios.random_starts import with_random_starts
+from pinav.scenarios.starts_and_thrusts import with_random_starts
 from pinav.systems import Observation, System, UniformStarts
 
 BASIN = Domain((0.0, 0.0), (10.0, 10.0))

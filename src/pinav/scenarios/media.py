@@ -15,7 +15,7 @@ from pinav.forces import (
     WavyDirector,
 )
 from pinav.scenarios.crossings import DAMPING, MANY, RING, paper_swimmer, planar_system
-from pinav.scenarios.random_starts import with_random_starts
+from pinav.scenarios.starts_and_thrusts import with_random_starts
 from pinav.systems import System
 
 

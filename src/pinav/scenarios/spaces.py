@@ -15,8 +15,7 @@ from pinav.forces import (
     ZeroForce,
     random_barriers,
 )
-from pinav.scenarios.random_starts import with_random_starts
-from pinav.scenarios.thrusts import out_and_back
+from pinav.scenarios.starts_and_thrusts import out_and_back, with_random_starts
 from pinav.systems import Observation, System, UniformStarts
 
 BOX = Domain((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))

@@ -19,6 +19,7 @@ from pinav.trajectories.selection import concatenate as concatenate
 from pinav.trajectories.selection import informative_rows as informative_rows
 from pinav.trajectories.selection import informative_samples as informative_samples
 from pinav.trajectories.selection import split as split
+from pinav.trajectories.selection import with_all_channels as with_all_channels
 from pinav.trajectories.selection import with_missing_channels as with_missing_channels
 from pinav.trajectories.selection import with_velocities as with_velocities
 from pinav.trajectories.simulation import COMMAND_UNITS as COMMAND_UNITS

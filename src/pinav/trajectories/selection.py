@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int, PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.systems import velocity_unit
+from pinav.systems import System, velocity_unit
 from pinav.trajectories.trajectories import Trajectories, check_names
 from pinav.trajectories.trajectory import Trajectory
 
@@ -42,6 +42,15 @@ def with_missing_channels(
         {**trajectories.units, **units},
         trajectories.provenance,
     )
+
+
+def with_all_channels(data: Trajectories, system: System) -> Trajectories:
+    """The data; positions alone get velocities that nobody observed."""
+    positions = system.position_channels
+    if data.channels != positions:
+        return data
+    unseen = system.channels[len(positions) :]
+    return with_missing_channels(data, {name: system.units[name] for name in unseen})
 
 
 def with_velocities(trajectories: Trajectories) -> Trajectories:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.analysis import Verdict, discover
+from pinav.analysis import Verdict, discover_law
 from pinav.analysis.discovery.discovery import estimates
 from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.laws import LawForce
@@ -53,7 +53,7 @@ def found(crossings):
     truth, data = crossings
     posterior = laplace_posterior(truth, data, environment)
     candidates = (GAUSSIAN, LORENTZIAN, HARMONIC)
-    return discover(posterior, data, laws=candidates, refits=2)
+    return discover_law(posterior, data, laws=candidates, refits=2)
 
 
 def test_the_true_law_comes_first_with_intervals(found):
@@ -84,7 +84,7 @@ def test_ranking_is_sorted(found):
 def test_no_law_fits_where_none_can(crossings):
     truth, data = crossings
     posterior = laplace_posterior(truth, data, environment)
-    found = discover(posterior, data, laws=(CONSTANT_FORCE,))
+    found = discover_law(posterior, data, laws=(CONSTANT_FORCE,))
     assert found.verdict is Verdict.NO_LAW_FITS
 
 
@@ -163,12 +163,12 @@ def test_messages(crossings):
     truth, data = crossings
     posterior = laplace_posterior(truth, data, environment)
     with pytest.raises(InputError, match="one or more candidates and refits"):
-        discover(posterior, data, refits=0)
+        discover_law(posterior, data, refits=0)
     network = eqx.nn.MLP(5, 4, 2, 1, key=jax.random.key(0))
     black_box = NeuralDynamics(network, (0.0,) * 5, (1.0,) * 5)
     wrong = eqx.tree_at(lambda p: p.free, posterior, known_model(black_box))
     with pytest.raises(InputError, match="expected that of a swimmer"):
-        discover(wrong, data)
+        discover_law(wrong, data)
     cliff = GaussianBarrier(height=np.inf, center=[5.0, 5.0], width=0.1)
     with pytest.raises(FitError, match="does not explain the trajectories"):
         laplace_posterior(eqx.tree_at(environment, truth, cliff), data, environment)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.analysis import Verdict, discover
+from pinav.analysis import Verdict, discover_law
 from pinav.analysis.discovery.force_sample import ForceSample, Sampling
 from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.law_regression import fit_law, fit_sum, law_force
@@ -175,7 +175,7 @@ def test_terms_without_laws_leave_the_whole_force(structured):
 
 def test_discovery_begins_with_the_structure(structured):
     """From positions alone, as they are fitted."""
-    found = discover(*structured, refits=2)
+    found = discover_law(*structured, refits=2)
     assert found.structure == ("central",)
     assert {name for name, _ in found.screened} == {law.name for law in laws_of(hill())}
     assert found.best.law == GAUSSIAN
@@ -187,7 +187,7 @@ def test_discovery_begins_with_the_structure(structured):
 
 @pytest.mark.slow
 def test_given_laws_are_tried_in_place_of_the_structure(structured):
-    found = discover(*structured, laws=LIBRARY[:3], refits=1)
+    found = discover_law(*structured, laws=LIBRARY[:3], refits=1)
     assert found.structure == ()
 
 

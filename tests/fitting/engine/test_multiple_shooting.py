@@ -18,8 +18,6 @@ from pinav.fitting.matching.objectives import Observations
 from pinav.forces import KernelForce, KernelPotential, LinearDrag, ZeroForce
 from pinav.trajectories import Trajectories
 
-pytestmark = pytest.mark.slow
-
 SOLVER = FixedStep(RK4)
 CENTERS = jnp.array([[0.0, 0.0], [1.0, 0.2], [0.4, 1.1]])
 ENVIRONMENTS = {
@@ -69,7 +67,9 @@ def problem():
     return free, theta, jnp.asarray(lifted), Observations.of(data, jnp.float64)
 
 
-@pytest.mark.parametrize("kind", ENVIRONMENTS)
+@pytest.mark.parametrize(
+    "kind", ["force", pytest.param("potential", marks=pytest.mark.slow)]
+)
 def test_without_defects_the_columns_are_the_jacobian_of_the_rollout(kind):
     free, theta = make(ENVIRONMENTS[kind])
     times = jnp.asarray(TIMES)
@@ -147,6 +147,7 @@ def test_the_step_is_the_dense_least_squares_step(problem):
     np.testing.assert_allclose(moved[:, 0] - states[:, 0], starts, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_padding_adds_nothing(problem):
     free, theta, states, observations = problem
     both = linearise(free, theta, states, observations, SOLVER)
@@ -161,6 +162,7 @@ def test_padding_adds_nothing(problem):
     np.testing.assert_allclose(both.squares, first.squares + second.squares)
 
 
+@pytest.mark.slow
 def test_steps_from_states_off_the_dynamics_reach_a_solution(problem):
     free, theta, states, observations = problem
     for _ in range(8):

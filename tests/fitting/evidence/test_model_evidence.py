@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 import scipy.special
 import scipy.stats
-from tests.forces.pullbacks import check_pullback
 
 from pinav.errors import InputError
 from pinav.fitting import (
@@ -26,11 +25,8 @@ from pinav.fitting.evidence.model_evidence import LOG_RANGE, evidence_without_se
 from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat
 from pinav.fitting.evidence.weights import GaussianWeights, NoWeights
 from pinav.forces import (
-    ChangingPotential,
-    KernelForce,
     KernelMixture,
     KernelPotential,
-    KernelStream,
     TimedKernelPotential,
 )
 from pinav.forces.priors import AbstractPrior, IsotropicPrior, MixturePrior
@@ -41,16 +37,11 @@ RNG = np.random.default_rng(0)
 CENTERS = RNG.uniform(-3, 3, size=(7, 2))
 ENVIRONMENTS = {
     "potential": KernelPotential.with_zero_weights(CENTERS, 1.0),
-    "force": KernelForce.with_zero_weights(CENTERS, 1.0),
-    "stream": KernelStream.with_zero_weights(CENTERS, 1.0),
     "mixture": KernelMixture.with_zero_weights(CENTERS, 1.0),
     "in time": TimedKernelPotential(
         jnp.zeros((7, 5)), jnp.asarray(CENTERS), 1.0, 0.0, 1.0
     ),
 }
-ENVIRONMENTS["changing"] = ChangingPotential(
-    ENVIRONMENTS["potential"], ENVIRONMENTS["in time"]
-)
 every_prior = pytest.mark.parametrize(
     "prior", [e.prior() for e in ENVIRONMENTS.values()], ids=list(ENVIRONMENTS)
 )
@@ -58,15 +49,6 @@ every_prior = pytest.mark.parametrize(
 
 def inside(prior):
     return prior.start + RNG.uniform(-0.3, 0.3, size=len(prior.start))
-
-
-@every_prior
-def test_a_prior_has_the_pullback_of_its_covariance(prior):
-    shape = inside(prior)
-    check_pullback(prior, shape)
-    assert np.linalg.eigvalsh(prior.covariance(shape))[0] > -1e-10
-    assert np.all(prior.bounds[:, 0] <= prior.start)
-    assert np.all(prior.start <= prior.bounds[:, 1])
 
 
 def problem(count, rows=60):

@@ -9,8 +9,8 @@ from pinav.fitting.langevin.checks import (
     LangevinChecks,
     ThinnedDiffusion,
     innovation_correlations,
+    thinned_diffusion,
 )
-from pinav.fitting.langevin.thinning import thinned_diffusion
 from pinav.trajectories import Trajectories
 
 RNG = np.random.default_rng(5)

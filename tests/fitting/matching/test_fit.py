@@ -14,7 +14,6 @@ from pinav.fitting import (
     AbstractCheckpoint,
     AbstractPhase,
     Adam,
-    BestSoFar,
     FitState,
     GaussNewton,
     Outcome,
@@ -87,7 +86,7 @@ def test_phases_to_come_are_compiled_once_for_each_program(data, monkeypatch):
     assert [start for _, start in result.phases] == [0, 1, 2, 4]
 
 
-RECIPE = (Adam(1e-2, 300), BestSoFar(LBFGS(40)))
+RECIPE = (Adam(1e-2, 300), LBFGS(40))
 
 
 @pytest.fixture(scope="module")
@@ -119,27 +118,6 @@ def test_the_same_seed_gives_the_same_numbers(fitted, data):
     )
     np.testing.assert_array_equal(again.losses, fitted.losses)
     assert eqx.tree_equal(again.model, fitted.model)
-
-
-@pytest.mark.slow
-def test_many_fits_are_the_single_fits(data):
-    recipe = (Adam(1e-2, 20),)
-    options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
-    models = [network_swimmer(seed) for seed in range(3)]
-    many = fit_many(models, data, recipe, **options)
-    alone = fit(models[1], data, recipe, **options)
-    np.testing.assert_allclose(many[1].losses, alone.losses, rtol=1e-7)
-    assert len({float(one.losses[-1]) for one in many}) == 3
-
-
-@pytest.mark.slow
-def test_fits_in_small_batches_are_the_fits_side_by_side(data):
-    models = [network_swimmer(seed) for seed in range(3)]
-    options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
-    together = fit_many(models, data, (Adam(1e-2, 20),), **options)
-    batched = fit_many(models, data, (Adam(1e-2, 20),), at_once=2, **options)
-    for one, other in zip(together, batched, strict=True):
-        np.testing.assert_allclose(other.losses, one.losses, rtol=1e-10)
 
 
 class Halving(AbstractPhase):
@@ -197,7 +175,6 @@ def test_a_fit_that_is_done_takes_no_steps_while_others_do(data):
     assert halvings([large, small], data, side_by_side=True) > both
 
 
-@pytest.mark.slow
 def test_gauss_newton_fits_of_many_are_the_single_fits(data):
     models = [network_swimmer(seed) for seed in range(2)]
     options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
@@ -208,20 +185,20 @@ def test_gauss_newton_fits_of_many_are_the_single_fits(data):
         np.testing.assert_allclose(other.losses[-1], one.losses[-1], rtol=1e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("at_once", [None, 1])
-def test_each_model_may_have_data_of_its_own(data, at_once):
-    models = [network_swimmer(seed) for seed in range(2)]
-    own = [data, observe([[0.5, 0.0, 0.3, 0.8], [0.0, 1.0, 0.5, 0.1]], [15, 22])]
+@pytest.mark.parametrize("at_once", [None, 1, 2])
+def test_many_fits_are_the_single_fits_each_with_data_of_its_own(data, at_once):
+    models = [network_swimmer(seed) for seed in range(3)]
+    other = observe([[0.5, 0.0, 0.3, 0.8], [0.0, 1.0, 0.5, 0.1]], [15, 22])
+    own = [data, other, data]
     recipe = (Adam(1e-2, 20),)
     options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
     many = fit_many(models, own, recipe, at_once=at_once, **options)
     for model, mine, found in zip(models, own, many, strict=True):
         alone = fit(model, mine, recipe, **options)
-        np.testing.assert_allclose(found.losses, alone.losses, rtol=1e-9)
+        np.testing.assert_allclose(found.losses, alone.losses, rtol=1e-7)
+    assert len({float(one.losses[-1]) for one in many}) == 3
 
 
-@pytest.mark.slow
 def test_gauss_newton_runs_in_float32_and_on_resamples(data):
     models = [network_swimmer(seed) for seed in range(2)]
     draws = bootstrap(data, 2, key=jax.random.key(0))
@@ -233,7 +210,6 @@ def test_gauss_newton_runs_in_float32_and_on_resamples(data):
         assert found.losses[-1] < 1e-4 * found.losses[0]
 
 
-@pytest.mark.slow
 def test_damping_and_gain_can_be_learned_with_the_barrier_known(data):
     start = eqx.tree_at(
         lambda s: (s.drag.damping, s.propulsion.gain), TRUTH, (0.2, 0.1)

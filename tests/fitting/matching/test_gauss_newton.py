@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from pinav.dynamics import Adaptive, FixedStep, NeuralDynamics, Swimmer
+from pinav.dynamics import (
+    Adaptive,
+    FixedStep,
+    NeuralDynamics,
+    OverdampedSwimmer,
+    Swimmer,
+)
 from pinav.errors import InputError
 from pinav.fitting import (
     WITHOUT_PRIOR,
@@ -26,6 +32,7 @@ from pinav.fitting.matching.trainable import split_trainable
 from pinav.fitting.matching.windows import Windows
 from pinav.forces import (
     GaussianBarrier,
+    HarmonicTrap,
     KernelPotential,
     LinearDrag,
     NeuralForce,
@@ -40,16 +47,25 @@ CHANNELS = ("x", "y", "vx", "vy")
 TRUTH = Swimmer(ZeroForce(), LinearDrag(0.5), GaussianBarrier(2.0, [1.0, 0.2], 0.8))
 
 
-def observe(*lengths, irregular=False) -> Trajectories:
+FIRST_ORDER = OverdampedSwimmer(
+    HarmonicTrap(0.6, [1.0, 0.0]), GaussianBarrier(0.8, [0.1, 0.1], 0.7), 0.9
+)
+"""Without inertia; the trap is known, so that mobility and height can be told apart."""
+
+
+def observe(*lengths, irregular=False, truth=TRUTH) -> Trajectories:
     rng = np.random.default_rng(3)
     times, states = [], []
     for length in lengths:
         steps = rng.uniform(0.05, 0.15, length) if irregular else np.full(length, 0.1)
         ts = np.cumsum(steps) - steps[0]
         y0 = jnp.asarray([-1.0, rng.normal(0.0, 0.3), 1.5, 0.1])
+        y0 = y0 if truth is TRUTH else y0[:2]
         times.append(ts)
-        states.append(np.asarray(Adaptive().solve(TRUTH, y0, jnp.asarray(ts))[0]))
-    return Trajectories.from_arrays(times, states, channels=CHANNELS)
+        states.append(np.asarray(Adaptive().solve(truth, y0, jnp.asarray(ts))[0]))
+    return Trajectories.from_arrays(
+        times, states, channels=CHANNELS[: states[0].shape[1]]
+    )
 
 
 def with_gaps(data: Trajectories) -> Trajectories:
@@ -57,16 +73,18 @@ def with_gaps(data: Trajectories) -> Trajectories:
     observed = [t.observed.copy() for t in data]
     for mask in observed:
         mask[5:8] = False
-        mask[10, 2:] = False
+        mask[10, mask.shape[1] // 2 :] = False
     states = [np.where(m, t.states, 0.0) for m, t in zip(observed, data, strict=True)]
     times = [t.times for t in data]
-    return Trajectories.from_arrays(times, states, observed=observed, channels=CHANNELS)
+    return Trajectories.from_arrays(
+        times, states, observed=observed, channels=data.channels
+    )
 
 
-def network_swimmer() -> Swimmer:
+def network_swimmer(truth=TRUTH) -> Swimmer | OverdampedSwimmer:
     features = PositionTimeFeatures((0.0, 0.0, 1.0), (1.0, 1.0, 1.0))
     force = NeuralForce(tanh_network(3, 2, width=4, depth=1, key=KEY), features)
-    return TRUTH.with_environment(force)
+    return truth.with_environment(force)
 
 
 def black_box() -> NeuralDynamics:
@@ -82,6 +100,14 @@ MODELS = {
     ),
     "black box": (black_box, lambda m: m.parameters),
     "barrier": (lambda: TRUTH, lambda m: (m.environment, m.drag.damping)),
+    "network of first order": (
+        lambda: network_swimmer(FIRST_ORDER),
+        lambda m: m.environment.parameters,
+    ),
+    "barrier and mobility": (
+        lambda: FIRST_ORDER,
+        lambda m: (m.environment, m.mobility.value),
+    ),
 }
 
 
@@ -97,10 +123,19 @@ def windows(data, name, window):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "window"),
-    [("network", 1), ("network and damping", 100), ("black box", 4), ("barrier", 4)],
+    [
+        ("network", 1),
+        ("network and damping", 100),
+        ("black box", 4),
+        ("barrier", 4),
+        ("network of first order", 4),
+        ("barrier and mobility", 100),
+    ],
 )
 def test_the_jacobian_is_that_of_the_residuals(name, window):
-    data = with_gaps(observe(14, 18, irregular=True))
+    model = MODELS[name][0]()
+    truth = FIRST_ORDER if isinstance(model, OverdampedSwimmer) else TRUTH
+    data = with_gaps(observe(14, 18, irregular=True, truth=truth))
     problem, theta = windows(data, name, window)
 
     @jax.jit
@@ -186,6 +221,25 @@ def test_barrier_and_damping_are_found_exactly(data):
     assert found.environment.height == pytest.approx(2.0, rel=1e-7)
     np.testing.assert_allclose(found.environment.center, [1.0, 0.2], rtol=1e-6)
     assert found.drag.damping == pytest.approx(0.5, rel=1e-7)
+
+
+@pytest.mark.slow
+def test_the_default_recipe_finds_barrier_and_mobility_without_inertia():
+    data = with_gaps(observe(30, 30, 30, irregular=True, truth=FIRST_ORDER))
+    wrong = OverdampedSwimmer(
+        FIRST_ORDER.propulsion, GaussianBarrier(0.5, [0.0, 0.2], 0.8), 1.1
+    )
+    result = fit(
+        wrong,
+        data,
+        curriculum(data),
+        trainable=MODELS["barrier and mobility"][1],
+        objective=TrajectoryLoss(FixedStep(substeps=2)),
+        dtype=jnp.float64,
+    )
+    found, _ = ravel_pytree((result.model.environment, result.model.mobility))
+    true, _ = ravel_pytree((FIRST_ORDER.environment, FIRST_ORDER.mobility))
+    np.testing.assert_allclose(found, true, rtol=1e-5)
 
 
 def test_a_phase_that_is_done_stays_where_it_is(data):

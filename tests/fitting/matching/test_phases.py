@@ -6,13 +6,11 @@ import pytest
 from scipy.optimize import rosen
 
 from pinav.errors import InputError
-from pinav.fitting import LBFGS, Adam, BestSoFar, paper_recipe
+from pinav.fitting import LBFGS, Adam, paper_recipe
 
 PHASES = {
     "adam": lambda steps: Adam(learning_rate=1e-2, steps=steps),
     "lbfgs": lambda steps: LBFGS(steps=steps),
-    "best of adam": lambda steps: BestSoFar(Adam(learning_rate=1e-2, steps=steps)),
-    "best of lbfgs": lambda steps: BestSoFar(LBFGS(steps=steps)),
 }
 
 
@@ -74,27 +72,6 @@ def test_lbfgs_survives_a_loss_that_is_infinite_beyond_a_wall():
 
     x, _ = minimise(LBFGS(steps=30), walled, jnp.array([-1.0, 3.0]))
     assert walled(x) < walled(jnp.array([-1.0, 3.0]))
-
-
-def test_best_so_far_keeps_the_best_of_a_phase_that_runs_away():
-    noisy = Adam(learning_rate=10.0, steps=25)
-    start = jnp.array([1.0])
-
-    def loss(x):
-        return jnp.sum(x**4)
-
-    last, _ = minimise(noisy, loss, start)
-    best, values = minimise(BestSoFar(noisy), loss, start)
-    assert loss(best) == pytest.approx(min([*values.tolist(), float(loss(last))]))
-    assert loss(best) < loss(last)
-
-
-def test_best_so_far_never_hands_on_nan():
-    def loss(x):
-        return jnp.sum(jnp.sqrt(x))  # NaN below zero, and downhill towards it
-
-    best, _ = minimise(BestSoFar(Adam(0.4, 5)), loss, jnp.array([1.0]))
-    assert jnp.isfinite(loss(best))
 
 
 def test_paper_recipe_is_table_1():

@@ -19,6 +19,7 @@ from pinav.forces.profile_laws import HillLaw, RingLaw, StepLaw, WaveLaw
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
 REGION = Region.of(POINTS[0])
 CENTER, NOISE = [4.0, 6.0], 0.003
+SLOW = pytest.mark.slow
 
 
 def lawful(truth, *starts):
@@ -31,7 +32,7 @@ def lawful(truth, *starts):
 @pytest.mark.parametrize(
     ("truth", "tail", "size"),
     [
-        (PowerHill(3.0, CENTER, 1.5, 0.5), 2.0, 1.5),
+        pytest.param(PowerHill(3.0, CENTER, 1.5, 0.5), 2.0, 1.5, marks=SLOW),
         (PowerHill(3.0, CENTER, 1.5, 1.0), 1.0, 1.5 / np.sqrt(2)),
         (CompactHill(-3.0, CENTER, 4.0), -1 / 3, 4.0 / np.sqrt(6)),
     ],
@@ -56,6 +57,7 @@ def test_a_ring_and_a_wall_follow_their_laws():
     np.testing.assert_allclose(wall.law.constants()["size"], 0.8, rtol=0.05)
 
 
+@SLOW
 def test_the_law_of_a_wide_ring_does_not_vanish_at_its_centre():
     truth = RingBarrier(2.0, CENTER, 1.8, 1.0)
     ring = lawful(truth, central_term(REGION, np.array([4.02, 5.98])))
@@ -71,7 +73,9 @@ def test_a_ring_narrower_than_its_flank_is_no_law():
     assert hill is None or not isinstance(hill.law, RingLaw)
 
 
-@pytest.mark.parametrize("period", [2.5, 4.0, 9.0])
+@pytest.mark.parametrize(
+    "period", [2.5, pytest.param(4.0, marks=SLOW), pytest.param(9.0, marks=SLOW)]
+)
 def test_stripes_follow_a_wave_of_their_period(period):
     along = 2 * np.pi / period * np.array([[np.cos(0.7), np.sin(0.7)]])
     wave = lawful(PlaneWaves([1.5], along, [0.4]), wall_term(REGION, 0.7))

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.fields.families import random_system
 from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.dynamics import FixedStep
@@ -29,7 +30,7 @@ from pinav.forces import (
     StructuredForce,
     kernel_centers,
 )
-from pinav.scenarios import random_system, scenario
+from pinav.scenarios import scenario
 from pinav.trajectories import simulate, with_velocities
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.fields.families import random_system
 
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError
@@ -29,7 +30,7 @@ from pinav.forces import (
     split_structure,
 )
 from pinav.forces.profile_laws import HillLaw
-from pinav.scenarios import fibres, many_barriers, random_system
+from pinav.scenarios import fibres, many_barriers
 from pinav.scenarios.spaces import box
 from pinav.systems.files import parse_system
 from pinav.trajectories import simulate, with_velocities

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.fields.families import random_system
 
 from pinav.dynamics import FixedStep
 from pinav.fitting import (
@@ -28,7 +29,6 @@ from pinav.forces import (
     spread_weights,
     tanh_network,
 )
-from pinav.scenarios import random_system
 from pinav.scenarios.spaces import box
 from pinav.trajectories import simulate, with_velocities
 

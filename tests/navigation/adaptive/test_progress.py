@@ -10,13 +10,15 @@ import pytest
 from pinav.dynamics import OverdampedSwimmer
 from pinav.forces import GaussianBarrier, ZeroForce
 from pinav.navigation import task
-from pinav.navigation.adaptive.flight import fly, know_truth
+from pinav.navigation.adaptive.flight import fly
+from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.progress import Progress
-from pinav.navigation.adaptive.steering import Adaptive
-from pinav.navigation.adaptive.strategies import Certain, Curious, axes_of
+from pinav.navigation.adaptive.steering import AdaptiveController
+from pinav.navigation.adaptive.strategies import ExplorationBonus, MeanForce, axes_of
 from pinav.navigation.belief.belief import Frame
 from pinav.navigation.belief.given import GivenForce
 from pinav.navigation.belief.prior import ForcePrior
+from pinav.navigation.control.controller import Observation
 from pinav.navigation.task.steering import SteeredSwimmer
 
 PATIENCE = 6.0
@@ -87,11 +89,13 @@ def still():
     known = dataclasses.replace(task("vortex"), sensor_noise=0.02)
     swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0)
     truth = SteeredSwimmer(swimmer, known.truth.actuator)
-    return Adaptive.of(dataclasses.replace(known, truth=truth), Certain(), points=21)
+    return AdaptiveController.of(
+        dataclasses.replace(known, truth=truth), MeanForce(), points=21
+    )
 
 
-def wall(adaptive):
-    """A counter-current of twice the thrust across the arena, of which nobody is sure.
+def walled(adaptive):
+    """Who believes in a counter-current of twice the thrust, of which nobody is sure.
 
     A fit that had data on the near side alone.
     """
@@ -99,25 +103,29 @@ def wall(adaptive):
     force = np.zeros((len(x), len(y), 2))
     force[(x > 4.5) & (x < 6.5), :, 0] = -2.0 * adaptive.thrust
     places = np.array([[1.0, 5.0], [2.0, 5.0]])
-    return ForcePrior(GivenForce.of((x, y), force), places, 1e-4 * np.eye(4))
+    prior = ForcePrior(GivenForce.of((x, y), force), places, 1e-4 * np.eye(4))
+    known = prior.lead(adaptive.believe(frame_at(1.0, 5.0)))
+    return dataclasses.replace(adaptive, known=known)
 
 
 def test_the_bold_take_nothing_from_what_is_known(still):
-    belief = know_truth(Adaptive.of(task("vortex"), points=13), frame_at(1.0, 5.0))
+    oracle = with_truth(AdaptiveController.of(task("vortex"), points=13))
+    belief = oracle.believe(frame_at(1.0, 5.0))
     certain, bold = (
         strategy.tables(belief, still.physics, still.thrust)
-        for strategy in (Certain(), Curious(boldness=3))
+        for strategy in (MeanForce(), ExplorationBonus(boldness=3))
     )
     np.testing.assert_allclose(bold.table.values, certain.table.values, atol=1e-12)
     np.testing.assert_allclose(bold.time_cost.spread.values, 0.0, atol=1e-9)
 
 
 def test_each_stall_makes_a_doubtful_wall_lower_and_its_ground_cheaper(still):
-    walled = dataclasses.replace(still, prior=wall(still))
-    belief = walled.believe(frame_at(1.0, 5.0))
+    belief = walled(still).believe(frame_at(1.0, 5.0))
     place, heights, prices = jnp.array([5.5, 5.0]), [], []
     for boldness in (1, 2, 3, 9):
-        tables = Curious(boldness=boldness).tables(belief, still.physics, still.thrust)
+        tables = ExplorationBonus(boldness=boldness).tables(
+            belief, still.physics, still.thrust
+        )
         heights.append(-float(tables.table(0.0, place)[0]))
         prices.append(float(tables.time_cost.running_cost(0.0, place)))
     assert np.all(np.diff(heights[:3]) < 0)
@@ -133,26 +141,30 @@ def test_a_goal_that_cannot_be_reached_ends_with_the_time_and_no_error():
     hill = GaussianBarrier(6.0, [9.0, 5.0], 1.5)
     truth = OverdampedSwimmer(ZeroForce(), hill, 1.0)
     steered = SteeredSwimmer(truth, known.truth.actuator)
-    adaptive = Adaptive.of(dataclasses.replace(known, truth=steered), points=21)
-    flight = fly(adaptive, key=jax.random.key(1))
+    adaptive = AdaptiveController.of(
+        dataclasses.replace(known, truth=steered), points=21
+    )
+    flight, _, _ = fly(adaptive, key=jax.random.key(1))
     assert not flight.reached
     assert not flight.violated
     assert flight.stalls > 0
-    assert len(flight.states) == 801
+    assert len(flight.path) == 801
 
 
 @pytest.mark.slow
 def test_who_is_held_plans_on_finer_cells_and_never_stops_planning(still):
     """Held at its place behind a wall that, as it believes, lets nobody through."""
-    held = dataclasses.replace(still, prior=wall(still))
-    mind = held.start(held.believe(frame_at(1.0, 5.0)))
-    assert float(mind.plan.at(jnp.array([1.0, 5.0]))) > held.task.time_limit
+    held, idle = walled(still), jnp.zeros((1, 2))
+    state = held.task.start
+    memory = held.start(Observation(jnp.asarray(0.0), state, idle))
+    assert float(memory.plan.at(jnp.array([1.0, 5.0]))) > held.task.time_limit
     for k in range(1, 130):
-        mind = held.learn(mind, frame_at(1.0, 5.0, 0.1 * k))
-    assert mind.progress.stalled
-    assert mind.progress.boldness == 2
-    assert mind.lattice is held.detailed
+        now = Observation(jnp.asarray(0.1 * k), state, idle)
+        memory = held.learn(memory, now)
+    assert memory.progress.stalled
+    assert memory.progress.boldness == 2
+    assert memory.lattice is held.detailed
     assert held.detailed.cell < 0.65 * held.replanner.cell
-    assert np.all(np.isfinite(mind.plan.values))
-    command, _ = held.command(mind, jnp.zeros((1, 2)), jax.random.key(0))
+    assert np.all(np.isfinite(memory.plan.values))
+    command, _ = held(now, memory, key=jax.random.key(0))
     assert np.all(np.isfinite(command))

@@ -22,7 +22,7 @@ from pinav.navigation import (
     time_to_go,
 )
 from pinav.navigation.adaptive.flight import fly
-from pinav.navigation.adaptive.steering import Adaptive
+from pinav.navigation.adaptive.steering import AdaptiveController
 
 
 def barrier_task(length, time, *, inertial):
@@ -60,19 +60,18 @@ def test_flights_in_other_units_are_the_same_flights(inertial):
     """Rounding differs, and a flight makes it grow."""
     key, flights = jax.random.key(3), []
     for length, time in ((1.0, 1.0), (64.0, 0.0625), (0.125, 16.0)):
-        adaptive = Adaptive.of(
+        adaptive = AdaptiveController.of(
             barrier_task(length, time, inertial=inertial), points=15, speeds=7
         )
-        flight = fly(adaptive, key=key)
-        states = flight.states.copy()
-        states[:, :2] /= length
-        states[:, 2:] *= time / length
-        flights.append((states, flight.arrival_time / time, flight.stalls))
+        flight, _, _ = fly(adaptive, key=key)
+        flights.append(
+            (flight.path / length, flight.arrival_time / time, flight.stalls)
+        )
     first, *others = flights
     assert np.isfinite(first[1])
-    for states, arrival, stalls in others:
-        assert abs(len(states) - len(first[0])) <= 1
-        for one, other in zip(states, first[0], strict=False):
+    for path, arrival, stalls in others:
+        assert abs(len(path) - len(first[0])) <= 1
+        for one, other in zip(path, first[0], strict=False):
             np.testing.assert_allclose(one, other, atol=0.1)
         assert arrival == pytest.approx(first[1], rel=0.01)
         assert stalls == first[2]

@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from pinav.codec import decode, encode
 from pinav.errors import InputError
 from pinav.navigation.belief import belief as bank
 from pinav.navigation.belief.belief import KINDS, Belief, Frame
-from pinav.navigation.belief.kernel_filter import MeanForce
+from pinav.navigation.belief.kernel_filter import ExpectedForce
 from pinav.navigation.belief.kernels import FreeKernels, KernelGrid, PotentialKernels
 from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion
 
@@ -131,18 +132,19 @@ def test_the_prior_has_its_strength_everywhere_in_the_arena(kind):
 
 
 @pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
-def test_a_belief_comes_back_from_its_arrays(motion):
+def test_a_belief_comes_back_from_its_file(motion):
     flight, _ = frames(motion, swirl, 30)
     belief = believe(motion)
     for frame in flight[:20]:
         belief = belief.after(frame)
-    again = Belief.from_arrays(belief.to_arrays())
+    again = decode(Belief, *encode(belief))
     for frame in flight[20:]:
         belief, again = belief.after(frame), again.after(frame)
-    ours, theirs = belief.to_arrays(), again.to_arrays()
-    assert ours.keys() == theirs.keys()
-    for name, array in ours.items():
-        np.testing.assert_array_equal(array, theirs[name], err_msg=name)
+    ours, theirs = encode(belief), encode(again)
+    assert ours.document == theirs.document
+    assert ours.arrays.keys() == theirs.arrays.keys()
+    for name, array in ours.arrays.items():
+        np.testing.assert_array_equal(array, theirs.arrays[name], err_msg=name)
 
 
 def test_after_leaves_the_belief_as_it_was():
@@ -150,12 +152,14 @@ def test_after_leaves_the_belief_as_it_was():
     belief = believe(MOTIONS["inertia"])
     for frame in flight[:8]:
         belief = belief.after(frame)
-    before = {name: array.copy() for name, array in belief.to_arrays().items()}
+    document, arrays = encode(belief)
+    before = {name: array.copy() for name, array in arrays.items()}
     later = belief
     for frame in flight[8:]:
         later = later.after(frame)
     assert later.time > belief.time
-    for name, array in belief.to_arrays().items():
+    assert encode(belief).document == document
+    for name, array in encode(belief).arrays.items():
         np.testing.assert_array_equal(array, before[name])
 
 
@@ -357,7 +361,7 @@ def most_probable(one, motion, start, flight, rounds=4):
         ]
         field = dataclasses.replace(reached, mean=weights)
         for k, frame in enumerate(flight):
-            force = MeanForce(one.kernels, field)
+            force = ExpectedForce(one.kernels, field)
             move = motion.step(states[k], force, frame.thrust, 0.1)
             blocks = [
                 (place[k + 1], identity),

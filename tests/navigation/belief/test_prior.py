@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pinav.errors import InputError
+from pinav.codec import encode
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.given import GivenForce
 from pinav.navigation.belief.motion import OverdampedMotion
@@ -119,5 +119,5 @@ def test_a_fit_that_is_no_longer_right_is_given_up():
 
 
 def test_a_belief_with_a_given_force_is_not_stored(begun):
-    with pytest.raises(InputError, match="expected kernels alone, got a given force"):
-        begun.to_arrays()
+    with pytest.raises(TypeError, match="a file cannot hold a RectBivariateSpline"):
+        encode(begun)

@@ -31,7 +31,7 @@ from pinav.navigation.task.steering import (
 )
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Rectangle
-from pinav.navigation.trials.closed_loop import advance, begin, observe
+from pinav.navigation.trials.situation import advance, begin, observe
 
 pytestmark = pytest.mark.slow
 

@@ -8,23 +8,18 @@ import pytest
 from tests.navigation.steering_worlds import DRAG, open_water
 
 from pinav.actuation import SaturatingResponse
-from pinav.errors import InputError
 from pinav.forces import Advection, UniformFlow
 from pinav.navigation.control.simple import (
     LineOfSight,
     command_of,
     cruising_speed,
     physics_only,
-    steered_swimmer,
 )
-from pinav.navigation.reference.gaussian_process import gaussian_process
 from pinav.navigation.task import catalogue as tasks
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import CommandLimits, RollingActuator
 from pinav.navigation.trials import metrics
 from pinav.navigation.trials.closed_loop import run, run_many
-from pinav.scenarios import scenario
-from pinav.trajectories import FrameLoss, degrade
 
 KEY = jax.random.key(0)
 KEYS = jax.random.split(KEY, 10)
@@ -80,42 +75,6 @@ def test_paths_are_followed_with_the_true_model_in_spite_of_the_drift():
     )
     assert known.success.value == 1.0
     assert known.tracking < blind.tracking / 3
-
-
-@pytest.mark.slow
-def test_gaussian_process_finds_the_current():
-    """And does not take the propulsion, which is known, for it."""
-    task = tasks.task("vortex")
-    data = tasks.training("vortex", KEY)
-    found = steered_swimmer(task, gaussian_process(task.truth.dynamics, data))
-    points = jnp.asarray(data.states[:, 10::20].reshape(-1, 2))
-    learned, true = (
-        jax.vmap(lambda x, m=model: m(0.0, x, jnp.zeros(2)))(points)
-        for model in (found, task.truth)
-    )
-    assert jnp.sqrt(jnp.mean((learned - true) ** 2)) < 0.06
-    assert jnp.sqrt(jnp.mean(true**2)) > 0.3
-
-
-@pytest.mark.slow
-def test_gaussian_process_finds_the_force_and_nothing_far_away():
-    known = scenario("barrier-crossings").true_swimmer
-    data = tasks.training("barrier-weak", KEY, count=2)
-    found = gaussian_process(known, data).environment
-    truth = jax.vmap(lambda x: known.environment(0.0, x, x))(found.centers)
-    values = jax.vmap(lambda x: found(0.0, x, x))(found.centers)
-    spread = jnp.sqrt(jnp.mean(truth**2))
-    assert jnp.sqrt(jnp.mean((values - truth) ** 2)) < 0.25 * spread
-    far = found(0.0, jnp.full(2, 1e3), jnp.zeros(2))
-    np.testing.assert_array_equal(far, 0.0)
-
-
-def test_gaussian_process_needs_complete_trajectories():
-    data = tasks.training("vortex", KEY, count=2)
-    known = scenario("vortex-current").swimmer
-    holes = degrade(data, [FrameLoss(0.2)], key=KEY)
-    with pytest.raises(InputError, match="trajectory 0 is not complete, in equal time"):
-        gaussian_process(known, holes)
 
 
 def test_physics_alone_has_no_environment():

@@ -9,8 +9,8 @@ import pytest
 
 from pinav.errors import InputError
 from pinav.navigation import Disc, Experiment, Rectangle, task
-from pinav.navigation.adaptive.steering import Adaptive
-from pinav.navigation.adaptive.strategies import Certain
+from pinav.navigation.adaptive.steering import AdaptiveController
+from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.belief.belief import Frame
 from pinav.navigation.design.campaign import (
     Decision,
@@ -50,7 +50,7 @@ def experiment_of(problem, duration=3.0, region=None):
 
 @pytest.fixture(scope="module")
 def adaptive():
-    return Adaptive.of(current(), Certain(), points=21)
+    return AdaptiveController.of(current(), MeanForce(), points=21)
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +172,7 @@ def test_a_grid_fills_the_region_evenly(adaptive, belief):
 
 def test_nobody_is_released_in_a_disc():
     disc = Disc([5.0, 5.0], 2.0)
-    adaptive = Adaptive.of(current(keep_out=(disc,)), Certain(), points=21)
+    adaptive = AdaptiveController.of(current(keep_out=(disc,)), MeanForce(), points=21)
     region = Rectangle([2.5, 2.5], [7.5, 7.5])
     experiment = experiment_of(adaptive.task, region=region)
     first = Frame(0.0, np.array([1.0, 5.0]), NOISE, np.zeros(2))

@@ -1,9 +1,10 @@
-r"""`discover`: which law is behind a learned force, and how well it is known.
+r"""`discover_law`: which law is behind a learned force, and how well it is known.
 
 Candidate laws are fitted to the learned force, weighted by the covariance of its
 errors; the best of them are refitted through the equations of motion and ranked there.
 """
 
+import dataclasses
 import enum
 from collections.abc import Sequence
 
@@ -27,7 +28,7 @@ from pinav.analysis.discovery.laws import (
     sympy_text,
     terms_of,
 )
-from pinav.analysis.discovery.learned_fit import Learned
+from pinav.analysis.discovery.learned_fit import Learned, laplace_posterior
 from pinav.analysis.discovery.refit import Refit, refit
 from pinav.analysis.discovery.rotations import LIBRARY
 from pinav.analysis.discovery.screening import screen, screen_terms
@@ -36,8 +37,10 @@ from pinav.arguments import on_device
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
-from pinav.fitting import Outcome, Posterior
-from pinav.forces import split_structure
+from pinav.fitting import AbstractLearned, Outcome, Posterior
+from pinav.fitting.environments.choice import learned_part
+from pinav.forces import as_learned_force, split_structure
+from pinav.identification import needs_kalman_filter
 from pinav.threads import map_on_cores
 from pinav.trajectories import Trajectories, with_velocities
 
@@ -167,7 +170,43 @@ class Discovery(eqx.Module):
         return rivals(self.candidates)
 
 
-def discover(
+def discover(fit: AbstractLearned, *, refits: int = 5) -> Discovery:
+    """Rank the laws of the learned force of a fit.
+
+    Args:
+        fit: of a planar force, without thermal noise, commands or wandering velocity.
+        refits: number of laws refitted through the equations of motion.
+
+    Raises:
+        InputError: the fit is none of a force.
+        FitError: the learned force does not explain the trajectories.
+    """
+    found = discover_law(_posterior(fit), fit.data, refits=refits)
+    return dataclasses.replace(found, units=dict(fit.units))
+
+
+def _posterior(fit: AbstractLearned) -> Posterior:
+    """The posterior of the fit, or one by Laplace about its model."""
+    model = fit.model
+    known = isinstance(model, Swimmer | OverdampedSwimmer)
+    stochastic = fit.system.thermal_energy is not None or "diffusion" in fit.constants
+    if not known or stochastic or needs_kalman_filter(fit.system):
+        raise InputError(
+            "discover: laws are refitted to trajectories that follow from their "
+            "starts; expected a swimmer without thermal noise, commands or wandering "
+            f"velocity, got the model {fit.choice.name} of system {fit.system.name}"
+        )
+    if as_learned_force(model.environment) is None:
+        raise InputError(
+            "discover: the model has no learned force of the environment; fit a kernel "
+            "or neural model"
+        )
+    if fit.posterior is not None:
+        return fit.posterior
+    return laplace_posterior(model, fit.data, learned_part)
+
+
+def discover_law(
     posterior: Posterior,
     trajectories: Trajectories,
     *,
@@ -197,14 +236,14 @@ def discover(
     library = LIBRARY if laws is None else laws
     if refits < 1 or not library:
         raise InputError(
-            "discover: expected one or more candidates and refits, got "
+            "discover_law: expected one or more candidates and refits, got "
             f"{len(library)} and {refits}"
         )
     solver = FixedStep() if solver is None else solver
     model = posterior.model
     if not isinstance(model, Swimmer | OverdampedSwimmer):
         raise InputError(
-            "discover posterior: expected that of a swimmer with a learned "
+            "discover_law posterior: expected that of a swimmer with a learned "
             f"environment, got {type(model).__name__}"
         )
     if isinstance(model, Swimmer):

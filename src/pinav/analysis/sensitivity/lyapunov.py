@@ -24,33 +24,6 @@ from pinav.dynamics import AbstractDynamics, FixedStep, with_dtype
 from pinav.errors import InputError
 
 
-def start_jacobians(
-    dynamics: AbstractDynamics,
-    starts: ArrayLike,
-    ts: ArrayLike,
-    *,
-    solver: FixedStep | None = None,
-) -> tuple[Float[np.ndarray, "start state"], Float[np.ndarray, "start state state"]]:
-    r"""Last states of rollouts and their derivatives $\Phi$ by the starts.
-
-    Args:
-        dynamics: the system; computed in float64.
-        starts: initial states, one a row.
-        ts: times [T], increasing.
-        solver: how to integrate; `FixedStep()` unless given.
-
-    Raises:
-        InputError: the starts are not rows of states, or the times fewer than two.
-    """
-    starts = np.asarray(starts, float)
-    if starts.ndim != 2:
-        raise InputError(
-            "start_jacobians starts: expected one state a row, got shape "
-            f"{starts.shape}"
-        )
-    return _start_slopes(dynamics, starts, ts, np.eye(starts.shape[1]), solver)
-
-
 def _start_slopes(
     dynamics: AbstractDynamics,
     starts: Float[np.ndarray, "start state"],
@@ -68,7 +41,7 @@ def _start_slopes(
     ts = np.asarray(ts, float)
     if ts.ndim != 1 or len(ts) < 2:
         raise InputError(
-            f"start_jacobians ts: expected two or more times, got shape {ts.shape}"
+            f"lyapunov_map ts: expected two or more times, got shape {ts.shape}"
         )
     solver = FixedStep() if solver is None else solver
     with jax.enable_x64(new_val=True):

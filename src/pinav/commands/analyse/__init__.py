@@ -7,7 +7,7 @@ ANALYSE = Command(
     summary="map what a fit learned, and what it depends on",
     options="pinav.commands.analyse.settings:AnalyseOptions",
     run="pinav.commands.analyse.job:run",
-    result="pinav.commands.analyse.result:Analysis",
+    result="pinav.analysis:Analysis",
     file="analysis",
     sections="pinav.commands.analyse.sections:sections",
 )

@@ -4,8 +4,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pinav.analysis import EntropyProduction, LyapunovMap, SobolIndices
-from pinav.commands.analyse.result import Analysis, ConstantEffect, TrajectoryEffect
+from pinav.analysis import (
+    Analysis,
+    ConstantEffect,
+    EntropyProduction,
+    LyapunovMap,
+    SobolIndices,
+    TrajectoryEffect,
+)
 from pinav.figures import (
     constants_figure,
     helmholtz_figure,
@@ -164,7 +170,7 @@ def _final(analysis: Analysis) -> str:
 
 def _lyapunov(analysis: Analysis) -> Blocks:
     growth, units = analysis.lyapunov, analysis.units
-    index = analysis.settings.reference
+    index = analysis.reference
     drawn = lyapunov_figure(
         growth, trajectory=index, path=analysis.paths[index], units=units
     )
@@ -184,13 +190,13 @@ def growth_sentence(growth: LyapunovMap, time: str) -> str:
 
 
 def _sobol(analysis: Analysis) -> Blocks:
-    indices, settings = analysis.sobol, analysis.settings
+    indices = analysis.sobol
     if indices is None:
         return []
     landmark = ", ".join(f"{value:.3g}" for value in analysis.landmark or ())
     caption = (
-        f"Rollouts of trajectory {settings.reference} with strengths varied by "
-        f"± {settings.relative:.0%} and the start by ± {settings.shift:g}, uniformly "
+        f"Rollouts of trajectory {analysis.reference} with strengths varied by "
+        f"± {analysis.relative:.0%} and the start by ± {analysis.shift:g}, uniformly "
         "and independently. Displacement is from the nominal final position, arrival "
         "means that it is at most the distance that counts as visited, and the least "
         "distance is to the highest point of the potential near the data, "

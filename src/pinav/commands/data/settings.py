@@ -14,7 +14,7 @@ class DataOptions(Settings, frozen=True, kw_only=True):
 
     Attributes:
         what: "list" prints the recordings with repository, licence and checksum;
-            "fetch NAME" brings one into a folder that pinav truth reads.
+            "fetch NAME" brings one into a folder of cases.
         name: Name of the recording to fetch.
         out: Folder below which it is put.
         source: The authors' file, where it is at hand; downloaded unless given.

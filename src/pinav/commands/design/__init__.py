@@ -8,5 +8,7 @@ DESIGN = Command(
     options="pinav.commands.design.settings:DesignOptions",
     run="pinav.commands.design.job:run",
     title="Design of experiments",
-    report="pinav.commands.design.report:design_sections",
+    result="pinav.navigation.design.result:DesignResult",
+    file="metrics",
+    sections="pinav.commands.design.sections:sections",
 )

@@ -10,24 +10,16 @@ from tqdm import tqdm
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.design import DESIGN
-from pinav.commands.design.metrics import (
-    DesignMetrics,
-    DesignRow,
-    NextRow,
-    relative_bound,
-)
 from pinav.commands.design.settings import DesignOptions, DesignSettings
 from pinav.commands.recording_settings import RecordingSettings
+from pinav.commands.results import keep
 from pinav.commands.start import fingerprint, start_run
 from pinav.commands.steering import known_task, observe_positions, system_task
 from pinav.errors import InputError
-from pinav.navigation import Disc, Experiment, Rectangle, Task
-from pinav.navigation.adaptive.steering import Adaptive
-from pinav.navigation.adaptive.strategies import Certain
-from pinav.navigation.belief.belief import Belief
+from pinav.navigation import AdaptiveController, Course, Experiment, Rectangle, Task
+from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.design.campaign import (
     Campaign,
-    Decision,
     decide,
     record_positions,
     run_campaign,
@@ -38,9 +30,16 @@ from pinav.navigation.design.choices import (
     InformedDesign,
     RandomDesign,
     Stage,
-    expected_sd,
 )
 from pinav.navigation.design.frames import believe_data
+from pinav.navigation.design.result import (
+    CampaignSummary,
+    DesignResult,
+    NextTrajectory,
+    Recorded,
+    map_belief,
+    relative_bound,
+)
 from pinav.runs import RunFolder
 from pinav.scenarios import find_system
 from pinav.systems import System
@@ -53,30 +52,17 @@ DESIGNS: Mapping[str, AbstractDesign] = {
 }
 """What `--designs` names."""
 
-MAP_POINTS = 41
-"""Points of the maps of the force along each side."""
-
-Arrays = dict[str, np.ndarray]
-
 
 def run(options: DesignOptions) -> CommandResult:
     """Design experiments as the command line does."""
     settings, system = options.settings, find_system(options.system)
     work = _suggest if options.data else _compare
-    metrics, arrays, table, folder = work(options, settings, system)
-    if table:
-        folder.write_table("next.csv", ("t", "frequency", "heading"), table)
-    folder.write_arrays("results.npz", arrays)
-    folder.write_metrics("metrics.json", metrics)
-    return CommandResult(metrics, metrics.text(), folder)
-
-
-Finding = tuple[DesignMetrics, Arrays, list[tuple[float, ...]], RunFolder]
+    return keep(DESIGN, *work(options, settings, system))
 
 
 def _compare(
     options: DesignOptions, settings: DesignSettings, system: System
-) -> Finding:
+) -> tuple[RunFolder, DesignResult]:
     """Simulated campaigns of each design, in pairs of the same noise."""
     task = system_task(settings, system)
     adaptive = _adaptive(task, settings)
@@ -95,23 +81,29 @@ def _compare(
             key=key,
         )
         campaigns[name].append(campaign)
-    rows = {name: DesignRow.of_campaigns(some) for name, some in campaigns.items()}
-    metrics = DesignMetrics(system.name, settings.accuracy, rows)
-    firsts = {name: some[0] for name, some in campaigns.items()}
-    first = next(iter(firsts.values()))
-    arrays = _map_arrays(adaptive, first.belief, first.decisions[-1])
-    for name, some in campaigns.items():
-        for index, path in enumerate(firsts[name].paths):
-            arrays[f"path/{name}/{index}"] = path
-        for index, one in enumerate(some):
-            bounds = [relative_bound(decision) for decision in one.decisions]
-            arrays[f"bound/{name}/{index}"] = np.array(bounds)
-    return metrics, arrays, [], folder
+    first, *_ = next(iter(campaigns.values()))
+    return folder, DesignResult(
+        system=system.name,
+        accuracy=settings.accuracy,
+        course=Course.of(task),
+        maps=map_belief(adaptive, first.belief),
+        way=first.decisions[-1].way,
+        thrust=adaptive.thrust,
+        paths={name: some[0].paths for name, some in campaigns.items()},
+        designs={name: CampaignSummary.of(some) for name, some in campaigns.items()},
+        bounds={
+            name: tuple(
+                np.array([relative_bound(decision) for decision in one.decisions])
+                for one in some
+            )
+            for name, some in campaigns.items()
+        },
+    )
 
 
 def _suggest(
     options: DesignOptions, settings: DesignSettings, system: System
-) -> Finding:
+) -> tuple[RunFolder, DesignResult]:
     """What recordings leave open, and what to record next."""
     parts = [read_data(path, RecordingSettings()) for path in options.data]
     data = concatenate(parts) if len(parts) > 1 else parts[0]
@@ -123,40 +115,39 @@ def _suggest(
     )
     belief = believe_data(adaptive, system.swimmer, data, settings.position_noise)
     decision = decide(adaptive, belief)
-    key = jax.random.key(settings.seed)
     stage = Stage(adaptive, experiment, belief, decision.way)
-    chosen = InformedDesign().choose(stage, key=key)
-    after = expected_sd(stage, chosen)
     _, spread = belief.force(decision.way)
-    x, y = np.asarray(chosen.starts[:2], float).tolist()
-    possible = bool(np.isfinite(after))
-    certain = decision.certain(settings.accuracy)
-    row = NextRow(
+    recorded = Recorded(
         trajectories=len(data),
         arrives=decision.arrives,
         error=decision.error,
-        certain=certain,
+        certain=decision.certain(settings.accuracy),
         sd=float(np.sqrt(np.mean(spread**2))),
-        sd_after=after if possible else None,
-        start=(x, y) if possible else None,
     )
-    arrays = _map_arrays(adaptive, belief, decision)
-    for index, piece in enumerate(data):
-        seen = piece.observed[:, :2].all(axis=1)
-        arrays[f"path/recorded/{index}"] = piece.states[seen, :2]
-    table = []
-    if possible:
-        series = (experiment.knots, chosen.frequency, chosen.heading)
-        table = list(zip(*(np.asarray(s).tolist() for s in series), strict=True))
-    metrics = DesignMetrics(system.name, settings.accuracy, next=row)
-    return metrics, arrays, table, folder
+    return folder, DesignResult(
+        system=system.name,
+        accuracy=settings.accuracy,
+        course=Course.of(task),
+        maps=map_belief(adaptive, belief),
+        way=decision.way,
+        thrust=adaptive.thrust,
+        paths={
+            "recorded": tuple(
+                piece.states[piece.observed[:, :2].all(axis=1), :2] for piece in data
+            )
+        },
+        recorded=recorded,
+        next=NextTrajectory.informed(stage, key=jax.random.key(settings.seed)),
+    )
 
 
-def _adaptive(task: Task, settings: DesignSettings) -> Adaptive:
-    return Adaptive.of(observe_positions(task, settings.position_noise), Certain())
+def _adaptive(task: Task, settings: DesignSettings) -> AdaptiveController:
+    return AdaptiveController.of(
+        observe_positions(task, settings.position_noise), MeanForce()
+    )
 
 
-def _experiment(settings: DesignSettings, adaptive: Adaptive) -> Experiment:
+def _experiment(settings: DesignSettings, adaptive: AdaptiveController) -> Experiment:
     """How trajectories are recorded, and where they may be released.
 
     Raises:
@@ -175,26 +166,3 @@ def _experiment(settings: DesignSettings, adaptive: Adaptive) -> Experiment:
                 f"{settings.release}; state a larger one with --arena"
             )
     return record_positions(task, region, settings.duration)
-
-
-def _map_arrays(adaptive: Adaptive, belief: Belief, decision: Decision) -> Arrays:
-    """The learned force and the way, for the figures."""
-    task, objective = adaptive.task, adaptive.replanner.objective
-    lower, upper = np.asarray(task.arena.lower), np.asarray(task.arena.upper)
-    x, y = np.linspace(lower, upper, MAP_POINTS).T
-    points = np.stack(np.meshgrid(x, y), axis=-1)
-    mean, sd = belief.force(points.reshape(-1, 2))
-    discs = [[*z.center, z.radius] for z in task.keep_out if isinstance(z, Disc)]
-    return {
-        "arena": np.array([lower, upper]),
-        "start": np.asarray(task.start[:2]),
-        "goal": np.asarray(objective.goal),
-        "tolerance": np.asarray(objective.tolerance),
-        "discs": np.array(discs).reshape(-1, 3),
-        "field/x": x,
-        "field/y": y,
-        "field/learned": mean.reshape(points.shape),
-        "field/sd": sd.reshape(points.shape),
-        "way": decision.way,
-        "thrust": np.asarray(adaptive.thrust),
-    }

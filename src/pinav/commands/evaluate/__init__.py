@@ -7,5 +7,7 @@ EVALUATE = Command(
     summary="say where a fitted run can be trusted, on other trajectories",
     options="pinav.commands.evaluate.settings:EvaluateOptions",
     run="pinav.commands.evaluate.job:run",
-    report="pinav.commands.evaluate.report:evaluation_sections",
+    result="pinav.evaluation:Evaluation",
+    file="evaluation",
+    sections="pinav.commands.evaluate.sections:sections",
 )

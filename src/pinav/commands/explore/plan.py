@@ -6,9 +6,11 @@ import numpy as np
 
 from pinav.commands.explore.trees import Tree, pack_array
 from pinav.errors import InputError
+from pinav.navigation import AbstractNavigation, Navigation
 from pinav.runs import RunFolder
 
-RESULTS = "results.npz"
+RESULT = "metrics"
+"""Files of the result of a navigation, without ending."""
 
 LEVELS = 65535
 """Steps of a value of the plan."""
@@ -39,26 +41,34 @@ def plan_of(folder: RunFolder) -> Tree:
     """The plan of a run as the page takes it.
 
     Raises:
-        InputError: the run has none, or was written before plans were kept.
+        InputError: the run has none, such as one in space.
     """
-    folder.check_file(RESULTS)
-    arrays = folder.read_arrays(RESULTS)
-    if "plan/values" not in arrays:
+    result: AbstractNavigation = folder.load(RESULT, AbstractNavigation)
+    if not isinstance(result, Navigation) or result.plan.lattice is None:
         raise InputError(
-            f"{folder.path}: its results hold no plan that can be evaluated; "
-            f"{folder.repair(RESULTS)}"
+            f"{folder.path}: its results hold no plan that can be evaluated; expected "
+            "one in the plane, of a learned model"
         )
-    plan = {
-        name: np.asarray(arrays[name], float).tolist()
-        for name in ("arena", "start", "goal", "tolerance", "discs", "step")
+    course, lattice = result.course, result.plan.lattice
+    plan: Tree = {
+        "arena": course.arena.tolist(),
+        "start": course.start.tolist(),
+        "goal": course.goal.tolist(),
+        "tolerance": course.tolerance,
+        "discs": course.discs.tolist(),
+        "step": result.step,
+        "lower": lattice.lower.tolist(),
+        "spacing": lattice.spacing.tolist(),
+        "scale": lattice.scale,
+        "ahead": lattice.ahead,
+        "horizon": lattice.horizon,
+        "thrusts": lattice.thrusts.tolist(),
     }
-    for name in ("lower", "spacing", "scale", "ahead", "horizon", "thrusts"):
-        plan[name] = np.asarray(arrays[f"plan/{name}"], float).tolist()
     # Between zero and one: sixteen bits are finer than the lattice is right.
-    levels = np.round(np.clip(arrays["plan/values"], 0.0, 1.0) * LEVELS)
+    levels = np.round(np.clip(lattice.values, 0.0, 1.0) * LEVELS)
     plan["values"] = pack_array(levels, "u2")
-    if "suggestion" in arrays:
-        plan["suggestion"] = arrays["suggestion"].tolist()
+    if result.suggestion is not None:
+        plan["suggestion"] = result.suggestion.path.tolist()
     return plan
 
 

@@ -4,10 +4,11 @@ import dataclasses
 
 import numpy as np
 
+from pinav.commands.explore.plan import RESULT
 from pinav.commands.explore.sections import RESULTS, section_payload
 from pinav.commands.explore.trees import Tree, pack_array
 from pinav.errors import InputError
-from pinav.runs import METRICS_FILE, RunFolder
+from pinav.runs import RunFolder
 from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun, RadialBalance
 from pinav.thermal.planned_run import PlannedRun
 
@@ -25,7 +26,7 @@ def heat_payload(folder: RunFolder) -> Tree:
     Raises:
         InputError: its result is damaged, or is none that the page can show.
     """
-    found = folder.load(METRICS_FILE.removesuffix(".json"), AbstractHeatResult)
+    found = folder.load(RESULT, AbstractHeatResult)
     run = found.result if isinstance(found, PlannedRun) else found
     if not isinstance(run, HeatedRun):
         raise InputError(

@@ -3,8 +3,6 @@
 import importlib.util
 from typing import BinaryIO
 
-import msgspec
-
 from pinav.commands.command import CommandResult
 from pinav.commands.export.datatree import MISSING, datatree_of
 from pinav.commands.export.settings import ExportOptions
@@ -12,20 +10,6 @@ from pinav.commands.export.spots import SpotTable, napari_csv, spot_table, track
 from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
 from pinav.files import atomic_write, check_destination
-
-
-class ExportMetrics(msgspec.Struct, frozen=True):
-    """What was written.
-
-    Attributes:
-        file: that was written.
-        format: its format.
-        spots: observed positions in the data.
-    """
-
-    file: str
-    format: str
-    spots: int
 
 
 def run(options: ExportOptions) -> CommandResult:
@@ -44,8 +28,9 @@ def run(options: ExportOptions) -> CommandResult:
         file.write(content)
 
     atomic_write(options.out, write, overwrite=options.overwrite)
-    metrics = ExportMetrics(str(options.out), options.to, len(table.time))
-    return CommandResult(metrics, f"{options.out}: {metrics.spots} spots, {options.to}")
+    spots = len(table.time)
+    written = {"file": str(options.out), "format": options.to, "spots": spots}
+    return CommandResult(written, f"{options.out}: {spots} spots, {options.to}")
 
 
 def _content(fit: FittedRun, table: SpotTable, options: ExportOptions) -> bytes:

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pinav.commands.fitted_run import FittedRun
-from pinav.commands.force_units import units_of
 from pinav.dynamics import with_dtype
 from pinav.errors import InputError
 from pinav.fitting import Posterior
@@ -106,8 +105,7 @@ def force_sds(
 
 def result_units(run: FittedRun) -> tuple[str, str, str]:
     """Units of length, time and the learned force; "?" where not stated."""
-    units = units_of(run.data, run.system)
-    return units["x"], units["t"], force_unit(units)
+    return run.units["x"], run.units["t"], force_unit(run.units)
 
 
 def napari_csv(table: SpotTable) -> str:

@@ -7,7 +7,6 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from pinav.commands.data_file import with_all_channels
 from pinav.commands.fit.settings import (
     EVIDENCE_RECIPES,
     THERMAL_OPTIONS,
@@ -30,7 +29,7 @@ from pinav.identification import (
     trajectories_of,
 )
 from pinav.systems import System
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, with_all_channels
 
 LARGEST = 1e12
 """Largest value of a state, whose fourth power a fit can still sum up."""

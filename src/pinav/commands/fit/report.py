@@ -11,15 +11,15 @@ from pinav.commands.fitted_run import DATA_FILE
 from pinav.commands.force_units import units_of
 from pinav.commands.matching import read_losses
 from pinav.commands.system_choice import read_system_of
-from pinav.evaluation import FieldMap, default_regions
+from pinav.evaluation import FieldMap, default_regions, normal_interval
 from pinav.figures import force_comparison, loss_curve, observed_paths, save_figure
-from pinav.figures.palette import TRUTH
-from pinav.figures.profiles import (
+from pinav.figures.bands import (
+    band,
     diffusion_bands,
-    positions_over_time,
     profile_band,
-    value_band,
 )
+from pinav.figures.observations import positions_over_time
+from pinav.figures.palette import TRUTH
 from pinav.figures.style import new_figure, with_unit
 from pinav.report import (
     Cell,
@@ -166,8 +166,13 @@ def _thermal_fields(folder: RunFolder, data: Trajectories) -> list[Image]:
         images.append(Image(files.svg, f"Diffusion over {name}", caption))
     if "reference/times" in arrays:
         figure = new_figure(4.2, 2.6)
-        value_band(
-            *(arrays[f"reference/{part}"] for part in ("times", "values", "sd")),
+        times, values, sd = (
+            arrays[f"reference/{part}"] for part in ("times", "values", "sd")
+        )
+        band(
+            times,
+            values,
+            normal_interval(values, sd),
             labels=(with_unit("time", time), with_unit("reference", length)),
             ax=figure.add_subplot(),
         )

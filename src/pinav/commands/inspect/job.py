@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pinav import __version__
+from pinav.codec import encode
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.inspect.settings import InspectOptions, RecordingSettings
@@ -20,7 +21,7 @@ from pinav.recordings.conventions import in_words
 from pinav.recordings.quality.commands import Drive
 from pinav.recordings.quality.report import Quality, Run, Track, quality
 from pinav.report import Cell, Code, Image, Paragraph, Section, Table, number, render
-from pinav.report.text import as_text
+from pinav.report.text import sections_text
 from pinav.trajectories import Trajectories
 
 JSON_FILE, PAGE_FILE = "inspection.json", "inspection.html"
@@ -54,7 +55,7 @@ def inspect(
     report = _with_verdict(quality(recording), recording)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(report.as_json(), indent=2, allow_nan=False)
+        text = json.dumps(encode(report).document, indent=2, allow_nan=False)
         write_text(out / JSON_FILE, text, overwrite=True)
         write_text(out / PAGE_FILE, page(recording, report, out, image), overwrite=True)
     return report
@@ -101,27 +102,23 @@ def _with_labels(data: Trajectories, path: Path) -> Trajectories:
 
 def text(report: Quality) -> str:
     """The report for a terminal."""
-    lines = [
-        f"{report.source}, format {report.format}",
-        *(
-            [f"read as: {'; '.join(said)}"]
-            if (said := in_words(report.provenance))
-            else []
-        ),
-        "",
-        as_text(runs_table(report)),
+    said = in_words(report.provenance)
+    head = [f"{report.source}, format {report.format}"]
+    head += [f"read as: {'; '.join(said)}"] if said else []
+    return "\n".join([*head, "", sections_text(verdict_sections(report))])
+
+
+def verdict_sections(report: Quality) -> list[Section]:
+    """What is to be settled, what the recording holds, and what a fit cannot tell."""
+    doubts = [Section("To be settled before a fit", [*map(Paragraph, report.doubts)])]
+    limits = verdicts(report) or [
+        "Nothing speaks against a fit of gains, drift and delay."
     ]
-    if report.doubts:
-        lines += ["", "To be settled before a fit:", *map(_item, report.doubts)]
-    if report.warnings or any(run.warnings for run in report.runs):
-        lines += ["", "What a fit cannot tell:", *map(_item, verdicts(report))]
-    if report.notes:
-        lines += ["", "Notes:", *map(_item, report.notes)]
-    return "\n".join(lines)
-
-
-def _item(words: str) -> str:
-    return f"- {words}"
+    return [
+        *(doubts if report.doubts else []),
+        Section("What it holds", [runs_table(report), *map(Paragraph, report.notes)]),
+        Section("What a fit cannot tell", [*map(Paragraph, limits)]),
+    ]
 
 
 def verdicts(report: Quality) -> list[str]:
@@ -210,17 +207,7 @@ def page(
         recording_figure(recording, report), out / "figures", "recording"
     )
     sections = [
-        *(
-            [Section("To be settled before a fit", [*map(Paragraph, report.doubts)])]
-            if report.doubts
-            else []
-        ),
-        Section("What it holds", [runs_table(report), *map(Paragraph, report.notes)]),
-        Section(
-            "What a fit cannot tell",
-            [Paragraph(words) for words in verdicts(report)]
-            or [Paragraph("Nothing speaks against a fit of gains, drift and delay.")],
-        ),
+        *verdict_sections(report),
         Section("At a glance", [Image(image.png, "Four panels", _caption(report))]),
         *([] if still is None else [_on_image(recording, still, out)]),
         *_speed_sections(report),
@@ -312,4 +299,4 @@ def run(options: InspectOptions) -> CommandResult:
         overwrite=options.overwrite,
     )
     page = None if options.out is None else options.out / PAGE_FILE
-    return CommandResult(report.as_json(), text(report), page=page)
+    return CommandResult(encode(report).document, text(report), page=page)

@@ -8,6 +8,8 @@ NAVIGATE = Command(
     options="pinav.commands.navigate.settings:NavigateOptions",
     run="pinav.commands.navigate.job:run",
     title="Navigation",
-    report="pinav.commands.navigate.report:navigation_sections",
+    result="pinav.navigation.result:AbstractNavigation",
+    file="metrics",
+    sections="pinav.commands.navigate.sections:sections",
     resumable=True,
 )

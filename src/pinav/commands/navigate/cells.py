@@ -1,6 +1,7 @@
 """Closed loops and flights of `pinav navigate` as cells of a sweep.
 
-Text goes in: the settings, and the folders of runs that are read. Arrays come out.
+Text goes in: the settings, and the folders of runs that are read. Stored values come
+out.
 """
 
 import dataclasses
@@ -8,30 +9,49 @@ import functools
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
-import numpy as np
 
 from pinav.commands.fitted_run import FittedRun
-from pinav.commands.navigate.flights import SwimmerFlights, fly_swimmer
-from pinav.commands.navigate.loops import Attempt, controller_of, trials
 from pinav.commands.navigate.online import OnlineProblem, online_problem
 from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
-from pinav.commands.navigate.setup import NavigationProblem, navigation_problem
+from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.sweep import Sweep
 from pinav.errors import InputError
-from pinav.navigation import AbstractController, Episodes, concatenate_episodes
+from pinav.navigation import (
+    AbstractController,
+    Attempt,
+    Episodes,
+    NavigationProblem,
+    SwimmerFlights,
+    concatenate_episodes,
+    episode_keys,
+    fly_swimmer,
+)
 from pinav.runs import RunFolder
 from pinav.sweeps import Cell
+
+Result = TypeVar("Result")
 
 LOOPS_OF_A_CELL = 10
 """Closed loops in a cell: fewer would take less time than the plan before them."""
 
-FILE = "loops.npz"
-"""Arrays of a cell."""
+FILE = "result"
+"""File of the result of a cell, without ending."""
 
-EPISODES = tuple(field.name for field in dataclasses.fields(Episodes))
-"""Arrays of closed loops."""
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Loops:
+    """The result of a cell of closed loops.
+
+    Attributes:
+        episodes: the loops; none where the model sees no way.
+        refused: the reason then.
+    """
+
+    episodes: Episodes | None
+    refused: str = ""
 
 
 class LoopsCell(msgspec.Struct, frozen=True):
@@ -109,10 +129,10 @@ def _loops(sweep: Sweep, cells: Sequence[Cell]) -> Episodes | str:
     """The loops of several cells; the reason where a model sees no way."""
     parts = []
     for cell in cells:
-        arrays = _arrays(sweep, cell)
-        if "refused" in arrays:
-            return str(arrays["refused"])
-        parts.append(Episodes(**{name: arrays[name] for name in EPISODES}))
+        loops = _result(sweep, cell, Loops)
+        if loops.episodes is None:
+            return loops.refused
+        parts.append(loops.episodes)
     return concatenate_episodes(parts)
 
 
@@ -125,15 +145,17 @@ def do_loops(cell: Cell, folder: Path) -> None:
     one = cell.read(LoopsCell)
     settings = msgspec.json.decode(one.settings, type=NavigateSettings)
     problem = _problem(cell.system, one.settings)
-    arrays: dict[str, np.ndarray]
     try:
         steering = _steering(cell.system, one.settings, one.model)
     except InputError as error:
-        arrays = {"refused": np.array(str(error))}
+        loops = Loops(None, str(error))
     else:
-        loops = trials(problem, steering, settings, range(one.first, one.last + 1))
-        arrays = {name: getattr(loops, name) for name in EPISODES}
-    RunFolder(folder).write_arrays(FILE, arrays)
+        keys, numbers = (
+            episode_keys(settings.seed, settings.seeds),
+            range(one.first, one.last + 1),
+        )
+        loops = Loops(problem.attempt(steering, keys, numbers))
+    RunFolder(folder).store(FILE, loops)
 
 
 @functools.lru_cache(maxsize=1)
@@ -144,7 +166,7 @@ def _problem(run: str, settings: str) -> NavigationProblem:
 
 @functools.lru_cache(maxsize=3)
 def _steering(run: str, settings: str, model: str) -> AbstractController:
-    return controller_of(_problem(run, settings), model)
+    return _problem(run, settings).controller_with(model)
 
 
 def sweep_flights(
@@ -184,7 +206,7 @@ def sweep_flights(
         for number in range(settings.seeds)
     ]
     sweep.run(cells, "swimmers")
-    return [SwimmerFlights.of_arrays(_arrays(sweep, cell)) for cell in cells]
+    return [_result(sweep, cell, SwimmerFlights) for cell in cells]
 
 
 def do_flights(cell: Cell, folder: Path) -> None:
@@ -198,7 +220,7 @@ def do_flights(cell: Cell, folder: Path) -> None:
     settings = msgspec.json.decode(one.settings, type=NavigateSettings)
     online = msgspec.json.decode(one.online, type=OnlineSettings)
     flights = fly_swimmer(problem.adaptive, settings.seed, cell.seed, online.visits)
-    RunFolder(folder).write_arrays(FILE, flights.arrays)
+    RunFolder(folder).store(FILE, flights)
 
 
 @functools.lru_cache(maxsize=1)
@@ -224,8 +246,8 @@ def _digest(*paths: Path | None) -> str:
     return digest.hexdigest()[:16]
 
 
-def _arrays(sweep: Sweep, cell: Cell) -> dict[str, np.ndarray]:
-    """What a cell has computed.
+def _result(sweep: Sweep, cell: Cell, wanted: type[Result]) -> Result:
+    """The result of a cell.
 
     Raises:
         InputError: it failed.
@@ -234,4 +256,4 @@ def _arrays(sweep: Sweep, cell: Cell) -> dict[str, np.ndarray]:
     if outcome is None or outcome.failure:
         reason = "it was not done" if outcome is None else outcome.failure
         raise InputError(f"{cell.label}: {reason}")
-    return RunFolder(sweep.store.folder(cell)).read_arrays(FILE)
+    return RunFolder(sweep.store.folder(cell)).load(FILE, wanted)

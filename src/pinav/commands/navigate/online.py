@@ -4,116 +4,26 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
-from pinav.commands.cells import Row
 from pinav.commands.fitted_run import FittedRun
-from pinav.commands.navigate.flights import ORACLE, SwimmerFlights
-from pinav.commands.navigate.metrics import ArrivalRow, IntervalRow
 from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.steering import observe_positions, system_task
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-from pinav.navigation import Task, task
-from pinav.navigation.adaptive.prior import with_prior_of
-from pinav.navigation.adaptive.scores import FlightRecord, Outcome, judge_flights
-from pinav.navigation.adaptive.steering import Adaptive
-from pinav.navigation.adaptive.strategies import (
-    AbstractStrategy,
-    Certain,
-    Curious,
-    Doubted,
-    Priced,
-    Sampled,
+from pinav.navigation import (
+    AdaptiveController,
+    Course,
+    OnlineNavigation,
+    SwimmerFlights,
+    Task,
+    judge_controllers,
+    task,
 )
-from pinav.runs import RunFolder
+from pinav.navigation.adaptive.prior import with_prior_of
 from pinav.scenarios import find_system
 from pinav.systems import Units
 from pinav.units import with_order
-
-STRATEGIES: Mapping[str, AbstractStrategy] = {
-    "certain": Certain(),
-    "averse": Priced(1.0),
-    "curious": Curious(),
-    "doubted": Doubted(0.5),
-    "sampled": Sampled(),
-}
-"""What `--strategy` names."""
-
-
-class OnlineRow(Row, frozen=True):
-    """Flights of one controller; see `Outcome`, whose fields these are.
-
-    Attributes:
-        runs: number of flights.
-        success: proportion that arrived without a violation.
-        in_time: proportion that arrived within the task's own time limit.
-        violation: proportion that entered a forbidden place.
-        arrival: times of those that arrived.
-        regret: arrival time over that of the oracle; none for the oracle.
-        clearance: least distance from forbidden places [L].
-        force_error: of the force over the visited path, relative.
-        cover: fraction of true forces within their bands of 95 %.
-        consistency: squared error of the position over its variance.
-        changed: commands that the safety filter changed, in a flight.
-        frame_time: of learning from a frame, 99 % quantile [s].
-        command_time: of a command, median [s].
-        replan_time: of a plan, median [s].
-        memory: of a belief at the end [byte].
-    """
-
-    runs: int
-    success: IntervalRow
-    in_time: IntervalRow
-    violation: IntervalRow
-    arrival: ArrivalRow
-    regret: IntervalRow | None
-    clearance: float
-    force_error: float | None
-    cover: float | None
-    consistency: float | None
-    changed: float
-    frame_time: float | None
-    command_time: float | None
-    replan_time: float | None
-    memory: float
-
-    @classmethod
-    def of_outcome(cls, outcome: Outcome) -> "OnlineRow":
-        """The row of an outcome."""
-        names = ArrivalRow.__struct_fields__
-        arrival = dict(zip(names, outcome.arrival, strict=True))
-        return cls.of(outcome, arrival=arrival)
-
-
-class OnlineMetrics(msgspec.Struct, frozen=True):
-    """The numbers of a task that was learned on the way.
-
-    Attributes:
-        task: its name.
-        strategy: what the plan made of what is not known.
-        position_noise: standard deviation of the observed positions [L].
-        delay: from command to thrust [T].
-        time_limit: when a flight was given up [T].
-        own_limit: time limit of the task itself [T].
-        thrust: greatest thrust.
-        controllers: the oracle, and the visits.
-        prior: whether the first visit began with a fit.
-        units: of each channel, with the order of the dynamics; none of a task of the
-            package.
-    """
-
-    task: str
-    strategy: str
-    position_noise: float
-    delay: float
-    time_limit: float
-    own_limit: float
-    thrust: float
-    controllers: dict[str, OnlineRow]
-    prior: bool = False
-    units: dict[str, str] = {}
 
 
 def online_task(name: str, *, position_noise: float, delay: float | None) -> Task:
@@ -152,14 +62,18 @@ def units_of(online: OnlineSettings) -> Units:
     return Units() if online.system is None else find_system(online.system).base_units
 
 
-def channel_units(online: OnlineSettings, adaptive: Adaptive) -> Mapping[str, str]:
+def channel_units(
+    online: OnlineSettings, adaptive: AdaptiveController
+) -> Mapping[str, str]:
     """Units of the channels of the task, and the order of its dynamics."""
     units = units_of(online)
     order = 2 if adaptive.task.inertial else 1
     return with_order(units.of_channels(("x", "y")), order, units.force)
 
 
-def with_prior(adaptive: Adaptive, run: FittedRun, units: Units) -> Adaptive:
+def with_prior(
+    adaptive: AdaptiveController, run: FittedRun, units: Units
+) -> AdaptiveController:
     """The controller that begins with the force and the posterior of a fit.
 
     Args:
@@ -205,7 +119,7 @@ class OnlineProblem:
         own_limit: time limit of the task itself [T].
     """
 
-    adaptive: Adaptive
+    adaptive: AdaptiveController
     own_limit: float
 
 
@@ -225,65 +139,47 @@ def online_problem(
     """
     known = task_to_learn(settings, online)
     observed = observe_positions(known, online.position_noise)
-    adaptive = Adaptive.of(observed, STRATEGIES[online.strategy])
+    adaptive = AdaptiveController.of(observed)
     if prior is not None:
         adaptive = with_prior(adaptive, FittedRun.open(prior), units_of(online))
     return OnlineProblem(adaptive, known.time_limit)
 
 
-def write_online(
+def judge_swimmers(
     problem: OnlineProblem,
     online: OnlineSettings,
     swimmers: Sequence[SwimmerFlights],
-    folder: RunFolder,
-) -> OnlineMetrics:
-    """Judge the flights of all swimmers, and write the results.
+    *,
+    prior: bool,
+) -> OnlineNavigation:
+    """The result of the flights of all swimmers.
 
     Args:
         problem: the task.
         online: of learning.
         swimmers: the first one with what is shown.
-        folder: of the run.
+        prior: True where the first visit began with a fit.
     """
-    adaptive, flown = problem.adaptive, problem.adaptive.task
+    adaptive, flown, shown = problem.adaptive, problem.adaptive.task, swimmers[0].shown
+    assert shown is not None
     flights = {
-        name: [one.records[name] for one in swimmers] for name in swimmers[0].records
+        name: [one.flights[name] for one in swimmers] for name in swimmers[0].flights
     }
-    metrics = OnlineMetrics(
+    return OnlineNavigation(
         task=flown.name,
-        strategy=online.strategy,
         position_noise=online.position_noise,
         delay=flown.delay,
         time_limit=flown.time_limit,
         own_limit=problem.own_limit,
         thrust=adaptive.thrust,
-        controllers=rows_of(flights, problem.own_limit),
-        prior=adaptive.prior is not None,
+        step=flown.step,
+        prior=prior,
         units=dict(channel_units(online, adaptive)),
+        course=Course.of(flown),
+        controllers=judge_controllers(flights, problem.own_limit),
+        paths={
+            name: tuple(flight.path for flight in some)
+            for name, some in flights.items()
+        },
+        shown=shown,
     )
-    paths = {
-        f"path/{name}/{index}": record.path
-        for name, some in flights.items()
-        for index, record in enumerate(some)
-    }
-    folder.write_arrays("results.npz", dict(swimmers[0].shown) | paths)
-    folder.write_metrics("metrics.json", metrics)
-    return metrics
-
-
-def rows_of(
-    flights: Mapping[str, Sequence[FlightRecord]], own_limit: float
-) -> dict[str, OnlineRow]:
-    """The outcome of each controller.
-
-    Args:
-        flights: the oracle's and others.
-        own_limit: time limit of the task itself [T].
-    """
-    oracle = flights[ORACLE]
-    return {
-        name: OnlineRow.of_outcome(
-            judge_flights(some, own_limit, oracle if name != ORACLE else ())
-        )
-        for name, some in flights.items()
-    }

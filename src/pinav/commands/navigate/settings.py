@@ -1,7 +1,7 @@
 """Settings of `pinav navigate`; imports no numerical library."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -33,9 +33,6 @@ class NavigateSettings(SteeringSettings, frozen=True):
         SteeringSettings.check_together(self)
 
 
-StrategyName = Literal["certain", "averse", "curious", "doubted", "sampled"]
-
-
 class OnlineSettings(Settings, frozen=True):
     """How a task is done without any data beforehand.
 
@@ -45,8 +42,6 @@ class OnlineSettings(Settings, frozen=True):
         task: Name of a task, such as barrier-weak, with places of its own.
         system: A system file, or the name of a built-in system, whose true environment
             the swimmer does not know; needs --from and --to.
-        strategy: What a plan makes of what is not known: takes the mean for true,
-            avoids it, seeks it, expects stronger forces there, or takes draws for true.
         position_noise: Standard deviation of the observed positions.
         visits: How often each swimmer does the task, with the map kept.
     """
@@ -54,7 +49,6 @@ class OnlineSettings(Settings, frozen=True):
     learn_online: bool = False
     task: str | None = None
     system: str | None = None
-    strategy: StrategyName = "curious"
     position_noise: Annotated[float, Range(above=0)] = 0.02
     visits: Annotated[int, Range(1)] = 2
 

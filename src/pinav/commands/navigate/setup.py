@@ -17,86 +17,9 @@ from pinav.dynamics import (
 )
 from pinav.errors import InputError
 from pinav.evaluation import enclosing_cube
-from pinav.fitting import Posterior
-from pinav.navigation import (
-    Disc,
-    ReachGoal,
-    SteeredSwimmer,
-    Task,
-    physics_only,
-)
-from pinav.navigation.task.steering import greatest_thrust
+from pinav.navigation import Evidence, NavigationProblem, SteeredSwimmer
 from pinav.scenarios import source_system
-from pinav.trajectories import Trajectories
-
-
-@dataclasses.dataclass(frozen=True)
-class Evidence:
-    """A fit of trajectories with a posterior, which further ones can improve.
-
-    Attributes:
-        posterior: of the model.
-        noise: standard deviation of what was observed.
-        states: smoothed states of the data.
-    """
-
-    posterior: Posterior
-    noise: float
-    states: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True)
-class NavigationProblem:
-    """A task and what is known of it.
-
-    Attributes:
-        task: its truth is that of the system, or the model where there is none.
-        model: the fitted swimmer.
-        samples: of the posterior; none where the run has no posterior.
-        truth: the name of the system whose environment is the truth, where known.
-        evidence: of the fit, where further trajectories can be suggested.
-        data: what was fitted.
-        order: of the dynamics in time.
-        force: unit of a force, where the mobility makes a velocity of it.
-    """
-
-    task: Task
-    model: SteeredSwimmer
-    samples: tuple[SteeredSwimmer, ...]
-    truth: str | None
-    evidence: Evidence | None
-    data: Trajectories
-    order: int
-    force: str
-
-    @property
-    def goal(self) -> ReachGoal:
-        """The middle of the goal, and its radius."""
-        assert isinstance(self.task.objective, ReachGoal)
-        return self.task.objective
-
-    @property
-    def discs(self) -> tuple[Disc, ...]:
-        """What must not be entered."""
-        return tuple(zone for zone in self.task.keep_out if isinstance(zone, Disc))
-
-    @property
-    def physics(self) -> SteeredSwimmer:
-        """The fitted swimmer without its environment."""
-        return physics_only(self.model)
-
-    @property
-    def truths(self) -> tuple[SteeredSwimmer, ...]:
-        """Swimmers in which controllers are tried."""
-        if self.truth is None and self.samples:
-            return self.samples
-        return (self.task.truth,)
-
-    @property
-    def thrust(self) -> float:
-        """The greatest thrust that can be commanded."""
-        task = self.task
-        return float(greatest_thrust(self.model.actuator, task.limits, task.dim))
+from pinav.units import with_order
 
 
 def navigation_problem(settings: NavigateSettings, run: FittedRun) -> NavigationProblem:
@@ -130,8 +53,9 @@ def navigation_problem(settings: NavigateSettings, run: FittedRun) -> Navigation
         truth=truth,
         evidence=_evidence(run, model),
         data=run.data,
-        order=run.system.order,
-        force=run.system.base_units.force,
+        units=dict(
+            with_order(run.data.units, run.system.order, run.system.base_units.force)
+        ),
     )
 
 

@@ -12,16 +12,15 @@ import jax
 import msgspec
 
 from pinav.commands.cells import as_cell
-from pinav.commands.held_out import held_out
 from pinav.commands.matching import CurriculumSettings, matching
+from pinav.commands.settings import ModelName
 from pinav.commands.study.metrics import (
     HEADER,
     DataEfficiencyMetrics,
     NoiseMetrics,
     StudyRow,
 )
-from pinav.commands.study.settings import StudyModel, StudySettings
-from pinav.commands.study.stochastic_force_inference import infer_force
+from pinav.commands.study.settings import StudySettings
 from pinav.commands.sweep import Sweep
 from pinav.dynamics import AbstractDynamics
 from pinav.errors import FitError, InputError
@@ -30,6 +29,7 @@ from pinav.evaluation import (
     extent,
     field_map,
     force_agreement,
+    held_out,
     position_errors,
     predict,
     square,
@@ -64,7 +64,7 @@ class StudyCell(msgspec.Struct, frozen=True):
         max_steps: of the fit, or of each of its windows.
     """
 
-    model: StudyModel
+    model: ModelName
     count: int
     sigma: float
     held_out: int
@@ -175,8 +175,6 @@ def check(name: str, world: str, settings: StudySettings) -> None:
     Raises:
         InputError: the scenario is unknown, stochastic or has too few starts.
     """
-    if name == "paper-weakness":
-        return
     counts = (settings.count,) if name == NoiseMetrics.name else settings.counts
     for count in counts:
         chosen = scenario(world, count=count)
@@ -215,9 +213,6 @@ def with_noise(clean: Trajectories, sigma: float, seed: int) -> Trajectories:
 def _fit_cell(
     one: StudyCell, seed: int, known: System, data: Trajectories
 ) -> tuple[AbstractDynamics, str]:
-    if one.model == "sfi":
-        swimmer = infer_force(known.swimmer, data, one.sigma)
-        return swimmer, "functions selected by PASTIS"
     choice = ModelChoice(one.model, seed=seed)
     return fit_choice(choice, known.swimmer, data, max_steps=one.max_steps)
 

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import msgspec
 
-from pinav.commands.cells import Cell, RolloutRow
+from pinav.commands.cells import Cell
 
 
 class StudyRow(msgspec.Struct, frozen=True):
@@ -73,42 +73,4 @@ class NoiseMetrics(ScalingMetrics, frozen=True, tag="noise", tag_field="study"):
     quantity: ClassVar[str] = "noise of the observations"
 
 
-class ModelScores(msgspec.Struct, frozen=True):
-    """What a model learned of the force, and how well it predicts.
-
-    Attributes:
-        force: relative L2 error of the force by region.
-        cosine: cosine similarity of the force by region.
-        rollouts: position errors from held-out starts.
-    """
-
-    force: dict[str, Cell]
-    cosine: dict[str, Cell]
-    rollouts: RolloutRow
-
-
-class WeaknessMetrics(
-    msgspec.Struct, frozen=True, tag="paper-weakness", tag_field="study"
-):
-    """The numbers of the study of the paper's weakness.
-
-    Attributes:
-        models: scores of each model by its name.
-        recipe: how the paper's network was trained.
-        seed: of starts, noise and network.
-        count: number of trajectories that the kernel potential was fitted to.
-        sigma: standard deviation of their observations.
-        held_out: number of clean starts to predict from.
-        own_trajectory: position error of the network on the trajectory that it knows.
-    """
-
-    models: dict[str, ModelScores]
-    recipe: str
-    seed: int
-    count: int
-    sigma: float
-    held_out: int
-    own_trajectory: Cell
-
-
-StudyMetrics = DataEfficiencyMetrics | NoiseMetrics | WeaknessMetrics
+StudyMetrics = DataEfficiencyMetrics | NoiseMetrics

@@ -12,9 +12,7 @@ from pinav.commands.study.metrics import (
     ScalingMetrics,
     StudyMetrics,
     StudyRow,
-    WeaknessMetrics,
 )
-from pinav.commands.study.paper_weakness import weakness_sections, weakness_table
 from pinav.figures.errors import scaling_figure
 from pinav.figures.images import Figures
 from pinav.report import Paragraph, Section, Table
@@ -25,8 +23,6 @@ from pinav.runs import RunFolder
 def study_sections(folder: RunFolder) -> list[Section]:
     """The sections of a study's report."""
     metrics = msgspec.convert(folder.read_json("metrics.json"), StudyMetrics)
-    if isinstance(metrics, WeaknessMetrics):
-        return weakness_sections(folder, metrics)
     noise = isinstance(metrics, NoiseMetrics)
     places = [row.sigma if noise else float(row.trajectories) for row in metrics.rows]
     figure = scaling_figure(
@@ -93,6 +89,4 @@ def table(rows: Iterable[StudyRow]) -> Table:
 
 def text(metrics: StudyMetrics) -> str:
     """The table of a study for a terminal."""
-    if isinstance(metrics, WeaknessMetrics):
-        return as_text(weakness_table(metrics))
     return as_text(table(metrics.rows))

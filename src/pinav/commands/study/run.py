@@ -3,10 +3,8 @@
 from pathlib import Path
 
 from pinav.commands.command import CommandResult
-from pinav.commands.start import start_run
 from pinav.commands.study import STUDY
 from pinav.commands.study.job import check, study
-from pinav.commands.study.paper_weakness import weakness
 from pinav.commands.study.report import text
 from pinav.commands.study.settings import StudyOptions
 from pinav.commands.sweep import start_sweep, status_text
@@ -21,10 +19,6 @@ def run(options: StudyOptions) -> CommandResult:
         return CommandResult(status, status_text(status))
     check(name, world, settings)
     identity = {"study": name, "scenario": world}
-    if name == "paper-weakness":
-        folder = start_run(STUDY, options, settings, **identity)
-        metrics = weakness(settings, folder)
-        return CommandResult(metrics, text(metrics), folder)
     with start_sweep(STUDY, options, options.workers, settings, **identity) as sweep:
         metrics = study(name, world, settings, sweep)
         return CommandResult(metrics, text(metrics), sweep.folder)

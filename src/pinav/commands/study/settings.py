@@ -8,18 +8,15 @@ import tyro
 from pinav.commands.settings import (
     ModelName,
     Range,
-    RecipeName,
     ResumableOptions,
     Settings,
 )
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.errors import InputError
 
-StudyName = Literal["data-efficiency", "noise", "paper-weakness"]
+StudyName = Literal["data-efficiency", "noise"]
 
-StudyModel = ModelName | Literal["sfi"]
-
-MODELS: tuple[StudyModel, ...] = (
+MODELS: tuple[ModelName, ...] = (
     "kernel-potential",
     "kernel-force",
     "neural-potential",
@@ -36,20 +33,17 @@ class StudySettings(Settings, frozen=True):
     """Settings of `pinav study`.
 
     Attributes:
-        models: Models to compare; ude is the paper's network with time, sfi
-            StochasticForceInference (pip install 'pinav[peers]').
+        models: Models to compare; ude is the paper's network with time.
         seeds: Seeds of starts, noise and networks, one fit for each.
         counts: data-efficiency: numbers of trajectories, nested.
         sigmas: noise: standard deviations of the observations.
-        count: noise, paper-weakness: number of trajectories.
-        sigma: data-efficiency, paper-weakness: standard deviation of the observations.
+        count: noise: number of trajectories.
+        sigma: data-efficiency: standard deviation of the observations.
         held_out: Number of clean starts that no model is fitted to.
         max_steps: Steps of each fit, or of each of its windows, at most.
-        recipe: paper-weakness: how the paper's network is trained; default:
-            Gauss-Newton curriculum, paper: Adam, then L-BFGS.
     """
 
-    models: tuple[StudyModel, ...] = MODELS
+    models: tuple[ModelName, ...] = MODELS
     seeds: tuple[int, ...] = (0,)
     counts: Annotated[tuple[int, ...], Range(1)] = (1, 2, 4, 8, 16, 32)
     sigmas: Annotated[tuple[float, ...], Range(0)] = SIGMAS
@@ -57,7 +51,6 @@ class StudySettings(Settings, frozen=True):
     sigma: Annotated[float, Range(0)] = 0.02
     held_out: Annotated[int, Range(1)] = 64
     max_steps: Annotated[int, Range(1)] = 20
-    recipe: RecipeName = "default"
 
     def check_together(self) -> None:
         for name in ("models", "seeds", "counts", "sigmas"):
@@ -73,14 +66,13 @@ class StudyOptions(ResumableOptions, frozen=True, kw_only=True):
     """Compare models over the amount of data or of noise, one figure for each study.
 
     data-efficiency: force and rollout error over the number of trajectories; noise:
-    the same over the noise of the observations; paper-weakness: the paper's network on
-    its single trajectory beside a kernel potential on several. All data are synthetic.
-    A killed study goes on with --resume; pinav study status DIR tells how far it is.
+    the same over the noise of the observations. All data are synthetic. A killed study
+    goes on with --resume; pinav study status DIR tells how far it is.
 
     Attributes:
         name: Which study; status: how far that of a folder is.
-        scenario: Name of the scenario (docs/scenarios.md); paper-weakness has its own.
-            status: the folder of the study.
+        scenario: Name of the scenario (docs/scenarios.md). status: the folder of the
+            study.
     """
 
     name: tyro.conf.Positional[StudyName | Literal["status"]]
@@ -88,10 +80,3 @@ class StudyOptions(ResumableOptions, frozen=True, kw_only=True):
     settings: StudySettings = StudySettings()
     workers: WorkerSettings = WorkerSettings()
     out: Path = Path("runs/study")
-
-    def check_together(self) -> None:
-        if self.name == "paper-weakness" and self.workers != WorkerSettings():
-            raise InputError(
-                "paper-weakness is two fits, one after the other, without workers; "
-                "drop the options of workers"
-            )

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting.langevin.covariance import Factor, whiten
 from pinav.fitting.langevin.increments import Increments, Padding
-from pinav.fitting.langevin.relation import Relation
+from pinav.fitting.langevin.observation import Relation
 from pinav.forces import KernelTensor
 
 

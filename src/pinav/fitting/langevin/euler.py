@@ -19,9 +19,10 @@ from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.engine.problem import Step
 from pinav.fitting.engine.steps import FullStep
 from pinav.fitting.environments.refinement import Refinement, iterate_refined
+from pinav.fitting.evidence.evidence import LinearisedObservations
+from pinav.fitting.evidence.shape_mixture import mix_shapes
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.langevin.increments import Increments
-from pinav.fitting.langevin.shapes import mix_over_shapes
 from pinav.fitting.least_squares import Regression
 from pinav.trajectories import Trajectories
 
@@ -87,3 +88,30 @@ def _diffusion(step: Step, known: float | None) -> Estimate:
     # Each direction that the data determine takes one observation from the variance.
     left = max(step.quadratic.num_free - step.num_determined, 1.0)
     return Estimate(variance / 2, variance / 2 * float(np.sqrt(2 / left)))
+
+
+MOST_WEIGHTS = 800
+"""Weights up to which shapes are mixed: each of 200 asks for a decomposition."""
+
+
+def mix_over_shapes(fit: EvidenceFit) -> EvidenceFit:
+    """The fit whose force is the mean over all shapes, with the bands of them all.
+
+    Forces with more than `MOST_WEIGHTS` weights keep the best shape, and a normal
+    distribution about it: so many are laid only where the data tell the shape.
+
+    Args:
+        fit: linear in its weights, with nothing else to learn.
+    """
+    weights = fit.linear.weights
+    few = len(fit.posterior.mean) <= MOST_WEIGHTS
+    if not (few and isinstance(weights, GaussianWeights)):
+        return fit
+    data = LinearisedObservations.of(fit.linear.quadratic)
+    mixed = mix_shapes(data, weights.prior, fit.hyperparameters, fit.linear.noise)
+    posterior = eqx.tree_at(
+        lambda p: (p.mean, p.covariance), fit.posterior, (mixed.mean, mixed.covariance)
+    )
+    return eqx.tree_at(
+        lambda f: (f.posterior, f.model), fit, (posterior, posterior.model)
+    )

@@ -25,15 +25,15 @@ from pinav.fitting.langevin.diffusion import (
     begin_motion,
     observed_axes,
 )
-from pinav.fitting.langevin.euler import fit_euler
+from pinav.fitting.langevin.euler import fit_euler, mix_over_shapes
 from pinav.fitting.langevin.increments import Increments, Padding
 from pinav.fitting.langevin.observation import (
     LearnedObservation,
     Observation,
     ObservedAxes,
+    Relation,
 )
 from pinav.fitting.langevin.reference import SlowReference
-from pinav.fitting.langevin.relation import Relation
 from pinav.fitting.langevin.result import LangevinFit
 from pinav.fitting.langevin.rounds import (
     LATER_STEPS,
@@ -45,7 +45,6 @@ from pinav.fitting.langevin.rounds import (
     langevin_checks,
     motion_covariance,
 )
-from pinav.fitting.langevin.shapes import mix_over_shapes
 from pinav.fitting.langevin.tracking import (
     first_path,
     from_reference,

@@ -1,10 +1,12 @@
-"""What a camera does to a path: it averages over the exposure, and errs."""
+"""Observation by a camera: average over the exposure, error, and links to drift."""
 
 import equinox as eqx
 import numpy as np
 
+from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.fitting.engine.posterior import Estimate
+from pinav.forces import KernelTensor
 
 
 class Observation(eqx.Module):
@@ -75,3 +77,36 @@ class ObservedAxes(eqx.Module):
     exposure: Estimate
     error: Estimate
     interval: float
+
+
+class Relation(eqx.Module):
+    """How drift and diffusion hang together, and what of them is known.
+
+    Attributes:
+        thermal_energy: $k_BT$ of Einstein's relation; None for a free drift.
+        learn_diffusion: whether D is not known.
+        observation: priors of exposure and error, where they are learned.
+    """
+
+    thermal_energy: float | None
+    learn_diffusion: bool
+    observation: LearnedObservation | None
+
+    @property
+    def einstein(self) -> bool:
+        r"""Whether the drift is $\beta D F + \nabla\cdot D$."""
+        return self.thermal_energy is not None
+
+    def swimmer_in(
+        self, swimmer: OverdampedSwimmer, diffusion: KernelTensor
+    ) -> OverdampedSwimmer:
+        """The swimmer with the mobility that belongs to the diffusion."""
+        if self.thermal_energy is None:
+            return swimmer
+        mobility = diffusion.scale_by(1 / self.thermal_energy)
+        return eqx.tree_at(
+            lambda m: m.mobility,
+            swimmer,
+            mobility,
+            is_leaf=lambda leaf: leaf is swimmer.mobility,
+        )

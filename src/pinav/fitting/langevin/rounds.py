@@ -16,7 +16,11 @@ from pinav.fitting.engine.problem import Step
 from pinav.fitting.engine.steps import FullStep
 from pinav.fitting.environments.refinement import Refinement, iterate_refined
 from pinav.fitting.evidence.weights import GaussianWeights
-from pinav.fitting.langevin.checks import LangevinChecks, innovation_correlations
+from pinav.fitting.langevin.checks import (
+    LangevinChecks,
+    innovation_correlations,
+    thinned_diffusion,
+)
 from pinav.fitting.langevin.covariance import cut, factorise, increment_bands
 from pinav.fitting.langevin.diffusion import DiffusionField, ThermalMotion
 from pinav.fitting.langevin.drift import (
@@ -30,9 +34,7 @@ from pinav.fitting.langevin.drift import (
 from pinav.fitting.langevin.euler import NOT_FINITE, without_weights
 from pinav.fitting.langevin.increments import Increments, Padding
 from pinav.fitting.langevin.likelihood import DiffusionProblem, Fluctuations
-from pinav.fitting.langevin.observation import ObservedAxes
-from pinav.fitting.langevin.relation import Relation
-from pinav.fitting.langevin.thinning import thinned_diffusion
+from pinav.fitting.langevin.observation import ObservedAxes, Relation
 from pinav.fitting.least_squares import Regression
 from pinav.forces import KernelTensor
 from pinav.trajectories import Trajectories

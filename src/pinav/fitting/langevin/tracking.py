@@ -22,8 +22,8 @@ from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.langevin.drift import divergence
 from pinav.fitting.langevin.increments import Increments, Padding
 from pinav.fitting.langevin.likelihood import local_terms
+from pinav.fitting.langevin.observation import Relation
 from pinav.fitting.langevin.reference import ReferencePath, SlowReference
-from pinav.fitting.langevin.relation import Relation
 from pinav.fitting.langevin.rounds import (
     Belief,
     fluctuations,

@@ -193,56 +193,6 @@ class LBFGS(AbstractGradientPhase):
         return 25
 
 
-class BestSoFar(AbstractPhase):
-    """Hands on the best parameters that another phase visited, not its last ones.
-
-    Attributes:
-        phase: the phase that is wrapped.
-    """
-
-    phase: AbstractPhase
-
-    @property
-    def name(self) -> str:
-        return self.phase.name
-
-    @property
-    def num_steps(self) -> int:
-        return self.phase.num_steps
-
-    def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> PyTree:
-        inner = self.phase.init(loss, params, value)
-        return inner, params, jnp.full_like(value, jnp.inf)
-
-    def step(
-        self, loss: Loss, params: PyTree, state: PyTree
-    ) -> tuple[PyTree, PyTree, Float[Array, ""]]:
-        inner, best, best_value = state
-        next_params, inner, value = self.phase.step(loss, params, inner)
-        best, best_value = _better(params, value, best, best_value)
-        return next_params, (inner, best, best_value), value
-
-    def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
-        inner, best, best_value = state
-        params = self.phase.finish(loss, params, inner)
-        best, _ = _better(params, loss(params), best, best_value)
-        return best
-
-    def is_done(self, state: PyTree) -> Bool[Array, ""]:
-        return self.phase.is_done(state[0])
-
-    def outcome(self, state: PyTree) -> Int[Array, ""]:
-        return self.phase.outcome(state[0])
-
-    @property
-    def chunk_steps(self) -> int:
-        return self.phase.chunk_steps
-
-    @property
-    def side_by_side(self) -> bool:
-        return self.phase.side_by_side
-
-
 _Candidate = tuple[PyTree, Float[Array, ""], PyTree]
 """A point, the loss there and its gradient."""
 
@@ -298,11 +248,3 @@ def _weak_wolfe_search(
 def _where(condition: Bool[Array, ""], chosen: PyTree, otherwise: PyTree) -> PyTree:
     """Leafwise choice between two trees of the same shape."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), chosen, otherwise)
-
-
-def _better(
-    params: PyTree, value: Float[Array, ""], best: PyTree, best_value: Float[Array, ""]
-) -> tuple[PyTree, Float[Array, ""]]:
-    """The one of two candidates with the smaller loss; NaN never wins."""
-    wins = value < best_value
-    return _where(wins, params, best), jnp.where(wins, value, best_value)

@@ -9,14 +9,19 @@ from jaxtyping import Array, Float
 
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.kernel_filter import KernelFilter
-from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion, Vector
+from pinav.navigation.belief.motion import (
+    AbstractMotion,
+    InertialMotion,
+    OverdampedMotion,
+    Vector,
+)
 from pinav.navigation.model.predictors import InertialTable
 from pinav.navigation.model.tables import FieldTable
 from pinav.navigation.model.tabulated import TabulatedModel
 from pinav.navigation.task.task import Task
 
 
-def motion_of(task: Task, physics: TabulatedModel) -> InertialMotion | OverdampedMotion:
+def motion_of(task: Task, physics: TabulatedModel) -> AbstractMotion:
     """The motion of a belief: its drag is the mean over arena and directions.
 
     Args:

@@ -1,4 +1,4 @@
-"""What a swimmer is told of its environment before it starts: all of it, or a fit."""
+"""Knowledge of the environment before a flight: the truth, or an earlier fit."""
 
 import dataclasses
 
@@ -11,9 +11,10 @@ from jaxtyping import Array, Float
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Posterior
-from pinav.navigation.adaptive.steering import Adaptive
+from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import axes_of
-from pinav.navigation.belief.given import GivenForce
+from pinav.navigation.belief.belief import Frame
+from pinav.navigation.belief.given import GivenForce, take_for_granted
 from pinav.navigation.belief.kernels import Points
 from pinav.navigation.belief.prior import ForcePrior
 from pinav.navigation.control.simple import physics_only, steered_swimmer
@@ -52,11 +53,11 @@ def environment_rate(task: Task, model: SteeredSwimmer) -> GivenForce:
 
 
 def with_prior_of(
-    adaptive: Adaptive,
+    adaptive: AdaptiveController,
     swimmer: Swimmer | OverdampedSwimmer,
     posterior: Posterior,
     places: Points,
-) -> Adaptive:
+) -> AdaptiveController:
     """The controller that begins with what a fit of earlier trajectories found.
 
     The fitted force is the first guess everywhere; what the posterior knows of its
@@ -91,7 +92,29 @@ def with_prior_of(
     covariance = rows @ posterior.covariance @ rows.T
     covariance += (DISTRUST * adaptive.thrust) ** 2 * np.eye(len(rows))
     prior = ForcePrior(rate, places[chosen], covariance)
-    return dataclasses.replace(adaptive, prior=prior)
+    start = np.asarray(task.start[:2], float)
+    first = Frame(0.0, start, task.position_sd, np.zeros(2))
+    return dataclasses.replace(adaptive, known=prior.lead(adaptive.believe(first)))
+
+
+def with_truth(adaptive: AdaptiveController) -> AdaptiveController:
+    """The oracle: a controller that knows the true force, and estimates its state.
+
+    Args:
+        adaptive: the controller.
+
+    Raises:
+        InputError: the true force changes in time.
+    """
+    task = adaptive.task
+    start = np.asarray(task.start[:2], float)
+    belief = take_for_granted(
+        environment_rate(task, task.truth),
+        Frame(0.0, start, task.position_sd, np.zeros(2)),
+        motion=adaptive.motion,
+        longest=task.step,
+    )
+    return dataclasses.replace(adaptive, known=belief)
 
 
 @eqx.filter_jit

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Planar, State
-from pinav.navigation.adaptive.strategies import Certain
+from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.controller import Observation
 from pinav.navigation.control.escapes import choose_command
@@ -91,7 +91,7 @@ def check_command(
     if near > farthest(np.asarray(observation.state), thrust, horizon):
         return Verdict(command, near, changed=False)
     # The tables of the last plan are older than the belief, by half a time unit.
-    predictor = Certain().tables(belief, physics, thrust).predictor
+    predictor = MeanForce().tables(belief, physics, thrust).predictor
     # A camera may be far quicker than a swimmer that takes minutes to cross the arena.
     step = max(prediction.step, horizon / MOST)
     prediction = dataclasses.replace(prediction, predictor=predictor, step=step)

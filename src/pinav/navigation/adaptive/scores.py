@@ -2,18 +2,25 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.navigation.adaptive.flight import Flight
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.simple import physics_only
 from pinav.navigation.task.task import Task
-from pinav.navigation.trials.metrics import Interval, median, proportion
+from pinav.navigation.trials.metrics import (
+    Interval,
+    Quantiles,
+    median,
+    proportion,
+    quantiles,
+)
+
+ORACLE = "oracle"
+"""The controller that knows the true force."""
 
 NOMINAL = 1.96
 """Half width of a band of 95 %, in standard deviations."""
@@ -53,8 +60,8 @@ def score_force(
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class FlightRecord:
-    """What counts of a flight; all of it are numbers and arrays.
+class Flight:
+    """The record of a flight, judged by the truth.
 
     Attributes:
         path: true positions at the frames [L].
@@ -64,6 +71,7 @@ class FlightRecord:
         clearance: least distance from forbidden places [L].
         consistency: mean of the squared error of the position over its variance.
         changed: commands that the safety filter changed.
+        stalls: frames at which no progress was noticed.
         learn_times: computing time of each frame [s].
         command_times: computing time of each command [s].
         replan_times: computing time of each later plan [s].
@@ -79,53 +87,13 @@ class FlightRecord:
     clearance: float
     consistency: float
     changed: int
+    stalls: int
     learn_times: Float[np.ndarray, " control"]
     command_times: Float[np.ndarray, " control"]
     replan_times: Float[np.ndarray, " plan"]
     memory: int
     force_error: float
     cover: float
-
-    @classmethod
-    def of(cls, flight: Flight, task: Task) -> "FlightRecord":
-        """The record of a flight.
-
-        Args:
-            flight: that ended.
-            task: which holds the truth.
-        """
-        path = flight.states[:, :2]
-        error, cover = score_force(path, flight.belief, task)
-        return cls(
-            path=path,
-            reached=flight.reached,
-            violated=flight.violated,
-            arrival_time=flight.arrival_time,
-            clearance=flight.clearance,
-            consistency=float(np.mean(flight.consistency[1:])),
-            changed=flight.changed,
-            learn_times=flight.learn_times,
-            command_times=flight.command_times,
-            replan_times=flight.replan_times,
-            memory=flight.belief.nbytes,
-            force_error=error,
-            cover=cover,
-        )
-
-    @classmethod
-    def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "FlightRecord":
-        """The record that `arrays` came from."""
-        fields: dict[str, Any] = {
-            name: array if array.ndim else array.item()
-            for name, array in arrays.items()
-        }
-        return cls(**fields)
-
-    @property
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Its fields, for a file."""
-        names = [field.name for field in dataclasses.fields(self)]
-        return {name: np.asarray(getattr(self, name)) for name in names}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -137,7 +105,7 @@ class Outcome:
         success: proportion that arrived without a violation.
         in_time: proportion that arrived within the task's own time limit.
         violation: proportion that entered a forbidden place.
-        arrival: 5, 50 and 95 % quantile of the times of those that arrived [T].
+        arrival: arrival times of those that arrived [T].
         regret: median over pairs of arrival time / the oracle's; none for the oracle.
         clearance: least distance from forbidden places [L].
         force_error: median error of the force over the visited path; none for the
@@ -155,7 +123,7 @@ class Outcome:
     success: Interval
     in_time: Interval
     violation: Interval
-    arrival: tuple[float, float, float]
+    arrival: Quantiles
     regret: Interval | None
     clearance: float
     force_error: float | None
@@ -169,9 +137,9 @@ class Outcome:
 
 
 def judge_flights(
-    flights: Sequence[FlightRecord],
+    flights: Sequence[Flight],
     own_limit: float,
-    oracle: Sequence[FlightRecord] = (),
+    oracle: Sequence[Flight] = (),
 ) -> Outcome:
     """The outcome of some flights.
 
@@ -188,12 +156,6 @@ def judge_flights(
         best = np.array([flight.arrival_time for flight in oracle])
         pairs = np.isfinite(best)
         ratio = median(times[pairs] / best[pairs]) if pairs.any() else None
-    quantiles = (np.nan, np.nan, np.nan)
-    if len(arrived):
-        low, middle, high = np.quantile(
-            arrived, [0.05, 0.5, 0.95], method="inverted_cdf"
-        )
-        quantiles = float(low), float(middle), float(high)
     frames = np.concatenate([flight.learn_times for flight in flights])
     commands = np.concatenate([flight.command_times[1:] for flight in flights])
     plans = np.concatenate([flight.replan_times[1:] for flight in flights])
@@ -202,7 +164,7 @@ def judge_flights(
         success=proportion(sum(flight.reached for flight in flights), count),
         in_time=proportion(int(np.sum(times <= own_limit)), count),
         violation=proportion(sum(flight.violated for flight in flights), count),
-        arrival=quantiles,
+        arrival=quantiles(arrived),
         regret=ratio,
         clearance=min(flight.clearance for flight in flights),
         force_error=float(np.median([f.force_error for f in flights]))
@@ -216,3 +178,19 @@ def judge_flights(
         replan_time=float(np.median(plans)) if len(plans) else np.nan,
         memory=float(max(flight.memory for flight in flights)),
     )
+
+
+def judge_controllers(
+    flights: Mapping[str, Sequence[Flight]], own_limit: float
+) -> dict[str, Outcome]:
+    """The outcome of each controller, in pairs with the oracle.
+
+    Args:
+        flights: flights of the oracle and of others, of the same keys.
+        own_limit: time limit of the task itself [T].
+    """
+    oracle = flights[ORACLE]
+    return {
+        name: judge_flights(some, own_limit, oracle if name != ORACLE else ())
+        for name, some in flights.items()
+    }

@@ -14,13 +14,9 @@ from pinav.errors import InputError
 from pinav.navigation.adaptive.known import motion_of, with_known
 from pinav.navigation.adaptive.progress import Progress
 from pinav.navigation.adaptive.safety import Verdict, check_command
-from pinav.navigation.adaptive.strategies import (
-    AbstractStrategy,
-    Curious,
-)
+from pinav.navigation.adaptive.strategies import AbstractStrategy, ExplorationBonus
 from pinav.navigation.belief.belief import Belief, Frame
-from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion
-from pinav.navigation.belief.prior import ForcePrior
+from pinav.navigation.belief.motion import AbstractMotion, Vector
 from pinav.navigation.control.compensation import Timing
 from pinav.navigation.control.controller import (
     AbstractController,
@@ -31,7 +27,7 @@ from pinav.navigation.control.costs import ArrivalCost
 from pinav.navigation.control.mppi import PathIntegral
 from pinav.navigation.control.prediction import GradientGuide, TrajectoryPrediction
 from pinav.navigation.control.simple import physics_only
-from pinav.navigation.model.predictors import AbstractPredictor, InertialTable
+from pinav.navigation.model.predictors import InertialTable
 from pinav.navigation.model.tabulated import (
     TabulatedModel,
     greatest_rate,
@@ -43,6 +39,7 @@ from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import Command
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.trials.situation import mean_thrust
 
 POINTS, SPEEDS = 25, 11
 """Points of the lattice along the arena and along a velocity, with inertia."""
@@ -79,67 +76,70 @@ STEPS = 20
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Mind:
-    """What the controller remembers from frame to frame.
+class ControllerState:
+    """The memory of the controller between two frames.
 
     Attributes:
-        belief: of state and force.
-        tables: on which the last plan was made.
+        belief: state of the swimmer and force, after the last frame.
         plan: the last one.
-        prediction: of sequences of controls on these tables.
-        controller: follows the plan.
-        lattice: on which it stands.
-        controls: sequence that is kept.
-        planned: when the plan was made [T].
-        leader: of the bank at that time.
-        progress: where the swimmer was, and whether it comes to new places.
-        verdict: of the safety filter on the last command.
-        replan_time: computing time of the last plan [s].
+        lattice: on which the plan stands.
+        planned: time at which it was made [T].
+        leader: filter that led then.
+        controls: sequence of thrusts that is improved from step to step.
+        progress: places where the swimmer was, and whether it comes to new ones.
+        pending: commands that waited at the last decision, as in `Observation`.
+        verdict: of the safety filter on the last command; none where it is not used.
+        learn_time: computing time of the last frame [s]; NaN for the first one.
+        plan_time: computing time of a plan that this frame made [s]; NaN without one.
+        command_time: computing time of the last command [s].
     """
 
     belief: Belief
-    tables: TabulatedModel
     plan: TimeToGo
-    prediction: TrajectoryPrediction
-    controller: AbstractController
     lattice: Replanner
-    controls: Controls
     planned: float
     leader: int
+    controls: Controls
     progress: Progress
+    pending: Float[Array, "command 2"]
     verdict: Verdict | None = None
-    replan_time: float = 0.0
+    learn_time: float = math.nan
+    plan_time: float = math.nan
+    command_time: float = math.nan
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Adaptive:
+class AdaptiveController(AbstractController[ControllerState]):
     """Steers to a place through a force that it learns on the way.
+
+    Its memory is its belief, and the plan that was made on it. It observes positions
+    alone. It decides in Python: its calls can be neither traced nor batched.
 
     Attributes:
         task: what is to be done; its truth is not used.
-        strategy: how the plan deals with what is not known.
+        strategy: treatment of what is not known in the plan.
         physics: tables of what is known.
         motion: the same for the belief.
-        thrust: greatest rate of the thrust.
+        thrust: greatest rate of the thrust [L T⁻²], or [L T⁻¹] without inertia.
         crossing: time to cross the arena, from top speed to rest included [T].
-        replanner: over the arena.
-        window: over the surroundings of the goal, with finer cells.
-        detailed: over the arena with finer cells, for a swimmer that was stalled.
-        safe: whether the last filter is in use.
-        prior: what an earlier fit found; nothing is known unless given.
+        replanner: lattice over the arena.
+        window: lattice about the goal, with finer cells.
+        detailed: lattice over the arena with finer cells, for a swimmer that stalled.
+        safe: True where the last filter is used.
+        known: belief whose map is kept, such as that of an earlier visit or of a fit;
+            nothing is known of the force unless given.
     """
 
     task: Task
     strategy: AbstractStrategy
     physics: TabulatedModel
-    motion: InertialMotion | OverdampedMotion
+    motion: AbstractMotion
     thrust: float
     crossing: float
     replanner: Replanner
     window: Replanner
     detailed: Replanner
     safe: bool = True
-    prior: ForcePrior | None = None
+    known: Belief | None = None
 
     @classmethod
     def of(
@@ -150,14 +150,14 @@ class Adaptive:
         safe: bool = True,
         points: int | None = None,
         speeds: int = SPEEDS,
-    ) -> "Adaptive":
+    ) -> "AdaptiveController":
         """The controller of a task.
 
         Args:
             task: what is to be done.
-            strategy: `Curious` unless given.
-            safe: whether the last filter is used.
-            points: of the lattice along the arena.
+            strategy: `ExplorationBonus` unless given.
+            safe: True to use the last filter.
+            points: number of points of the lattice along the arena.
             speeds: the same along a velocity.
 
         Raises:
@@ -196,7 +196,7 @@ class Adaptive:
         )
         return cls(
             task,
-            Curious() if strategy is None else strategy,
+            ExplorationBonus() if strategy is None else strategy,
             physics,
             motion_of(task, physics),
             thrust,
@@ -211,7 +211,9 @@ class Adaptive:
         Args:
             frame: the first one.
         """
-        belief = Belief.start(
+        if self.known is not None:
+            return self.known.restart(frame, speed_sd=self.rest_sd(frame))
+        return Belief.start(
             frame,
             lower=np.asarray(self.task.arena.lower),
             upper=np.asarray(self.task.arena.upper),
@@ -220,7 +222,6 @@ class Adaptive:
             speed_sd=self.rest_sd(frame),
             longest=self.task.step,
         )
-        return belief if self.prior is None else self.prior.lead(belief)
 
     def rest_sd(self, frame: Frame) -> float:
         """Standard deviation of a component of a resting swimmer's velocity [L T⁻¹].
@@ -232,21 +233,39 @@ class Adaptive:
         """
         return 10 * frame.sd / self.crossing
 
-    def start(self, belief: Belief) -> Mind:
-        """What is remembered before the first command; the first plan is complete."""
+    def start(self, observation: Observation) -> ControllerState:
+        belief = self.believe(self._frame(observation, np.zeros(2)))
+        return self.begin(belief, observation.pending)
+
+    def __call__(
+        self,
+        observation: Observation,
+        memory: ControllerState,
+        *,
+        key: PRNGKeyArray,
+    ) -> tuple[Command, ControllerState]:
+        if observation.time > memory.belief.time:
+            memory = self.learn(memory, observation)
+        return self._decide(memory, observation.pending, key)
+
+    def begin(
+        self, belief: Belief, pending: Float[Array, "command 2"]
+    ) -> ControllerState:
+        """The memory before the first command; the first plan is complete.
+
+        Args:
+            belief: after the first frame.
+            pending: as in `Observation`.
+        """
         tables = self.strategy.tables(belief, self.physics, self.thrust)
-        plan = self.replanner.plan(tables)
-        controls = jnp.zeros((STEPS, 2))
         state = belief.state.mean
-        return Mind(
-            belief,
-            tables,
-            plan,
-            *_path_integral(plan, self.task.step),
+        return ControllerState(
+            belief=belief,
+            plan=self.replanner.plan(tables),
             lattice=self.replanner,
-            controls=controls,
             planned=belief.time,
             leader=belief.leader,
+            controls=jnp.zeros((STEPS, 2)),
             progress=Progress(
                 NEW * self.task.extent,
                 state[None, :2],
@@ -254,102 +273,122 @@ class Adaptive:
                 state,
                 PATIENCE * self.crossing,
             ),
+            pending=pending,
         )
 
-    def learn(self, mind: Mind, frame: Frame) -> Mind:
-        """The mind after a frame: its belief, and the plan where one is due.
+    def learn(
+        self, memory: ControllerState, observation: Observation
+    ) -> ControllerState:
+        """The memory after a frame: its belief, and the plan where one is due.
 
         Args:
-            mind: before it.
-            frame: with the mean thrust since the last one.
+            memory: before it.
+            observation: a control step after the last one.
         """
-        belief = mind.belief.after(with_known(frame, mind.belief, self.physics))
-        progress = mind.progress.after(
+        began = time.perf_counter()
+        queue = jnp.concatenate([memory.pending[:1], observation.pending])
+        frame = self._frame(observation, mean_thrust(self.task, queue))
+        belief = memory.belief.after(with_known(frame, memory.belief, self.physics))
+        progress = memory.progress.after(
             belief.time,
             belief.state.mean,
-            lambda state: mind.plan.time_from(jnp.asarray(state)),
+            lambda state: memory.plan.time_from(jnp.asarray(state)),
         )
-        mind = dataclasses.replace(mind, belief=belief, progress=progress)
+        memory = dataclasses.replace(
+            memory,
+            belief=belief,
+            progress=progress,
+            learn_time=time.perf_counter() - began,
+            plan_time=math.nan,
+        )
         every = EVERY * self.crossing
-        if belief.time - mind.planned < every - self.task.step / 2:
-            return mind
-        return self.replan(mind)
+        if belief.time - memory.planned < every - self.task.step / 2:
+            return memory
+        return self.replan(memory)
 
-    def replan(self, mind: Mind) -> Mind:
-        """The mind with a new plan from the old values."""
-        began, belief, progress = time.perf_counter(), mind.belief, mind.progress
+    def replan(self, memory: ControllerState) -> ControllerState:
+        """The memory with a new plan from the old values."""
+        began, belief, progress = time.perf_counter(), memory.belief, memory.progress
         boldness = progress.boldness
-        strategy = Curious(boldness=boldness) if boldness else self.strategy
+        strategy = ExplorationBonus(boldness=boldness) if boldness else self.strategy
         tables = strategy.tables(belief, self.physics, self.thrust)
-        lattice = self._lattice(mind)
-        changed = belief.leader != mind.leader
+        lattice = self._lattice(memory)
+        changed = belief.leader != memory.leader
         sweeps = CHANGED if changed or progress.stalled else SWEEPS
-        if lattice is mind.lattice:
-            plan = lattice.plan(tables, mind.plan.values, sweeps=sweeps)
+        if lattice is memory.lattice:
+            plan = lattice.plan(tables, memory.plan.values, sweeps=sweeps)
         else:
             plan = lattice.plan(tables)
         jax.block_until_ready(plan.values)
-        prediction, controller = _path_integral(plan, self.task.step)
         return dataclasses.replace(
-            mind,
-            tables=tables,
+            memory,
             plan=plan,
-            prediction=prediction,
-            controller=controller,
             lattice=lattice,
             planned=belief.time,
             leader=belief.leader,
-            replan_time=time.perf_counter() - began,
+            plan_time=time.perf_counter() - began,
         )
 
-    def command(
-        self, mind: Mind, pending: Float[Array, "command 2"], key: PRNGKeyArray
-    ) -> tuple[Command, Mind]:
-        """The next command, through the safety filter.
+    def _frame(self, observation: Observation, thrust: Vector) -> Frame:
+        """The position of an observation, with the mean thrust since the last one."""
+        position = np.asarray(observation.state[:2], float)
+        return Frame(float(observation.time), position, self.task.position_sd, thrust)
 
-        Args:
-            mind: after the last frame.
-            pending: as in `Observation`.
-            key: random key of the control.
-        """
-        task, belief = self.task, mind.belief
+    def _decide(
+        self,
+        memory: ControllerState,
+        pending: Float[Array, "command 2"],
+        key: PRNGKeyArray,
+    ) -> tuple[Command, ControllerState]:
+        """The next command, through the safety filter."""
+        began, task, belief = time.perf_counter(), self.task, memory.belief
+        tables = memory.plan.tables
+        prediction = TrajectoryPrediction(
+            tables.predictor, tables.control_map, task.step, STEPS
+        )
         observation = Observation(
             jnp.asarray(belief.time), jnp.asarray(belief.state.mean), pending
         )
-        timing = Timing(task.step, task.delay)
-        ahead, command, controls = _decide(
-            mind.controller,
-            mind.tables.predictor,
-            timing,
+        ahead, command, controls = _follow(
+            PathIntegral(
+                prediction, ArrivalCost(memory.plan), GradientGuide(memory.plan)
+            ),
+            Timing(task.step, task.delay),
             observation,
-            mind.controls,
+            memory.controls,
             key,
         )
-        mind = dataclasses.replace(mind, controls=controls)
-        if not self.safe:
-            return command, mind
-        verdict = check_command(
-            command,
-            ahead,
-            belief,
-            mind.prediction,
-            self.physics,
-            mind.tables.time_cost,
-            self.thrust,
-            HORIZON * self.crossing,
+        verdict = None
+        if self.safe:
+            verdict = check_command(
+                command,
+                ahead,
+                belief,
+                prediction,
+                self.physics,
+                tables.time_cost,
+                self.thrust,
+                HORIZON * self.crossing,
+            )
+            command = verdict.command
+        return command, dataclasses.replace(
+            memory,
+            controls=controls,
+            pending=pending,
+            verdict=verdict,
+            command_time=time.perf_counter() - began,
         )
-        return verdict.command, dataclasses.replace(mind, verdict=verdict)
 
-    def _lattice(self, mind: Mind) -> Replanner:
+    def _lattice(self, memory: ControllerState) -> Replanner:
         """The lattice for the next plan: finer where the goal or a trap is near."""
-        grid, place = self.window.grid, mind.belief.state.mean[:2]
+        grid, place = self.window.grid, memory.belief.state.mean[:2]
         lower = np.asarray(grid.lower)
         upper = lower + np.asarray(grid.spacing) * (np.array(grid.shape) - 1)
-        within = mind.lattice is self.window
+        within = memory.lattice is self.window
         edge = 0.0 if within else 2 * self.window.cell
         inside = bool(np.all((place > lower + edge) & (place < upper - edge)))
-        narrow = mind.belief.length_scale < 2 * self.replanner.cell
-        bold = mind.progress.boldness > 0
+        narrow = memory.belief.length_scale < 2 * self.replanner.cell
+        bold = memory.progress.boldness > 0
         if inside and (narrow or bold or within):
             return self.window
         return self.detailed if bold else self.replanner
@@ -375,25 +414,17 @@ def _window(task: Task, objective: ReachGoal) -> Rectangle:
     return Rectangle(middle - half, middle + half)
 
 
-def _path_integral(
-    plan: TimeToGo, step: float
-) -> tuple[TrajectoryPrediction, AbstractController]:
-    """What follows a plan, and its predictions."""
-    tables = plan.tables
-    prediction = TrajectoryPrediction(tables.predictor, tables.control_map, step, STEPS)
-    return prediction, PathIntegral(prediction, ArrivalCost(plan), GradientGuide(plan))
-
-
 @eqx.filter_jit
-def _decide(
-    controller: AbstractController,
-    predictor: AbstractPredictor,
+def _follow(
+    controller: PathIntegral,
     timing: Timing,
     observation: Observation,
     memory: Controls,
     key: PRNGKeyArray,
 ) -> tuple[Observation, Command, Controls]:
     """The state when the command comes into force, the command, and the sequence."""
-    ahead = timing.predict(predictor, observation) if timing.delay > 0 else observation
+    predictor, ahead = controller.prediction.predictor, observation
+    if timing.delay > 0:
+        ahead = timing.predict(predictor, observation)
     command, controls = controller(ahead, memory, key=key)
     return ahead, command, controls

@@ -1,4 +1,4 @@
-r"""How a plan deals with what is not known: the price of a unit of time there."""
+"""Plans under uncertainty: the price of a unit of time where the force is unknown."""
 
 import abc
 
@@ -41,7 +41,7 @@ class AbstractStrategy(eqx.Module):
         """
 
 
-class Certain(AbstractStrategy):
+class MeanForce(AbstractStrategy):
     """The mean is taken for true: where nothing was seen there is no force."""
 
     def tables(
@@ -50,26 +50,8 @@ class Certain(AbstractStrategy):
         return with_force(physics, mean_on(belief, physics.table.grid))
 
 
-class Priced(AbstractStrategy):
-    r"""Time costs $1 + \rho\,(s/u)^2$ with the standard deviation s of the force.
-
-    A positive price avoids what is not known.
-
-    Attributes:
-        price: $\rho$, above -2, so that time always costs something.
-    """
-
-    price: float
-
-    def tables(
-        self, belief: Belief, physics: TabulatedModel, thrust: float
-    ) -> TabulatedModel:
-        force, spread = mean_and_spread(belief, physics.table.grid)
-        return with_spread(with_force(physics, force), spread / thrust, self.price)
-
-
-class Curious(AbstractStrategy):
-    r"""Hope, and a bonus for what a visit would tell.
+class ExplorationBonus(AbstractStrategy):
+    r"""A hopeful mean, and a bonus for the information that a visit would give.
 
     The mean force is weaker by $c = \kappa + b$ standard deviations, down to nothing,
     $F \max(0, 1 - c\, s / |F|)$: what a flight against it shows to be true is
@@ -102,46 +84,6 @@ class Curious(AbstractStrategy):
         bonus = 1 - (1 - bonus_of(belief, grid, self.worth)) ** (1 + self.boldness)
         model = with_force(physics, force * factor[..., None])
         return with_spread(model, spread / thrust, -bonus)
-
-
-class Sampled(AbstractStrategy):
-    """Thompson's rule: a draw is taken for true, after some frames another one.
-
-    Attributes:
-        hold: how many frames a draw is kept.
-    """
-
-    hold: int = 30
-
-    def tables(
-        self, belief: Belief, physics: TabulatedModel, thrust: float
-    ) -> TabulatedModel:
-        grid, seed = physics.table.grid, belief.count // self.hold
-        draw = belief.samples(axes_of(grid), 1, seed=seed)[0]
-        return with_force(physics, draw)
-
-
-class Doubted(AbstractStrategy):
-    r"""A fraction $\kappa$ of the deviation is taken off the thrust in the plan.
-
-    Reachability under uncertainty: what the thrust can just do against the mean force,
-    it may not be able to do against the true one. The force at the swimmer is as it is;
-    the mean is made stronger where it is uncertain and pushes,
-    $F (1 + \kappa\, s / \max(|F|, s))$.
-
-    Attributes:
-        caution: $\kappa$.
-    """
-
-    caution: float
-
-    def tables(
-        self, belief: Belief, physics: TabulatedModel, thrust: float
-    ) -> TabulatedModel:
-        force, spread = mean_and_spread(belief, physics.table.grid)
-        size = np.linalg.norm(force, axis=-1)
-        factor = 1 + self.caution * spread / np.maximum(np.maximum(size, spread), 1e-12)
-        return with_force(physics, force * factor[..., None])
 
 
 def bonus_of(belief: Belief, grid: Grid, worth: float) -> float:

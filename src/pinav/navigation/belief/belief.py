@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -10,15 +10,13 @@ from jaxtyping import Float
 from pinav.errors import InputError
 from pinav.navigation.belief.kernel_filter import KernelFilter, WeightPosterior
 from pinav.navigation.belief.kernels import (
-    AbstractKernels,
     FreeKernels,
     KernelGrid,
     Points,
     PotentialKernels,
 )
 from pinav.navigation.belief.motion import (
-    InertialMotion,
-    OverdampedMotion,
+    AbstractMotion,
     Square,
     Vector,
     substeps,
@@ -28,7 +26,7 @@ KINDS: tuple[type[PotentialKernels | FreeKernels], ...] = (
     PotentialKernels,
     FreeKernels,
 )
-"""Kinds of force that are compared; files of a belief count them in this order."""
+"""Kinds of force that are compared."""
 
 SCALES = (18.0, 12.0, 8.0, 5.0)
 """The arena's longer side over the length scales that are compared."""
@@ -113,7 +111,7 @@ class Belief:
         *,
         lower: Vector,
         upper: Vector,
-        motion: InertialMotion | OverdampedMotion,
+        motion: AbstractMotion,
         thrust: float,
         speed_sd: float = 0.1,
         longest: float = 0.1,
@@ -318,49 +316,6 @@ class Belief:
         """Memory of the bank [byte]."""
         return sum(one.nbytes for one in self.filters)
 
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Everything as arrays, for a checkpoint.
-
-        Raises:
-            InputError: a filter holds a given force, which is no array.
-        """
-        motion = self.filters[0].motion
-        arrays = {
-            "time": np.array(self.time),
-            "leader": np.array(self.leader),
-            "count": np.array(self.count),
-            "longest": np.array(self.longest),
-            "motion": np.array(dataclasses.astuple(motion)),
-            "filters": np.array(len(self.filters)),
-        }
-        for place, one in enumerate(self.filters):
-            for name, array in _arrays_of(one).items():
-                arrays[f"{place}/{name}"] = array
-        return arrays
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "Belief":
-        """The belief that `to_arrays` was asked of."""
-        numbers = [float(number) for number in arrays["motion"]]
-        inertial = len(numbers) == len(dataclasses.fields(InertialMotion))
-        motion = (InertialMotion if inertial else OverdampedMotion)(*numbers)
-        bank = []
-        for place in range(int(arrays["filters"])):
-            start = f"{place}/"
-            part = {
-                name.removeprefix(start): np.asarray(array)
-                for name, array in arrays.items()
-                if name.startswith(start)
-            }
-            bank.append(_filter_of(part, motion))
-        return cls(
-            float(arrays["time"]),
-            tuple(bank),
-            int(arrays["leader"]),
-            int(arrays["count"]),
-            float(arrays["longest"]),
-        )
-
 
 def _mix_states(
     filters: Sequence[KernelFilter], probabilities: Float[np.ndarray, " filter"]
@@ -390,49 +345,3 @@ def _leader(evidence: Sequence[float], leader: int) -> int:
     """The filter that leads now: the one that did, unless another is better by far."""
     best = int(np.argmax(evidence))
     return best if evidence[best] > evidence[leader] + MARGIN else leader
-
-
-POSTERIOR = ("members", "mean", "base", "factors", "cross")
-"""Fields of the weights that a checkpoint holds; the slots follow from the members."""
-
-
-def _arrays_of(one: KernelFilter) -> dict[str, np.ndarray]:
-    grid, weights = one.kernels.grid, one.weights
-    kinds = [k for k, kind in enumerate(KINDS) if isinstance(one.kernels, kind)]
-    if not kinds:
-        raise InputError(
-            "Belief.to_arrays: expected kernels alone, got a given force; store that "
-            "from which it comes"
-        )
-    return {
-        "kind": np.array(kinds[0]),
-        "lower": grid.lower,
-        "width": np.array(grid.width),
-        "shape": np.array(grid.shape),
-        "prior_sd": np.array(weights.prior_sd),
-        "state": one.state,
-        "spread": one.spread,
-        "log_evidence": np.array(one.log_evidence),
-        **{name: getattr(weights, name) for name in POSTERIOR},
-    }
-
-
-def _filter_of(
-    part: Mapping[str, np.ndarray], motion: InertialMotion | OverdampedMotion
-) -> KernelFilter:
-    shape = tuple(int(n) for n in part["shape"])
-    grid = KernelGrid(part["lower"], float(part["width"]), shape)
-    kernels: AbstractKernels = KINDS[int(part["kind"])](grid)
-    weights = WeightPosterior.of_arrays(
-        kernels.size,
-        float(part["prior_sd"]),
-        {name: part[name] for name in POSTERIOR},
-    )
-    return KernelFilter(
-        kernels,
-        motion,
-        part["state"],
-        part["spread"],
-        weights,
-        float(part["log_evidence"]),
-    )

@@ -15,7 +15,7 @@ from pinav.navigation.belief.kernels import (
     Local,
     Points,
 )
-from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion
+from pinav.navigation.belief.motion import AbstractMotion
 
 Axis = Float[np.ndarray, " _"]
 
@@ -76,7 +76,7 @@ def take_for_granted(
     force: GivenForce,
     frame: Frame,
     *,
-    motion: InertialMotion | OverdampedMotion,
+    motion: AbstractMotion,
     speed_sd: float = 0.1,
     longest: float = 0.1,
 ) -> Belief:

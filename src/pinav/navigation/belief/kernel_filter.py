@@ -25,8 +25,7 @@ from jaxtyping import Float, Int
 
 from pinav.navigation.belief.kernels import AbstractKernels, Local, Points
 from pinav.navigation.belief.motion import (
-    InertialMotion,
-    OverdampedMotion,
+    AbstractMotion,
     Square,
     Vector,
 )
@@ -76,15 +75,6 @@ class WeightPosterior:
             np.zeros((0, 0)),
             np.zeros((states, 0)),
         )
-
-    @classmethod
-    def of_arrays(
-        cls, size: int, prior_sd: float, arrays: dict[str, np.ndarray]
-    ) -> "WeightPosterior":
-        """The posterior whose fields are `arrays`, but for the slots."""
-        slots = np.full(size, -1)
-        slots[arrays["members"]] = np.arange(len(arrays["members"]))
-        return cls(prior_sd, slots=slots, **arrays)
 
     def mean_of(self, weights: Int[np.ndarray, " near"]) -> Float[np.ndarray, " near"]:
         """Means of weights of the grid: zero for those that were not reached."""
@@ -148,7 +138,7 @@ class WeightPosterior:
         return dataclasses.replace(self, base=self.covariance(), factors=nothing)
 
 
-class MeanForce:
+class ExpectedForce:
     """The mean force, which remembers the kernels where it was last asked for.
 
     Attributes:
@@ -181,7 +171,7 @@ class KernelFilter:
     """
 
     kernels: AbstractKernels
-    motion: InertialMotion | OverdampedMotion
+    motion: AbstractMotion
     state: Float[np.ndarray, " state"]
     spread: Square
     weights: WeightPosterior
@@ -194,7 +184,7 @@ class KernelFilter:
             thrust: known acceleration, or velocity where there is no inertia.
             duration: of the step [T].
         """
-        surroundings = MeanForce(self.kernels, self.weights)
+        surroundings = ExpectedForce(self.kernels, self.weights)
         move = self.motion.step(self.state, surroundings, thrust, duration)
         local = surroundings.local
         weights = self.weights.reach(local.weights)

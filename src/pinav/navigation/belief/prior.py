@@ -133,16 +133,17 @@ class ForcePrior:
         known = sd * solve_triangular(root, columns[:, felt], lower=True).T
         # The given force comes first, because the prior of the first weights is a
         # matrix of its own: here a zero, for its factor is known.
-        weights = WeightPosterior.of_arrays(
-            kernels.size + 1,
-            sd,
-            {
-                "members": np.append(kernels.size, felt),
-                "mean": np.append(1.0, np.zeros(len(felt))),
-                "base": np.zeros((1, 1)),
-                "factors": np.concatenate([np.zeros((1, known.shape[1])), known]),
-                "cross": np.zeros((len(before.state), 1 + len(felt))),
-            },
+        members = np.append(kernels.size, felt)
+        slots = np.full(kernels.size + 1, -1)
+        slots[members] = np.arange(len(members))
+        weights = WeightPosterior(
+            prior_sd=sd,
+            members=members,
+            slots=slots,
+            mean=np.append(1.0, np.zeros(len(felt))),
+            base=np.zeros((1, 1)),
+            factors=np.concatenate([np.zeros((1, known.shape[1])), known]),
+            cross=np.zeros((len(before.state), len(members))),
         )
         return dataclasses.replace(
             before,

@@ -15,18 +15,17 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.navigation.adaptive.flight import advance_compiled, mean_thrust
 from pinav.navigation.adaptive.known import with_known
 from pinav.navigation.adaptive.scores import true_force
-from pinav.navigation.adaptive.steering import Adaptive
-from pinav.navigation.adaptive.strategies import Certain
+from pinav.navigation.adaptive.steering import AdaptiveController
+from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
 from pinav.navigation.design.choices import AbstractDesign, Stage
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Rectangle
-from pinav.navigation.trials.closed_loop import begin
+from pinav.navigation.trials.situation import advance_compiled, begin, mean_thrust
 
 DRAWS = 100
 """Draws of the force whose errors decide whether a way is known."""
@@ -96,7 +95,7 @@ class Campaign:
 
 
 def run_campaign(
-    adaptive: Adaptive,
+    adaptive: AdaptiveController,
     design: AbstractDesign,
     experiment: Experiment,
     *,
@@ -224,7 +223,7 @@ def commands_at(
 
 
 def learn(
-    adaptive: Adaptive,
+    adaptive: AdaptiveController,
     belief: Belief,
     frames: Sequence[Frame],
     speed_sd: float | None = None,
@@ -245,7 +244,7 @@ def learn(
     return belief
 
 
-def decide(adaptive: Adaptive, belief: Belief) -> Decision:
+def decide(adaptive: AdaptiveController, belief: Belief) -> Decision:
     r"""Plan the way on the mean force, and say how well the force along it is known.
 
     The error of a draw F of the belief is $|F - \bar F| / |F|$, root sums of squares
@@ -256,7 +255,7 @@ def decide(adaptive: Adaptive, belief: Belief) -> Decision:
         belief: of the force.
     """
     task = adaptive.task
-    tables = Certain().tables(belief, adaptive.physics, adaptive.thrust)
+    tables = MeanForce().tables(belief, adaptive.physics, adaptive.thrust)
     route = adaptive.replanner.plan(tables).route(task.start, task.step)
     arrives = bool(jnp.isfinite(route.arrival_time))
     way = np.asarray(route.ys, float)[:, :2]

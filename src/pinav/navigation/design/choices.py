@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.errors import InputError
 from pinav.navigation.adaptive.known import known_rate
-from pinav.navigation.adaptive.steering import Adaptive
+from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.belief.belief import SETTLE_EVERY, Belief
 from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
 from pinav.navigation.task.steering import AbstractActuator
@@ -37,7 +37,7 @@ class Stage:
         count: trajectories so far.
     """
 
-    adaptive: Adaptive
+    adaptive: AdaptiveController
     experiment: Experiment
     belief: Belief
     way: Way

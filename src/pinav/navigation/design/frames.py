@@ -11,7 +11,7 @@ from pinav.dynamics import (
     drive_by_commands,
 )
 from pinav.errors import InputError
-from pinav.navigation.adaptive.steering import Adaptive
+from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.design.campaign import learn
 from pinav.trajectories import Trajectories, Trajectory
@@ -21,7 +21,7 @@ SPEED = 2.0
 
 
 def believe_data(
-    adaptive: Adaptive,
+    adaptive: AdaptiveController,
     swimmer: Swimmer | OverdampedSwimmer,
     data: Trajectories,
     position_noise: float,

@@ -1,6 +1,7 @@
 """How well episodes went, with intervals."""
 
 import math
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -30,17 +31,31 @@ class Interval(eqx.Module):
     upper: float
 
 
+class Quantiles(NamedTuple):
+    """Quantiles of some values; not a number where there are none.
+
+    Attributes:
+        low: 5 % quantile.
+        median: the median.
+        high: 95 % quantile.
+    """
+
+    low: float
+    median: float
+    high: float
+
+
 class Summary(eqx.Module):
     """Metrics of the episodes of a task.
 
     Quantiles do not interpolate. What nobody achieved is not a number.
 
     Attributes:
-        count: number of episodes.
+        runs: number of episodes.
         success: fraction that did the task without a violation: reached the goal, or
             followed the path until the time was up.
         violation: fraction that entered a forbidden place.
-        arrival: 5, 50 and 95 % quantile of the arrival time of those that arrived [T].
+        arrival: arrival times of those that arrived [T].
         efficiency: straight distance / length of the way, mean of those that arrived.
         tracking: mean distance from the target, averaged over episodes [L]; of paths.
         tracking_rms: root mean square of that distance [L].
@@ -49,10 +64,10 @@ class Summary(eqx.Module):
         turning: mean sum of the changes of heading [rad].
     """
 
-    count: int
+    runs: int
     success: Interval
     violation: Interval
-    arrival: tuple[float, float, float]
+    arrival: Quantiles
     efficiency: float
     tracking: float
     tracking_rms: float
@@ -74,10 +89,10 @@ def summary(episodes: Episodes, task: Task) -> Summary:
         for power in (1, 2)
     )
     return Summary(
-        count=count,
+        runs=count,
         success=proportion(int(done.sum()), count),
         violation=proportion(int(episodes.violated.sum()), count),
-        arrival=_quantiles(arrived),
+        arrival=quantiles(arrived),
         efficiency=float(np.mean(efficiencies)) if len(efficiencies) else math.nan,
         tracking=float(np.mean(tracking)),
         tracking_rms=float(np.sqrt(np.mean(squares))),
@@ -146,6 +161,14 @@ def median(values: Float[np.ndarray, " value"]) -> Interval:
     return Interval(middle, float(ordered[ends[0]]), float(ordered[ends[1]]))
 
 
+def quantiles(values: Float[np.ndarray, " value"]) -> Quantiles:
+    """Quantiles of values, without interpolation."""
+    if not len(values):
+        return Quantiles(math.nan, math.nan, math.nan)
+    parts = np.quantile(values, [0.05, 0.5, 0.95], method="inverted_cdf")
+    return Quantiles(*(float(part) for part in parts))
+
+
 def tracking_errors(
     episodes: Episodes, task: Task, *, power: int = 1
 ) -> Float[np.ndarray, " episode"]:
@@ -194,10 +217,3 @@ def _within_episode(
 ) -> Bool[np.ndarray, "episode step"]:
     """Which entries belong to the episode, before its end."""
     return np.arange(count)[None] < episodes.steps[:, None] + offset
-
-
-def _quantiles(values: Float[np.ndarray, " arrival"]) -> tuple[float, float, float]:
-    if not len(values):
-        return math.nan, math.nan, math.nan
-    low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], method="inverted_cdf")
-    return float(low), float(middle), float(high)

@@ -126,10 +126,6 @@ class Quality:
     doubts: list[str]
     provenance: dict[str, Any]
 
-    def as_json(self) -> dict[str, Any]:
-        """All of it, as JSON values; a number that is not finite is null."""
-        return _finite(dataclasses.asdict(self))
-
 
 def quality(recording: Trajectories) -> Quality:
     """The quality report of a recording.
@@ -255,12 +251,3 @@ def _clock(segments: list[Trajectory]) -> Clock:
         longest=float(steps.max()),
         gaps=int((steps > 1.5 * middle).sum()),
     )
-
-
-def _finite(value: Any) -> Any:
-    """The value with null in place of numbers that JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

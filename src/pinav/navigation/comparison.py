@@ -1,0 +1,210 @@
+"""Plans with a learned model, tried in closed loop beside others."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from pinav.errors import InputError
+from pinav.evaluation import distances
+from pinav.forces import forces_at
+from pinav.navigation.adaptive.scores import ORACLE
+from pinav.navigation.control.controller import AbstractController
+from pinav.navigation.maps import ArenaGrid, Course, ForceMaps
+from pinav.navigation.planning.plan import Route, TimeToGo
+from pinav.navigation.problem import LEARNED, NavigationProblem, episode_keys
+from pinav.navigation.result import (
+    ComputingTimes,
+    Navigation,
+    PlanLattice,
+    PlannedWay,
+)
+from pinav.navigation.suggestion import Suggestion, suggest_trajectory
+from pinav.navigation.task.steering import SteeredSwimmer
+from pinav.navigation.task.task import Task
+from pinav.navigation.trials.closed_loop import Episodes, run
+from pinav.navigation.trials.metrics import Interval, regret, summary
+from pinav.threads import map_on_cores
+
+MAP_POINTS = 61
+"""Points of the maps along each side."""
+
+LATTICE_HEADINGS = 24
+"""Directions of the thrust that go with the lattice of a plan."""
+
+Attempt = tuple[str, Episodes | str]
+"""Name of a model, and closed loops with it, or why it sees no way."""
+
+
+def navigate(
+    problem: NavigationProblem,
+    *,
+    seeds: int = 20,
+    seed: int = 0,
+    attempts: Callable[[Sequence[str]], list[Attempt]] | None = None,
+) -> Navigation:
+    """Plan on a learned force, and try the plan in closed loop.
+
+    Physics alone and, where it is known, the truth are tried beside the learned model.
+
+    Args:
+        problem: the task, and what is known of it.
+        seeds: closed loops with each model, each with its own noise.
+        seed: seed of all noise.
+        attempts: takes the names of models and tries them elsewhere; here unless given.
+
+    Raises:
+        InputError: start or goal are in a wall or outside the arena, or the goal
+            cannot be reached with this thrust, as far as the model knows.
+    """
+    task = problem.task
+    steered = problem.controller_with(LEARNED)
+    plan = plan_of(steered)
+    route = plan.route(task.start, task.step)
+    way = _positions(task, route)
+
+    def suggest() -> Suggestion | None:
+        return suggest_trajectory(problem, way, seed=seed)
+
+    if attempts is not None:
+        tried, suggestion = attempts(problem.models), suggest()
+    else:
+        # The first loops compile what the others need, while these are planned.
+        _, *others = problem.models
+        jobs = [
+            partial(try_model, problem, LEARNED, seeds, seed, steered),
+            *(partial(try_model, problem, name, seeds, seed) for name in others),
+        ]
+        *tried, suggestion = map_on_cores(_call, [*jobs, suggest], title="loops")
+    episodes = {name: loops for name, loops in tried if isinstance(loops, Episodes)}
+    return Navigation(
+        truth=problem.truth,
+        plan=_planned_way(plan, route, way),
+        controllers={name: summary(loops, task) for name, loops in episodes.items()},
+        regret=_regrets(episodes),
+        refused={name: reason for name, reason in tried if isinstance(reason, str)},
+        computing=_computing_times(task, steered, seed),
+        units=dict(problem.units),
+        thrust=problem.thrust,
+        delay=task.delay,
+        step=task.step,
+        course=Course.of(task),
+        episodes=episodes,
+        maps=_maps(problem) if task.dim == 2 else None,
+        suggestion=suggestion,
+    )
+
+
+def try_model(
+    problem: NavigationProblem,
+    name: str,
+    seeds: int,
+    seed: int,
+    steering: AbstractController | None = None,
+) -> Attempt:
+    """All closed loops with a model; one that sees no way is an answer, too.
+
+    Args:
+        problem: the task, and what is known of it.
+        name: name of the model.
+        seeds: number of loops.
+        seed: seed of their noise.
+        steering: its controller, where it was made already.
+    """
+    try:
+        steering = problem.controller_with(name) if steering is None else steering
+    except InputError as error:
+        return name, str(error)
+    return name, problem.attempt(steering, episode_keys(seed, seeds))
+
+
+def _call(job: Callable[[], Any]) -> Any:
+    return job()
+
+
+def plan_of(steered: AbstractController) -> TimeToGo:
+    """The plan inside of a controller that `controller` made for a place to reach."""
+    parts = jax.tree.leaves(steered, is_leaf=lambda x: isinstance(x, TimeToGo))
+    return next(part for part in parts if isinstance(part, TimeToGo))
+
+
+def _planned_way(
+    plan: TimeToGo, route: Route, way: Float[np.ndarray, "time dim"]
+) -> PlannedWay:
+    return PlannedWay(
+        time=plan.time_from(route.ys[0]),
+        route_time=float(route.arrival_time),
+        unreachable=float(np.mean(plan.unreachable)),
+        route=way,
+        times=np.where(plan.unreachable, np.inf, plan.map),
+        lattice=_lattice(plan) if len(plan.goal) == 2 else None,
+    )
+
+
+def _lattice(plan: TimeToGo) -> PlanLattice:
+    """The plan's lattice, of four axes with every second velocity."""
+    values = np.asarray(plan.values[0], np.float32)
+    every = np.array([2, 2, 1, 1] if values.ndim == 4 else [1, 1])
+    return PlanLattice(
+        values=values[tuple(slice(None, None, step) for step in every)],
+        lower=np.asarray(plan.lower, float),
+        spacing=every * np.asarray(plan.spacing, float),
+        scale=float(plan.scale),
+        ahead=float(plan.step),
+        horizon=plan.horizon,
+        thrusts=np.asarray(plan.tables.control_map.thrusts(LATTICE_HEADINGS), float),
+    )
+
+
+def _regrets(episodes: Mapping[str, Episodes]) -> dict[str, Interval]:
+    """Arrival times over those with the truth, in pairs; medians over seeds."""
+    oracle = episodes.get(ORACLE)
+    if oracle is None or not oracle.reached.any():
+        return {}
+    return {
+        name: regret(loops, oracle)
+        for name, loops in episodes.items()
+        if name != ORACLE
+    }
+
+
+def _computing_times(
+    task: Task, steering: AbstractController, seed: int
+) -> ComputingTimes:
+    """Time that one command takes to compute [s], and the first one."""
+    compute = run(task, steering, key=jax.random.key(seed)).compute
+    return ComputingTimes(float(compute[0]), float(np.median(compute[1:])))
+
+
+def _positions(task: Task, route: Route) -> Float[np.ndarray, "time dim"]:
+    """Places along the route, until it arrives."""
+    end = np.isfinite(float(route.arrival_time)) and float(route.arrival_time)
+    count = round(end / task.step) + 1 if end else len(route.ts)
+    return np.asarray(route.ys)[:count, : task.dim]
+
+
+def _maps(problem: NavigationProblem) -> ForceMaps:
+    """Learned and true force on the arena, and the posterior's standard deviation."""
+    grid, evidence = (
+        ArenaGrid.over(Course.of(problem.task), MAP_POINTS),
+        problem.evidence,
+    )
+    learned = grid.field(
+        partial(_forces, problem.model), distances(grid.places, problem.data)
+    )
+    truth = sd = None
+    if problem.truth is not None:
+        truth = grid.field(partial(_forces, problem.task.truth))
+    if evidence is not None:
+        sd = grid.lay(evidence.posterior.force_sd(grid.places))
+    return ForceMaps(learned, truth, sd)
+
+
+def _forces(
+    swimmer: SteeredSwimmer, points: Float[np.ndarray, "point 2"]
+) -> Float[np.ndarray, "point 2"]:
+    times = np.zeros(len(points))
+    return np.asarray(forces_at(swimmer.dynamics.environment, times, points))

@@ -1,0 +1,179 @@
+"""Results of `pinav design`: campaigns that are compared, or what to record next."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+
+from pinav.navigation.adaptive.steering import AdaptiveController
+from pinav.navigation.belief.belief import Belief
+from pinav.navigation.design.campaign import Campaign, Decision
+from pinav.navigation.design.choices import InformedDesign, Stage, expected_sd
+from pinav.navigation.maps import ArenaGrid, Course, ForceMaps
+
+MAP_POINTS = 41
+"""Points of the maps of the force along each side."""
+
+Path = Float[np.ndarray, "_ 2"]
+
+
+@dataclasses.dataclass(frozen=True)
+class CampaignSummary:
+    """Campaigns of one design in a simulation.
+
+    Attributes:
+        campaigns: number of them.
+        finished: campaigns in which the way became known by the belief.
+        trajectories: median number of trajectories until then; infinite where more than
+            half did not finish.
+        fewest: least number of trajectories of a campaign.
+        largest: greatest number; campaigns that were given up count with theirs.
+        reached: median number of trajectories until the true error was below the
+            accuracy for the first time; infinite where more than half did not get
+            there.
+        right: finished campaigns whose true error was below the accuracy.
+        error: median of the true relative error at the end.
+    """
+
+    campaigns: int
+    finished: int
+    trajectories: float
+    fewest: int
+    largest: int
+    reached: float
+    right: int
+    error: float
+
+    @classmethod
+    def of(cls, campaigns: Sequence[Campaign]) -> "CampaignSummary":
+        """The summary of the campaigns of one design."""
+        counts = np.array([len(one.paths) for one in campaigns])
+        finished = np.array([one.finished for one in campaigns])
+        ends = np.where(finished, counts, np.inf)
+        reached = np.array([_first_below(one) for one in campaigns])
+        errors = [d.true_error for d in (one.decisions[-1] for one in campaigns)]
+        return cls(
+            campaigns=len(campaigns),
+            finished=int(finished.sum()),
+            trajectories=_median(ends),
+            fewest=int(counts.min()),
+            largest=int(counts.max()),
+            reached=_median(reached),
+            right=sum(one.right is True for one in campaigns),
+            error=_median(np.array([np.nan if e is None else e for e in errors])),
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class NextTrajectory:
+    """The trajectory that should be recorded next.
+
+    Attributes:
+        sd_after: standard deviation of the force along the way that is expected after
+            it.
+        start: place of release [L].
+        times: times of the commands [T].
+        frequency: commanded frequency then [cycles T⁻¹].
+        heading: commanded heading then [rad].
+    """
+
+    sd_after: float
+    start: tuple[float, float]
+    times: Float[np.ndarray, " knot"]
+    frequency: Float[np.ndarray, " knot"]
+    heading: Float[np.ndarray, " knot"]
+
+    @classmethod
+    def informed(cls, stage: Stage, *, key: PRNGKeyArray) -> "NextTrajectory | None":
+        """The choice of the informed design; none where all leave the arena.
+
+        Args:
+            stage: of the campaign.
+            key: random key of the candidates.
+        """
+        chosen = InformedDesign().choose(stage, key=key)
+        after = expected_sd(stage, chosen)
+        if not np.isfinite(after):
+            return None
+        x, y = np.asarray(chosen.starts[:2], float).tolist()
+        series = stage.experiment.knots, chosen.frequency, chosen.heading
+        return cls(after, (x, y), *(np.asarray(values, float) for values in series))
+
+
+@dataclasses.dataclass(frozen=True)
+class Recorded:
+    """What recordings of a lab leave open.
+
+    Attributes:
+        trajectories: number of recorded ones.
+        arrives: True where the plan on the learned force reaches the goal.
+        error: bound of the relative error of the force along the way (95 %).
+        certain: True where nothing further need be recorded.
+        sd: standard deviation of the force along the way now.
+    """
+
+    trajectories: int
+    arrives: bool
+    error: float
+    certain: bool
+    sd: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DesignResult:
+    """Trajectories until the force along a way is known.
+
+    Attributes:
+        system: its name.
+        accuracy: relative error of the force along the way that is small enough.
+        course: places of the task.
+        maps: learned force after the first campaign, or the recordings.
+        way: way that is planned then [L].
+        thrust: greatest thrust [L T⁻²].
+        paths: trajectories of the first campaign of each design, or the recordings [L].
+        designs: simulated campaigns by the name of their design.
+        bounds: bound of the error after each trajectory, by design and campaign.
+        recorded: what recordings leave open; none of a simulation.
+        next: trajectory to record next; none where no candidate stays in the arena, or
+            of a simulation.
+    """
+
+    system: str
+    accuracy: float
+    course: Course
+    maps: ForceMaps
+    way: Path
+    thrust: float
+    paths: dict[str, tuple[Path, ...]]
+    designs: dict[str, CampaignSummary] = dataclasses.field(default_factory=dict)
+    bounds: dict[str, tuple[Float[np.ndarray, " _"], ...]] = dataclasses.field(
+        default_factory=dict
+    )
+    recorded: Recorded | None = None
+    next: NextTrajectory | None = None
+
+
+def map_belief(adaptive: AdaptiveController, belief: Belief) -> ForceMaps:
+    """The learned force on the arena, and its standard deviation."""
+    grid = ArenaGrid.over(Course.of(adaptive.task), MAP_POINTS)
+    mean, sd = belief.force(grid.places)
+    return ForceMaps(grid.field(lambda _: mean), sd=grid.lay(sd))
+
+
+def relative_bound(decision: Decision) -> float:
+    """The bound of an error, at most 1: nothing is known of the force."""
+    return min(decision.error, 1.0)
+
+
+def _first_below(campaign: Campaign) -> float:
+    for count, decision in enumerate(campaign.decisions):
+        error = decision.true_error
+        if decision.arrives and error is not None and error <= campaign.accuracy:
+            return float(count)
+    return np.inf
+
+
+def _median(values: Float[np.ndarray, " value"]) -> float:
+    """The lower median."""
+    return float(np.quantile(values, 0.5, method="inverted_cdf"))

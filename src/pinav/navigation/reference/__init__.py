@@ -1,1 +1,0 @@
-"""Independent references: optimal paths and a Gaussian process."""
