@@ -9,7 +9,6 @@ import re
 import sys
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,18 +21,11 @@ from pinav import cli
 from pinav.commands.explore import document, payload, posterior
 from pinav.commands.explore.job import explorer
 from pinav.commands.explore.plan import plan_of
-from pinav.commands.explore.trees import EVALUATED, leaf_table, pack_array, tree_of
+from pinav.commands.explore.printing import pack_array
 from pinav.commands.explore.warmth import heat_payload
 from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
-from pinav.forces import (
-    AbstractForce,
-    GaussianBarrier,
-    NeuralForce,
-    PositionFeatures,
-    Superposition,
-    ZeroForce,
-)
+from pinav.forces import AbstractForce, ZeroForce
 from pinav.runs import RunFolder
 from pinav.thermal.heated_run import FOLLOWED, HeatedRun, Plane, cuts_through
 from pinav.thermal.protocols import Piecewise
@@ -95,36 +87,28 @@ def test_modules_that_are_joined_share_no_name():
     assert not re.search(r"^(import|export) ", document.bundle(), re.MULTILINE)
 
 
-def test_the_page_has_code_for_each_class_that_python_writes():
-    code = document.bundle()
-    implied = {"Linear", "MLP", "RotatingField", "PositionFeatures"}
-    implied |= {"OverdampedSwimmer", "HeldProgramme"}  # the other one is named
-    for kind in EVALUATED - implied:
-        assert re.search(rf'\b{kind}: |"{kind}"', code), kind
-
-
 class StrangeForce(AbstractForce):
+    """A force with an operation that no rule prints."""
+
     def __call__(self, t, x, v):
-        return x
+        return jnp.sort(x) * jnp.exp(-0.02 * jnp.sum(x**2))
 
 
-def test_a_force_that_the_page_does_not_know_is_refused():
-    with pytest.raises(InputError, match="cannot evaluate a StrangeForce"):
-        tree_of(StrangeForce())
+def test_a_force_that_is_not_printed_is_shown_from_a_table(run):
+    fitted = FittedRun.open(run)
+    strange = fitted.model.with_environment(StrangeForce())
+    shown = dataclasses.replace(fitted, models={"model": strange}, evidence=None)
+    held = payload.payload_of(shown)
+    assert 0 < held["models"][0]["tableError"] < 0.1
+    assert len(document.document(held)) < document.MAX_BYTES
 
 
-def test_a_network_of_another_activation_is_refused():
-    network = eqx.nn.MLP(2, 2, 3, 1, activation=jax.nn.relu, key=jax.random.key(0))
-    features = PositionFeatures((0.0, 0.0), (1.0, 1.0))
-    with pytest.raises(InputError, match=r"networks of tanh .* got relu"):
-        tree_of(NeuralForce(network, features))
-
-
-def test_a_superposition_is_written_as_its_terms():
-    barrier = GaussianBarrier(height=2.0, center=jnp.array([5.0, 5.0]), width=1.0)
-    tree = tree_of(Superposition.of((barrier, barrier)))
-    assert tree["kind"] == "SumForce"
-    assert [term["center"] for term in tree["terms"]] == [[5.0, 5.0]] * 2
+def test_a_propulsion_that_is_not_printed_is_refused(run):
+    fitted = FittedRun.open(run)
+    strange = dataclasses.replace(fitted.model, propulsion=StrangeForce())
+    shown = dataclasses.replace(fitted, models={"model": strange}, evidence=None)
+    with pytest.raises(InputError, match="has the operation 'sort' of JAX"):
+        payload.payload_of(shown)
 
 
 def test_packed_numbers_are_those_of_the_array():
@@ -132,16 +116,6 @@ def test_packed_numbers_are_those_of_the_array():
     held = pack_array(array, "f8")
     decoded = np.frombuffer(base64.b64decode(held["f8"]), "<f8").reshape(held["shape"])
     np.testing.assert_array_equal(decoded, array)
-
-
-def test_leaves_are_named_by_the_words_that_lead_to_them():
-    network = eqx.nn.MLP(2, 1, 3, 1, key=jax.random.key(0))
-    leaves = leaf_table({"a": eqx.filter(network, eqx.is_array)}["a"])
-    assert [leaf["path"] for leaf in leaves[:2]] == [
-        ["layers", 0, "weight"],
-        ["layers", 0, "bias"],
-    ]
-    assert [leaf["size"] for leaf in leaves] == [6, 3, 3, 1]
 
 
 def test_a_factor_of_few_directions_keeps_the_field(run):

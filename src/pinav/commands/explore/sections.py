@@ -5,7 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from pinav.commands.explore.trees import Tree, pack_array
+from pinav.commands.explore.printing import Tree, pack_array
 from pinav.thermal.heated_run import HeatedRun, Plane
 
 RESULTS = "results.npz"

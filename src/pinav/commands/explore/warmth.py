@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 
 from pinav.commands.explore.plan import RESULT
+from pinav.commands.explore.printing import Tree, pack_array
 from pinav.commands.explore.sections import RESULTS, section_payload
-from pinav.commands.explore.trees import Tree, pack_array
 from pinav.errors import InputError
 from pinav.runs import RunFolder
 from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun, RadialBalance
