@@ -10,13 +10,11 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from pinav.analysis import Analysis, Discovery
-from pinav.commands.identify.metrics import IdentifyMetrics, as_float
-from pinav.commands.identify.report import DRAWN
 from pinav.evaluation import BASELINE, ErrorCurve, Evaluation, FieldMap
 from pinav.figures.analysis import growth_map
 from pinav.figures.errors import error_over_time
 from pinav.figures.heat import perfusion_law, place_names, probe_curves
-from pinav.figures.identification import horizon_errors, speed_law
+from pinav.figures.identification import errors_by_horizon, horizon_errors, speed_law
 from pinav.figures.laws import law_agreement, law_ranking
 from pinav.figures.maps import (
     ERROR,
@@ -38,6 +36,7 @@ from pinav.figures.style import (
     style_of,
     title_panel,
 )
+from pinav.identification import Identification
 from pinav.identification.forecast import HORIZONS
 from pinav.navigation import OnlineNavigation
 from pinav.runs import RunFolder
@@ -117,21 +116,18 @@ def identification(workshop: Workshop) -> Figure:
     film = workshop.file("robot.csv", film_of_a_robot)
     words = ("identify", film.name, "--heading-offset", "0")
     folder = workshop.run("robot", *words)
-    arrays = read(folder, "track-0.npz")
+    result = RunFolder.open(folder).load("metrics", Identification)
+    law = result.tracks[0].law
+    assert law is not None
     figure = new_figure(WIDTH, 5.2)
     above, below = figure.subplots(2, 1)
-    places = arrays["law/places"]
-    curve = (places, arrays["law/fitted"], arrays["law/sd"])
-    speed_law(arrays["law/frequency"], arrays["law/speed"], curve, ax=above)
+    places = law.places
+    curve = (places, law.fitted, law.sd)
+    speed_law(law.frequency, law.speed, curve, ax=above)
     truth = GAIN * places / np.sqrt(1 + (places / CORNER) ** 2)
     above.plot(places, truth, color=TRUTH, lw=THIN, ls="--", label="truth")
     add_legend(above)
-    summary = (
-        RunFolder.open(folder).read_metrics("metrics.json", IdentifyMetrics).summary
-    )
-    names = [name for name in DRAWN if name in summary]
-    errors = {n: [as_float(v) for v in summary[n].relative.values()] for n in names}
-    horizon_errors(HORIZONS, errors, ax=below)
+    horizon_errors(HORIZONS, errors_by_horizon(result), ax=below)
     below.set_ylim(bottom=0.01)
     add_legend(below, columns=2)
     title_panel(above, "(a) response to the frequency")
