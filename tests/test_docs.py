@@ -239,7 +239,11 @@ def test_the_make_targets_exist():
         assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
 
 
-@pytest.mark.parametrize("page", PAGES, ids=page_id)
+NOTEBOOK = sorted((DOCS / "notebook").glob("*.md"))
+"""What tells of earlier versions, and may name what is gone."""
+
+
+@pytest.mark.parametrize("page", [*PAGES, *NOTEBOOK], ids=page_id)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), f"{page.name} links to {target}"

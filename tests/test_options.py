@@ -17,7 +17,13 @@ from pinav.commands.dispatch import execute
 from pinav.commands.parsing import parse, tagged_members
 
 ROOT = Path(__file__).parents[1]
-PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+NOTEBOOK = ROOT / "docs" / "notebook"
+PAGES = [
+    *ROOT.glob("*.md"),
+    *(p for p in (ROOT / "docs").rglob("*.md") if p.parent != NOTEBOOK),
+]
+"""Pages of today; the notebook tells of earlier versions."""
+
 SOURCES = [*(ROOT / "src").rglob("*.py"), *(ROOT / "examples").rglob("*.py")]
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from pinav.forces import LinearDrag as LinearDrag
     from pinav.forces import RollingPropulsion as RollingPropulsion
     from pinav.forces import ZeroForce as ZeroForce
+    from pinav.identification import identify as identify
     from pinav.learning.learn import learn as learn
     from pinav.learning.learn import open_run as open_run
     from pinav.learning.learned import Learned as Learned
@@ -66,6 +67,7 @@ _PUBLIC = {
     ),
     "learning.learn": ("learn", "open_run"),
     "learning.learned": ("Learned",),
+    "identification": ("identify",),
     "recordings": ("read_recording",),
     "scenarios": ("find_system", "scenario"),
     "systems": ("System", "read_system", "write_system"),

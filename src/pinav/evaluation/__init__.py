@@ -16,8 +16,6 @@ from pinav.evaluation.coverage import inside_band as inside_band
 from pinav.evaluation.coverage import normal_interval as normal_interval
 from pinav.evaluation.coverage import normal_quantile as normal_quantile
 from pinav.evaluation.coverage import rollout_coverage as rollout_coverage
-from pinav.evaluation.decomposition import Decomposition as Decomposition
-from pinav.evaluation.decomposition import decompose as decompose
 from pinav.evaluation.evaluation import BASELINE as BASELINE
 from pinav.evaluation.evaluation import Evaluation as Evaluation
 from pinav.evaluation.evaluation import evaluate as evaluate
@@ -39,13 +37,14 @@ from pinav.evaluation.force_fields import force_agreement as force_agreement
 from pinav.evaluation.force_fields import force_error as force_error
 from pinav.evaluation.force_fields import force_errors as force_errors
 from pinav.evaluation.force_fields import square as square
+from pinav.evaluation.force_lines import Decomposition as Decomposition
 from pinav.evaluation.force_lines import ForceLine as ForceLine
+from pinav.evaluation.force_lines import decompose as decompose
 from pinav.evaluation.force_lines import (
     force_error_at_samples as force_error_at_samples,
 )
 from pinav.evaluation.force_lines import force_line as force_line
 from pinav.evaluation.force_lines import line_through as line_through
-from pinav.evaluation.held_out import held_out as held_out
 from pinav.evaluation.judgement import CalibratedBand as CalibratedBand
 from pinav.evaluation.judgement import ParameterRecovery as ParameterRecovery
 from pinav.evaluation.restarts import RestartErrors as RestartErrors
@@ -61,6 +60,7 @@ from pinav.evaluation.scores import Score as Score
 from pinav.evaluation.scores import predict as predict
 from pinav.evaluation.scores import require_x64 as require_x64
 from pinav.evaluation.scores import score as score
+from pinav.evaluation.setting import held_out as held_out
 from pinav.evaluation.starts import START_SAMPLES as START_SAMPLES
 from pinav.evaluation.starts import Starts as Starts
 from pinav.evaluation.starts import estimate_starts as estimate_starts

@@ -27,6 +27,7 @@ from jaxtyping import Bool, Float
 
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
+from pinav.evaluation.coverage import exact_start_bands
 from pinav.fitting.engine.posterior import Posterior
 from pinav.trajectories import Trajectories
 
@@ -223,12 +224,8 @@ def rollout_bands(
                 f"trajectory {index}: its first sample is not fully observed, so no "
                 "rollout can start there; drop the samples before a complete one"
             )
-    bands = [
-        posterior.rollout_band(states[0], times, start_sd=noise, solver=solver)
-        for states, times in zip(trajectories.states, trajectories.times, strict=True)
-    ]
-    sd = np.sqrt(np.stack([band.sd for band in bands]) ** 2 + noise**2)
-    return np.stack([band.ys for band in bands]), sd
+    bands = exact_start_bands(posterior, trajectories, solver, start_sd=noise)
+    return bands.ys, bands.observable_sd(noise)
 
 
 def _check_miscoverage(miscoverage: float) -> None:

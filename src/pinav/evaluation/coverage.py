@@ -75,19 +75,21 @@ def exact_start_bands(
     trajectories: Trajectories,
     solver: FixedStep | None = None,
     *,
+    start_sd: float = 0.0,
     wandering: WanderingVelocity | None = None,
 ) -> Bands:
-    """Bands of rollouts from the first samples, which are exact.
+    """Bands of rollouts from the first samples, which are exact unless said otherwise.
 
     Args:
         posterior: of the model.
         trajectories: where to start and when to predict.
         solver: how to integrate; `FixedStep()` unless given.
+        start_sd: standard deviation of each first sample.
         wandering: velocity of the swimmer that the model leaves out.
     """
     states = trajectories.states.shape[2]
     by_parameter = np.zeros((len(trajectories), states, len(posterior.mean)))
-    spread = np.zeros((len(trajectories), states, states))
+    spread = np.tile(start_sd**2 * np.eye(states), (len(trajectories), 1, 1))
     starts = trajectories.states[:, 0]
     bands = _bands(posterior, trajectories, starts, by_parameter, spread, solver)
     return _widen(bands, posterior, trajectories, wandering, 1)

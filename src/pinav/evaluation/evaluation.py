@@ -11,7 +11,6 @@ import numpy as np
 
 from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
 from pinav.evaluation.force_fields import Agreement, Regions, force_agreement
-from pinav.evaluation.held_out import held_out
 from pinav.evaluation.judgement import (
     CalibratedBand,
     Coverage,
@@ -29,7 +28,7 @@ from pinav.evaluation.rollouts import (
     summarise,
 )
 from pinav.evaluation.scores import score
-from pinav.evaluation.setting import Prediction, Setting, predict_rollouts
+from pinav.evaluation.setting import Prediction, Setting, held_out, predict_rollouts
 from pinav.evaluation.whiteness import Whiteness
 from pinav.fitting import AbstractLearned
 from pinav.trajectories import Trajectories

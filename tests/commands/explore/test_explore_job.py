@@ -9,7 +9,6 @@ import re
 import sys
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,20 +21,14 @@ from pinav import cli
 from pinav.commands.explore import document, payload, posterior
 from pinav.commands.explore.job import explorer
 from pinav.commands.explore.plan import plan_of
-from pinav.commands.explore.trees import EVALUATED, leaf_table, pack_array, tree_of
+from pinav.commands.explore.printing import pack_array
 from pinav.commands.explore.warmth import heat_payload
-from pinav.commands.heat.sections import section_arrays, sections_of
 from pinav.errors import InputError
-from pinav.forces import (
-    AbstractForce,
-    GaussianBarrier,
-    NeuralForce,
-    PositionFeatures,
-    Superposition,
-    ZeroForce,
-)
+from pinav.forces import AbstractForce, ZeroForce
 from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
+from pinav.thermal.heated_run import FOLLOWED, HeatedRun, Plane, cuts_through
+from pinav.thermal.protocols import Piecewise
 
 PAGE = Path(pinav.commands.explore.__file__).parent / "page"
 SOURCES = {path.stem: path.read_text() for path in sorted(PAGE.glob("*.js"))}
@@ -94,36 +87,28 @@ def test_modules_that_are_joined_share_no_name():
     assert not re.search(r"^(import|export) ", document.bundle(), re.MULTILINE)
 
 
-def test_the_page_has_code_for_each_class_that_python_writes():
-    code = document.bundle()
-    implied = {"Linear", "MLP", "RotatingField", "PositionFeatures"}
-    implied |= {"OverdampedSwimmer", "HeldProgramme"}  # the other one is named
-    for kind in EVALUATED - implied:
-        assert re.search(rf'\b{kind}: |"{kind}"', code), kind
-
-
 class StrangeForce(AbstractForce):
+    """A force with an operation that no rule prints."""
+
     def __call__(self, t, x, v):
-        return x
+        return jnp.sort(x) * jnp.exp(-0.02 * jnp.sum(x**2))
 
 
-def test_a_force_that_the_page_does_not_know_is_refused():
-    with pytest.raises(InputError, match="cannot evaluate a StrangeForce"):
-        tree_of(StrangeForce())
+def test_a_force_that_is_not_printed_is_shown_from_a_table(run):
+    fitted = Learned.open(run)
+    strange = fitted.model.with_environment(StrangeForce())
+    shown = dataclasses.replace(fitted, models={"model": strange}, evidence=None)
+    held = payload.payload_of(shown)
+    assert 0 < held["models"][0]["tableError"] < 0.1
+    assert len(document.document(held)) < document.MAX_BYTES
 
 
-def test_a_network_of_another_activation_is_refused():
-    network = eqx.nn.MLP(2, 2, 3, 1, activation=jax.nn.relu, key=jax.random.key(0))
-    features = PositionFeatures((0.0, 0.0), (1.0, 1.0))
-    with pytest.raises(InputError, match=r"networks of tanh .* got relu"):
-        tree_of(NeuralForce(network, features))
-
-
-def test_a_superposition_is_written_as_its_terms():
-    barrier = GaussianBarrier(height=2.0, center=jnp.array([5.0, 5.0]), width=1.0)
-    tree = tree_of(Superposition.of((barrier, barrier)))
-    assert tree["kind"] == "SumForce"
-    assert [term["center"] for term in tree["terms"]] == [[5.0, 5.0]] * 2
+def test_a_propulsion_that_is_not_printed_is_refused(run):
+    fitted = Learned.open(run)
+    strange = dataclasses.replace(fitted.model, propulsion=StrangeForce())
+    shown = dataclasses.replace(fitted, models={"model": strange}, evidence=None)
+    with pytest.raises(InputError, match="has the operation 'sort' of JAX"):
+        payload.payload_of(shown)
 
 
 def test_packed_numbers_are_those_of_the_array():
@@ -131,16 +116,6 @@ def test_packed_numbers_are_those_of_the_array():
     held = pack_array(array, "f8")
     decoded = np.frombuffer(base64.b64decode(held["f8"]), "<f8").reshape(held["shape"])
     np.testing.assert_array_equal(decoded, array)
-
-
-def test_leaves_are_named_by_the_words_that_lead_to_them():
-    network = eqx.nn.MLP(2, 1, 3, 1, key=jax.random.key(0))
-    leaves = leaf_table({"a": eqx.filter(network, eqx.is_array)}["a"])
-    assert [leaf["path"] for leaf in leaves[:2]] == [
-        ["layers", 0, "weight"],
-        ["layers", 0, "bias"],
-    ]
-    assert [leaf["size"] for leaf in leaves] == [6, 3, 3, 1]
 
 
 def test_a_factor_of_few_directions_keeps_the_field(run):
@@ -207,47 +182,49 @@ def test_a_plan_that_was_not_kept_is_refused(tmp_path, run, capsys):
         plan_of(RunFolder.open(folder))
 
 
-def heated(folder, **arrays):
-    made = RunFolder.create(folder, {"run": {}}, overwrite=False)
-    made.write_arrays("results.npz", {"temperature": np.zeros(3), **arrays})
-    return folder
-
-
-def test_a_box_of_bioheat_without_its_temperatures_is_refused(tmp_path, capsys):
-    assert cli.run(["explore", str(heated(tmp_path / "heat"))]) == 2
-    assert "hold no temperatures over time; " in capsys.readouterr().err
-
-
-def boxed(shape, moments):
-    """Results of a run in a box, or on a plane, that cools from its middle."""
+def boxed(folder, shape, moments):
+    """A run in a box, or on a plane, that cools from its middle."""
     places = np.indices(shape) - (np.array(shape) // 2).reshape(-1, *[1] * len(shape))
     target = (np.sqrt((places**2).sum(axis=0)) < min(shape) / 5).astype(float)
     times = np.linspace(1.0, 600.0, moments)
     hot = 37 + 8 * np.exp(-((places / min(shape)) ** 2).sum(axis=0) * 8)
     warm = np.exp(-times / 300.0)
-    cuts = {s.name: np.asarray(s.of(jnp.asarray(hot))) for s in sections_of(target)}
-    observed = {n: 37 + (c - 37) * warm[:, None, None] for n, c in cuts.items()}
+    kept = np.linspace(0, moments - 1, min(moments, 61)).round().astype(int)
+
+    def plane(cut):
+        cooling = (np.asarray(cut.of(jnp.asarray(hot))) - 37) * warm[kept, None, None]
+        return Plane("xyz"[cut.axis], cut.place, (37 + cooling).astype("f4"))
+
     curve = 37 + 8 * warm
-    arrays = dict.fromkeys(("hottest", "T10", "T50", "T90"), curve)
-    return {
-        **dict.fromkeys(("dose/D90", "dose/outside"), np.cumsum(curve)),
-        **arrays,
-        **section_arrays(target, times, observed),
-        "times": times,
-        "temperature": 37 + (hot - 37) * warm[-1],
-        "dose": hot - 36.99,
-        "target": target,
-        "spacing": np.full(len(shape), 1e-3),
-        "points": np.zeros((1, len(shape))),
-        "probes": curve[:, None],
-        "edges": np.array([0.0, 600.0]),
-        "starts": np.array([1e4]),
-        "ends": np.array([1e4]),
-    }
+    numbers = ("T_max", "T10", "T50", "T90", "V43", "D90", "heated", "CEM43T90")
+    numbers = dict.fromkeys((*numbers, "healthy_dose", "Hf", "imbalance"), 1.0)
+    run = HeatedRun(
+        title="a box",
+        **numbers,
+        time_to_therapy=None,
+        warnings=(),
+        protocol=Piecewise.constant((0.0, 600.0), [1e4], 1e5),
+        times=times,
+        temperatures=dict.fromkeys(FOLLOWED, curve),
+        above=curve / 100,
+        doses=dict.fromkeys(("D90", "outside"), np.cumsum(curve)),
+        target=target,
+        temperature=37 + (hot - 37) * warm[-1],
+        dose=hot - 36.99,
+        points=np.zeros((1, len(shape))),
+        probes=curve[:, None],
+        spacing=(1e-3,) * len(shape),
+        moments=times[kept],
+        planes=tuple(map(plane, cuts_through(target))),
+    )
+    made = RunFolder.create(folder, {"run": {}}, overwrite=False)
+    made.write_arrays("results.npz", {"temperature": run.temperature})
+    made.store("metrics", run)
+    return folder
 
 
 def test_a_large_box_of_bioheat_keeps_the_size_of_a_page(tmp_path):
-    folder = heated(tmp_path / "heat", **boxed((70, 200, 64), 181))
+    folder = boxed(tmp_path / "heat", (70, 200, 64), 181)
     content = heat_payload(RunFolder.open(folder))
     shapes = [s["temperature"]["shape"] for s in content["sections"]]
     assert [s["normal"] for s in content["sections"]] == ["z", "y", "x"]
@@ -256,30 +233,13 @@ def test_a_large_box_of_bioheat_keeps_the_size_of_a_page(tmp_path):
     assert len(document.document(content)) < document.MAX_BYTES
 
 
-def test_sections_lie_in_the_middle_of_the_target():
-    target = np.zeros((9, 8, 7))
-    target[2:5, 4:7, 1:4] = 1.0
-    assert [(s.name, s.place) for s in sections_of(target)] == [
-        ("section/z", 2),
-        ("section/y", 5),
-        ("section/x", 3),
-    ]
-    assert sections_of(np.ones(4)) == ()
-
-
-def test_a_run_of_bioheat_without_its_balance_is_refused(tmp_path, capsys):
-    folder = heated(tmp_path / "heat", radius=np.arange(3.0))
-    assert cli.run(["explore", str(folder)]) == 2
-    assert "hold no heat balance; " in capsys.readouterr().err
-
-
 def test_a_damaged_run_of_bioheat_gives_one_line(tmp_path, capsys):
-    folder = heated(tmp_path / "heat", **boxed((6, 5), 9))
-    (folder / "results.npz").write_bytes(b"PK damaged")
+    folder = boxed(tmp_path / "heat", (6, 5), 9)
+    (folder / "metrics.npz").write_bytes(b"PK damaged")
     assert cli.run(["explore", str(folder)]) == 2
     message = capsys.readouterr().err.strip()
     assert "\n" not in message
-    assert "results.npz" in message
+    assert "metrics.npz" in message
 
 
 def test_a_notebook_shows_the_page_in_a_frame(run):

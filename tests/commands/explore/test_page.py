@@ -6,26 +6,21 @@ import math
 import re
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.flatten_util
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.commands.explore.chromium import Chromium, find_chromium
 from tests.commands.test_heat import small
 from tests.commands.test_heat_voxels import write as write_voxels
 
-import pinav.forces as forces
-import pinav.forces.profile_laws as laws
 from pinav import cli
 from pinav.commands.explore.document import document
 from pinav.commands.explore.job import explorer
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.plan import LEVELS
-from pinav.commands.explore.trees import pack_array, tree_of
+from pinav.commands.explore.printing import pack_array
 from pinav.commands.explore.warmth import heat_payload
-from pinav.dynamics import FixedStep, drive_by_commands, rollout
 from pinav.evaluation import square
 from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
@@ -35,7 +30,6 @@ pytestmark = [
     pytest.mark.skipif(find_chromium() is None, reason="no Chromium is installed"),
 ]
 
-RUNS = ("kernel", "positions", "langevin", "identified", "network", "reproduced")
 BAR = 1e-3
 """Of the extent of the data."""
 
@@ -70,178 +64,6 @@ def opened(browser, address, **size):
     browser.open("about:blank")
     browser.open(address, **size)
     browser.wait_for("globalThis.explorer?.band !== undefined && !explorer.request")
-
-
-@pytest.mark.parametrize("name", RUNS)
-def test_paths_and_bands_are_those_of_the_package(name, browser, pages):
-    run, address = pages(name)
-    opened(browser, f"{address}#s=0")
-    answer = browser.run(
-        """(() => {
-          const e = explorer.experiment;
-          const band = e.band();
-          return JSON.stringify({
-            ...band, states: band.states.map((y) => [...y]), start: e.start(),
-            track: e.tracks[explorer.conditions.track].index,
-          });
-        })()"""
-    )
-    page = json.loads(answer)
-    start = np.array(page["start"])
-    piece = list(run.data)[page["track"]]
-    times, extent = np.array(page["times"]), browser.run("explorer.run.extent")
-    first = run.models[browser.run("explorer.run.models[0].name")]
-    path = rollout(drive_by_commands(first, piece), start, times)
-    error = np.abs(np.array(page["states"]) - np.asarray(path.ys))[:, :2]
-    assert error.max() < BAR * extent
-    if run.posterior is not None and "model" in run.models:
-        sd, page_sd = band(run.posterior, piece, start, times), np.array(page["sd"])
-        assert np.abs(1.96 * (page_sd - sd)).max() < BAR * extent
-        np.testing.assert_allclose(page_sd, sd, rtol=0.05, atol=0.01 * sd.max())
-    assert not browser.named("Runtime.exceptionThrown")
-
-
-def band(posterior, piece, start, times):
-    """Standard deviations of the positions, under the commands of a track."""
-    if not piece.commands:
-        return posterior.rollout_band(start, times).sd[:, :2]
-
-    def path(theta):
-        model = drive_by_commands(posterior.free(theta), piece)
-        return rollout(model, start, times, solver=FixedStep()).ys
-
-    rows = np.asarray(jax.jacfwd(path)(jnp.asarray(posterior.mean)))
-    variances = np.einsum("tip,pq,tiq->ti", rows, posterior.covariance, rows)
-    return np.sqrt(variances)[:, :2]
-
-
-CENTERS = np.stack(np.meshgrid(*(np.arange(0.0, 4.0),) * 2), -1).reshape(-1, 2)
-BARRIER = forces.GaussianBarrier(2.0, jnp.array([1.0, 2.0]), 1.5)
-FEATURES = forces.PositionTimeFeatures((1.0, 2.0, 3.0), (2.0, 3.0, 4.0))
-
-
-def random(force, key=0):
-    """The force with random numbers in place of its zero weights."""
-    leaves, tree = jax.tree.flatten(force.parameters)
-    keys = jax.random.split(jax.random.key(key), len(leaves))
-    drawn = [
-        jax.random.normal(k, leaf.shape) for k, leaf in zip(keys, leaves, strict=True)
-    ]
-    return eqx.tree_at(lambda f: f.parameters, force, tree.unflatten(drawn))
-
-
-def network(outputs):
-    return forces.tanh_network(3, outputs, width=5, depth=2, key=jax.random.key(1))
-
-
-def changing():
-    timed = forces.TimedKernelPotential(
-        jnp.zeros((16, 5)), jnp.asarray(CENTERS), 0.8, 0.0, 4.0
-    )
-    static = forces.KernelPotential.with_zero_weights(CENTERS, 1.2)
-    return random(forces.ChangingPotential(static, timed))
-
-
-def structured():
-    """Terms whose profiles follow each law, with kernels beside it or alone."""
-    center, places = jnp.array([0.4, 0.9]), jnp.arange(0.5, 3.0, 0.5)
-    both, alone = (jnp.linspace(0.9, -0.3, 6), places), (jnp.ones(1), jnp.zeros(0))
-    hill, ended = laws.HillLaw(0.2, 0.7), laws.HillLaw(0.5, -1.1)
-
-    def central(weights, places, law):
-        return forces.CentralTerm(weights, center, places, 0.6, law=law)
-
-    terms = (
-        central(*both, hill),
-        central(*alone, ended),
-        central(*alone, laws.HillLaw(0.2, 0.0)),
-        central(*alone, laws.PlateauLaw(0.2, 0.6)),
-        central(*both, laws.RingLaw(1.5, -0.2, 0.0)),
-        central(both[0][1:], places, None),
-        forces.EllipticTerm(
-            both[0], center, jnp.array([0.2, -0.1]), places, 0.6, law=hill
-        ),
-        forces.WallTerm(both[0], 0.6, center, places, 0.6, law=laws.StepLaw(1.0, -0.2)),
-        forces.WallTerm(
-            alone[0], 0.6, center, alone[1], 0.6, law=laws.ChannelLaw(0.1, 0.9, -0.3)
-        ),
-        forces.WallTerm(both[0], 0.9, center, places, 0.6, law=laws.WaveLaw(0.4, -0.3)),
-        forces.LinearTerm(jnp.arange(5.0) / 9, center, 2.0),
-    )
-    free = forces.KernelPotential.with_zero_weights(CENTERS, 1.1)
-    return forces.StructuredForce(terms, random(free))
-
-
-LEARNED = {
-    "kernel force": lambda: random(forces.KernelForce.with_zero_weights(CENTERS, 1.1)),
-    "mixture": lambda: random(forces.KernelMixture.with_zero_weights(CENTERS, 1.1)),
-    "changing potential": changing,
-    "neural force": lambda: forces.NeuralForce(network(2), FEATURES, 1.7),
-    "neural potential": lambda: forces.NeuralPotential(network(1), FEATURES, 1.7),
-}
-KNOWN = {
-    "structured": structured,
-    "barrier": lambda: BARRIER,
-    "ridge": lambda: forces.GaussianRidge(1.5, jnp.array([2.0, 1.0]), 2.0, 0.5, 0.4),
-    "swirl": lambda: forces.GaussianSwirl(1.5, jnp.array([2.0, 1.0]), 1.3),
-    "trap": lambda: forces.HarmonicTrap(0.7, jnp.array([2.0, 1.0])),
-    "moving": lambda: forces.Moving(BARRIER, forces.CircularMotion(1.0, 2.0, 0.3)),
-    "sum": lambda: BARRIER + forces.LinearDrag(0.3) + forces.ZeroForce(),
-    "current": lambda: forces.InFlow(
-        forces.TensorDrag(
-            forces.UniaxialTensor(1.0, 2.0, forces.ConstantDirector(0.3))
-        ),
-        forces.SumFlow(
-            (forces.ShearFlow(0.3, 1.0), forces.PoiseuilleFlow(1.0, 1.0, 3.0))
-        ),
-    ),
-    "vortex": lambda: forces.Advection(
-        forces.SumFlow(
-            (
-                forces.VortexFlow(1.0, jnp.array([1.0, 1.0]), 2.0),
-                forces.UniformFlow(jnp.array([0.1, 0.2])),
-                forces.SampledFlow(jnp.arange(3.0), jnp.arange(6.0).reshape(3, 2)),
-            )
-        )
-    ),
-    "porous": lambda: forces.TensorDrag(
-        forces.BrinkmanTensor(
-            0.5, 0.3, jnp.array([1.0, 2.0]), jnp.asarray(CENTERS[:2]), 1.0
-        )
-    ),
-    "sheared drag": lambda: forces.TensorDrag(
-        forces.CholeskyTensor.of(jnp.array([[2.0, 0.5], [0.5, 1.0]]))
-    ),
-}
-
-
-@pytest.mark.parametrize("name", LEARNED | KNOWN)
-def test_forces_are_those_of_the_package(name, browser, pages):
-    force = (LEARNED | KNOWN)[name]()
-    t, x, v = 1.3, jnp.array([1.7, 2.2]), jnp.array([0.4, -0.3])
-    if "explorer" not in browser.run("Object.keys(globalThis).join()"):
-        opened(browser, pages("kernel")[1])
-    ask = f"""(() => {{
-      const force = explorer.forceOf({json.dumps(tree_of(force))});
-      const [t, x, v] = [{t}, [{x[0]}, {x[1]}], [{v[0]}, {v[1]}]];
-      const out = [0, 0];
-      force.add(t, x, v, out);
-      const rows = [0, 1].map(() => new Float64Array(force.parameters ?? 0));
-      if (force.basis) force.basis(t, x, rows, 0);
-      return JSON.stringify({{ out, rows: rows.map((row) => [...row]) }});
-    }})()"""
-    page = json.loads(browser.run(ask))
-    np.testing.assert_allclose(page["out"], force(t, x, v), rtol=1e-9)
-    if name in LEARNED:
-        arrays, fixed = eqx.partition(force.parameters, eqx.is_array)
-        theta, unravel = jax.flatten_util.ravel_pytree(arrays)
-
-        def of(theta):
-            trained = eqx.combine(unravel(theta), fixed)
-            return eqx.tree_at(lambda f: f.parameters, force, trained)(t, x, v)
-
-        expected = np.asarray(jax.jacfwd(of)(theta))
-        np.testing.assert_allclose(page["rows"], expected, rtol=1e-8, atol=1e-12)
 
 
 def test_the_plan_leads_to_the_goal_in_the_time_that_it_says(browser, pages, tmp_path):

@@ -14,16 +14,18 @@ from importlib.resources import files
 
 import msgspec
 
-from pinav.commands.explore.trees import Tree
+from pinav.commands.explore.printing import Tree
 from pinav.errors import InputError
 
 MODULES = (
-    *("numbers", "kernels", "network", "media", "propulsion", "structures"),
-    *("forces", "model", "rollout", "plan", "colours", "quantities", "view"),
+    *("numbers", "model", "rollout", "plan", "colours", "quantities", "view"),
     *("experiment", "session", "panel", "gestures", "sharing", "tissue", "oven"),
     *("sections", "main"),
 )
-"""The modules, each after those that it imports."""
+"""The modules, each after those that it imports; `PROGRAMS` stands after the first."""
+
+NO_PROGRAMS = "const PROGRAMS = [];"
+"""The functions of a run without a model."""
 
 MAX_BYTES = 1_500_000
 """Size of a page that a browser opens at once and people send by mail."""
@@ -36,18 +38,19 @@ def document(payload: Tree) -> str:
     """The page of a run.
 
     Args:
-        payload: what it knows of the run.
+        payload: what it knows of the run; its "programs" are the text of the functions
+            that were printed for it.
 
     Raises:
         InputError: the page would be too large.
     """
-    style, script = source("page.css"), bundle()
+    style, script = source("page.css"), bundle(payload.get("programs", NO_PROGRAMS))
     page = source("page.html").format(
         policy=policy(script, style),
         title=html.escape(payload["title"]),
         style=style,
         script=script,
-        payload=script_json(payload),
+        payload=script_json({k: v for k, v in payload.items() if k != "programs"}),
     )
     size = len(page.encode())
     if size > MAX_BYTES:
@@ -58,10 +61,12 @@ def document(payload: Tree) -> str:
     return page
 
 
-def bundle() -> str:
-    """All modules as the text of one module script."""
-    parts = [_EXPORT.sub("", _IMPORT.sub("", source(f"{n}.js"))) for n in MODULES]
-    return "\n" + "\n".join(parts)
+def bundle(programs: str = NO_PROGRAMS) -> str:
+    """All modules and the functions of a run as the text of one module script."""
+    first, *rest = (
+        _EXPORT.sub("", _IMPORT.sub("", source(f"{n}.js"))) for n in MODULES
+    )
+    return "\n" + "\n".join([first, programs, *rest])
 
 
 def script_json(payload: Tree) -> str:

@@ -12,8 +12,8 @@ from pinav.commands.explore.document import document
 from pinav.commands.explore.notebook import make_widget
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.plan import fit_of_plan, is_plan, plan_of
+from pinav.commands.explore.printing import Tree
 from pinav.commands.explore.settings import ExploreOptions
-from pinav.commands.explore.trees import Tree
 from pinav.commands.explore.warmth import heat_payload, is_heated
 from pinav.errors import InputError
 from pinav.learning.learned import Learned

@@ -3,12 +3,22 @@
 import math
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from pinav.commands.explore.force_table import TableBox
 from pinav.commands.explore.posterior import directions
-from pinav.commands.explore.trees import Tree, leaf_table, pack_array, tree_of
-from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer
+from pinav.commands.explore.printing import Tree, pack_array
+from pinav.commands.explore.programs import Controls, Programs
+from pinav.dynamics import (
+    AbstractDynamics,
+    OverdampedSwimmer,
+    Swimmer,
+    takes_commands,
+)
+from pinav.dynamics.commanded import unbound
 from pinav.errors import InputError
 from pinav.evaluation import extent, square
 from pinav.forces import ZeroForce, as_learned_force
@@ -48,8 +58,20 @@ def payload_of(run: Learned, plan: Tree | None = None) -> Tree:
         box = _union(box, plan["arena"])
     names = _shown_models(run)
     first = run.models[names[0]]
+    programs = Programs(
+        _controls(run, first), TableBox((box[0], box[2]), (box[1], box[3]), times)
+    )
+    models = [
+        programs.add(run.models[n], run.posterior if n == "model" else None)
+        for n in names
+    ]
+    truth = _true_swimmer(run)
+    physics = programs.add(_without_environment(first, run.system))
+    if plan is not None:
+        plan = {**plan, "steered": programs.add_steered(first)}
+    tracks = _tracks(run)
     return {
-        "version": 1,
+        "version": 2,
         "title": _title(run, first),
         "run": run.folder.path.name,
         "order": _order(first, run.system),
@@ -59,19 +81,26 @@ def payload_of(run: Learned, plan: Tree | None = None) -> Tree:
         "clock": times,
         "noise": float(run.noise),
         "kicks": _kicks(run),
-        "models": [{"name": n, "tree": tree_of(run.models[n])} for n in names],
-        "physics": tree_of(_without_environment(first, run.system)),
-        "truth": _truth(run),
-        "posterior": _posterior(run, box, times),
-        "tracks": _tracks(run),
+        "models": [
+            {"name": n, **model} for n, model in zip(names, models, strict=True)
+        ],
+        "physics": physics,
+        "truth": None if truth is None else programs.add(truth),
+        "posterior": _posterior(run, box, times) if models[0]["parameters"] else None,
+        "hasForce": not isinstance(_part(first, "environment"), ZeroForce),
+        "hasThrust": not isinstance(_part(first, "propulsion"), ZeroForce),
+        "commands": programs.controls.count,
+        "response": _response(first, tracks),
+        "tracks": tracks,
         "plan": plan,
+        "programs": programs.text,
     }
 
 
 def _title(run: Learned, model: AbstractDynamics) -> str:
     """System and model; the system alone where nothing stands for an environment."""
     name = run.system.name
-    if isinstance(getattr(model, "environment", None), ZeroForce):
+    if isinstance(_part(model, "environment"), ZeroForce):
         return name
     return f"{name}: {run.choice.name}"
 
@@ -126,16 +155,58 @@ def _without_environment(model: AbstractDynamics, system: System) -> AbstractDyn
     return (model if swims else system.swimmer).without_environment()
 
 
-def _truth(run: Learned) -> Tree | None:
-    """The true swimmer, where the system or the data state it and the page knows it."""
+def _true_swimmer(run: Learned) -> Swimmer | OverdampedSwimmer | None:
+    """The true swimmer, where the system or the data state it."""
     source = source_system(run.data.provenance)
     for system in (run.system, source):
         if system is not None and system.environment is not None:
-            try:
-                return tree_of(system.true_swimmer)
-            except InputError:
-                return None
+            return system.true_swimmer
     return None
+
+
+def _part(model: AbstractDynamics, name: str) -> Any:
+    """A force of a swimmer; none of a network that is the whole rate of change."""
+    if isinstance(model, Swimmer | OverdampedSwimmer):
+        return getattr(model, name)
+    return ZeroForce() if name == "propulsion" else None
+
+
+def _controls(run: Learned, model: AbstractDynamics) -> Controls:
+    """The commands that the propulsion takes: as many as the track with most has."""
+    if not takes_commands(model):
+        return Controls(None)
+    return Controls(max((len(_changes(piece)) for piece in run.data), default=1) or 1)
+
+
+def _response(model: AbstractDynamics, tracks: list[Tree]) -> Tree | None:
+    """Speed over commanded frequency of a propulsion that takes commands."""
+    if not takes_commands(model):
+        return None
+    propulsion = unbound(model)
+    greatest = max((track.get("fastest", 0.0) for track in tracks), default=0.0)
+    frequencies = np.linspace(0.0, 1.5 * max(greatest, 2.0), 81)
+
+    def velocity(frequency: Array, heading: float) -> Array:
+        held = {"frequency": frequency[None], "heading": jnp.array([heading])}
+        force = propulsion.drive_by(jnp.zeros(1), held)
+        a, b = force(0.0, jnp.zeros(2), jnp.zeros(2))
+        return a + 1j * b
+
+    def speed(frequency: Array) -> Array:
+        """That of the gain without its turn: coils are unequal."""
+        ahead, aside = velocity(frequency, 0.0), velocity(frequency, math.pi / 2)
+        return jnp.abs(ahead - 1j * aside) / 2
+
+    response = getattr(propulsion, "response", propulsion)
+    corner = getattr(response, "corner", None)
+    return {
+        "name": type(response).__name__.removesuffix("Response").lower(),
+        "frequencies": pack_array(frequencies, "f8"),
+        "speeds": pack_array(
+            np.asarray(jax.vmap(speed)(jnp.asarray(frequencies))), "f8"
+        ),
+        "corner": None if corner is None else float(corner),
+    }
 
 
 def _posterior(
@@ -150,9 +221,7 @@ def _posterior(
     static = learned is None or learned.is_static
     moments = times[:1] if static else tuple(np.linspace(*times, 5).tolist())
     factor, kept = directions(posterior, box, moments)
-    leaves = leaf_table(posterior.free.unravel(jnp.asarray(posterior.mean)))
     return {
-        "leaves": leaves,
         "mean": pack_array(posterior.mean, "f8"),
         "factor": pack_array(factor),
         "kept": kept,
@@ -185,20 +254,22 @@ def _track(run: Learned, index: int, piece: Trajectory, every: int) -> Tree:
         "y": pack_array(piece.states[shown, 1]),
     }
     if {"frequency", "heading"} <= piece.commands.keys():
-        track["commands"] = _commands(piece)
+        kept = _changes(piece)
+        frequency = piece.commands["frequency"]
+        track["fastest"] = float(np.max(frequency))
+        track["commands"] = {
+            "times": pack_array(piece.times[kept], "f8"),
+            "frequency": pack_array(frequency[kept]),
+            "heading": pack_array(piece.commands["heading"][kept]),
+        }
     return track
 
 
-def _commands(piece: Trajectory) -> Tree:
-    """Commands where they change, which says all of what is held in between."""
+def _changes(piece: Trajectory) -> np.ndarray:
+    """Samples at which a command changes, which say all of what is held in between."""
+    if not {"frequency", "heading"} <= piece.commands.keys():
+        return np.zeros(0, int)
     values = np.stack([piece.commands["frequency"], piece.commands["heading"]])
     changed = np.any(values[:, 1:] != values[:, :-1], axis=0)
     kept = np.concatenate([[0], np.flatnonzero(changed) + 1])
-    if len(kept) > SAMPLES // 4:
-        kept = kept[:: math.ceil(len(kept) / (SAMPLES // 4))]
-    return {
-        "kind": "HeldProgramme",
-        "times": pack_array(piece.times[kept], "f8"),
-        "frequency": pack_array(values[0, kept]),
-        "heading": pack_array(values[1, kept]),
-    }
+    return kept[:: math.ceil(len(kept) / (SAMPLES // 4))]

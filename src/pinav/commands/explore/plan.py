@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pinav.commands.explore.trees import Tree, pack_array
+from pinav.commands.explore.printing import Tree, pack_array
 from pinav.errors import InputError
 from pinav.navigation import AbstractNavigation, Navigation
 from pinav.runs import RunFolder

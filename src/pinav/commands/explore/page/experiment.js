@@ -1,6 +1,6 @@
 // The run and what is asked of it: paths, bands, draws, and where to record next.
 
-import { compile, parameterColumns, posteriorOf, withParameters } from "./model.js";
+import { compile, parameterColumns, posteriorOf } from "./model.js";
 import { arrayOf, logDeterminantOfOnePlus, normalGenerator } from "./numbers.js";
 import { Plan } from "./plan.js";
 import { equalTimes, noisyPath, positionSd, rollout, sensitivities } from "./rollout.js";
@@ -22,7 +22,7 @@ export class Experiment {
       x: arrayOf(track.x),
       y: arrayOf(track.y),
     }));
-    this.plan = run.plan ? new Plan(run.plan, run.models[0].tree) : null;
+    this.plan = run.plan ? new Plan(run.plan) : null;
     this.units = unitsOf(run.units, run.order);
     this.compiled = new Map();
     this.conditions = { model: 0 };
@@ -35,10 +35,9 @@ export class Experiment {
     return state < 2 ? extent : extent / (clock[1] - clock[0]);
   }
 
-  /** Trees that take constant commands instead of having a programme. */
+  /** The propulsion takes commands, constant ones or those of a track. */
   get isCommanded() {
-    const propulsion = this.run.models[0].tree.propulsion;
-    return propulsion?.kind === "RollingPropulsion" && !propulsion.programme;
+    return this.run.commands !== null;
   }
 
   controls() {
@@ -49,20 +48,26 @@ export class Experiment {
     return { frequency: c.frequency, heading: c.heading };
   }
 
-  /** Compiled once for the same tree and controls. */
-  compiledModel(name, tree) {
+  /** Compiled once for the same model and controls. */
+  compiledModel(name, known) {
     const controls = this.controls();
     const key = JSON.stringify([name, { ...controls, commands: Boolean(controls.commands) }, this.conditions.track]);
     const kept = this.compiled.get(name);
     if (kept?.key === key) return kept.model;
-    const model = compile(tree, 2, controls);
+    const theta = known.parameters ? this.posterior.mean : undefined;
+    const model = compile(known, this.run.commands, controls, theta);
     this.compiled.set(name, { key, model });
     return model;
   }
 
   learned() {
     const index = this.conditions.model ?? 0;
-    return this.compiledModel(`model ${index}`, this.run.models[index].tree);
+    return this.compiledModel(`model ${index}`, this.run.models[index]);
+  }
+
+  /** The model to which the posterior belongs. */
+  first() {
+    return this.compiledModel("model 0", this.run.models[0]);
   }
 
   physics() {
@@ -79,13 +84,9 @@ export class Experiment {
   }
 
   columns() {
-    const controls = this.controls();
-    const key = JSON.stringify([{ ...controls, commands: null }, this.conditions.replay, this.conditions.track]);
-    if (this.keptColumns?.key !== key) {
-      const columns = parameterColumns(this.run.models[0].tree, this.posterior, 2, controls);
-      this.keptColumns = { key, columns };
-    }
-    return this.keptColumns.columns;
+    const model = this.first();
+    if (this.keptColumns?.model !== model) this.keptColumns = parameterColumns(model);
+    return this.keptColumns;
   }
 
   samples() {
@@ -140,12 +141,10 @@ export class Experiment {
   draws(count = 12, seed = 1) {
     const normal = normalGenerator(seed);
     const noise = this.conditions.kicks ?? 0;
-    const { tree } = this.run.models[this.conditions.model ?? 0];
+    const known = this.run.models[this.conditions.model ?? 0];
     return Array.from({ length: count }, () => {
-      const drawn = this.hasPosterior
-        ? withParameters(tree, this.posterior.leaves, this.posterior.draw(normal))
-        : tree;
-      const model = compile(drawn, 2, this.controls());
+      const theta = this.hasPosterior ? this.posterior.draw(normal) : undefined;
+      const model = compile(known, this.run.commands, this.controls(), theta);
       if (noise === 0) return this.path(model).states;
       return noisyPath(model, this.start(), this.times(600), noise, normal);
     });
@@ -166,7 +165,7 @@ export class Experiment {
       return {
         place: share * length,
         mean: forceAt(environment, t, x),
-        sd: rows ? forceSd(this.columns(), this.posterior, t, x, rows) : [0, 0],
+        sd: rows ? forceSd(environment, this.posterior, t, x, rows) : [0, 0],
         truth: truth ? forceAt(truth, t, x) : null,
       };
     });

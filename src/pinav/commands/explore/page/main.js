@@ -2,12 +2,10 @@
 
 import { INK, MEANING, PAPER, through } from "./colours.js";
 import { Experiment, NORMAL_95 } from "./experiment.js";
-import { forceOf } from "./forces.js";
 import { listen } from "./gestures.js";
 import { arrayOf, shown } from "./numbers.js";
 import { HeatExplorer } from "./oven.js";
 import { button, checks, choice, group, make, numberField, showLegend, slider } from "./panel.js";
-import { responseOf } from "./propulsion.js";
 import { forceAt, forceSd, grid, quantitiesOf } from "./quantities.js";
 import { LAYERS, decoded, encoded, firstConditions } from "./session.js";
 import { pathTable, savePicture, saveText, writeAddress } from "./sharing.js";
@@ -42,7 +40,9 @@ class Explorer {
   subtitle() {
     const { run, tracks, posterior } = this.run;
     const kept = posterior ? ` The posterior has ${this.experiment.posterior.rank} directions.` : " The run has no posterior: paths have no band.";
-    return `Run ${run}, ${tracks.length} ${tracks.length === 1 ? "track" : "tracks"}.${kept} Drag the circle, or click anywhere.`;
+    const { tableError } = this.run.models[0];
+    const table = tableError === undefined ? "" : ` The force is read from a table, whose error is ${shown(100 * tableError)} % of its greatest.`;
+    return `Run ${run}, ${tracks.length} ${tracks.length === 1 ? "track" : "tracks"}.${kept}${table} Drag the circle, or click anywhere.`;
   }
 
   // ---------------------------------------------------------------- conditions
@@ -487,9 +487,10 @@ class Explorer {
   }
 
   rollingRows() {
-    const { response, gain } = this.run.models[0].tree.propulsion;
-    const commanded = this.run.tracks.flatMap((track) => (track.commands ? [...arrayOf(track.commands.frequency)] : []));
-    const most = 1.5 * Math.max(commanded.reduce((a, b) => Math.max(a, b), 0), 2);
+    const { response } = this.run;
+    const frequencies = arrayOf(response.frequencies);
+    const speeds = arrayOf(response.speeds);
+    const most = frequencies.at(-1);
     this.handleUnit = (0.3 * this.run.extent) / most;
     const constant = (part, finished) => this.change({ ...part, replay: false }, { finished });
     const range = { low: 0, high: most, step: "any" };
@@ -498,30 +499,29 @@ class Explorer {
     this.controls.heading = slider("heading [°]", turn, (angle, done) => constant({ heading: (angle * Math.PI) / 180 }, done));
     this.controls.replay = checks([["replay", "commands as recorded"]], (_, replay) => this.change({ replay }));
     const small = make("canvas", { class: "small", role: "img", "aria-label": "Speed over frequency" });
-    const numbers = arrayOf(gain);
-    const speed = Math.hypot(numbers[2] - numbers[1], numbers[0] + numbers[3]) / 2;
-    const law = responseOf(response);
+    const speedAt = (frequency) => {
+      const place = Math.min(Math.max(frequency / frequencies[1], 0), speeds.length - 1);
+      const [index, share] = [Math.min(Math.floor(place), speeds.length - 2), place % 1];
+      return place === speeds.length - 1 ? speeds.at(-1) : speeds[index] + share * (speeds[index + 1] - speeds[index]);
+    };
     this.drawResponse = () => {
-      const points = Array.from({ length: 81 }, (_, i) => [(most * i) / 80, speed * law((most * i) / 80)]);
+      const points = Array.from(frequencies, (frequency, i) => [frequency, speeds[i]]);
       const now = this.conditions.frequency;
       const { length } = this.experiment.units;
       const curves = [{ points, colour: MEANING.learned }];
-      if (!this.conditions.replay) curves.push({ points: [[now, 0], [now, speed * law(now)]], colour: MEANING.plan, dash: [3, 3] });
-      if (response.corner !== undefined) {
-        const corner = arrayOf(response.corner)[0];
-        if (corner < most) curves.push({ points: [[corner, 0], [corner, speed * law(corner)]], colour: MEANING.physics, dash: [1, 3] });
-      }
+      if (!this.conditions.replay) curves.push({ points: [[now, 0], [now, speedAt(now)]], colour: MEANING.plan, dash: [3, 3] });
+      const { corner } = response;
+      if (corner !== null && corner < most) curves.push({ points: [[corner, 0], [corner, speedAt(corner)]], colour: MEANING.physics, dash: [1, 3] });
       plot(small, curves, ["frequency [Hz]", length ? `speed [${length}/s]` : "speed"], INK);
     };
-    const corner = response.corner === undefined ? "" : ` The dotted line is its corner, ${shown(arrayOf(response.corner)[0])} Hz.`;
-    const hint = make("p", { class: "hint" }, `Response: ${response.kind.replace("Response", "").toLowerCase()}.${corner}`);
+    const corner = response.corner === null ? "" : ` The dotted line is its corner, ${shown(response.corner)} Hz.`;
+    const hint = make("p", { class: "hint" }, `Response: ${response.name}.${corner}`);
     const rows = [this.controls.frequency, this.controls.heading, small, hint];
     return this.run.tracks.some((track) => track.commands) ? [this.controls.replay, ...rows] : rows;
   }
 
   thrustRows() {
-    const propulsion = this.run.models[0].tree.propulsion;
-    if (!propulsion || propulsion.kind === "ZeroForce") return [];
+    if (!this.run.hasThrust) return [];
     this.controls.thrust = slider("thrust [× stated]", { low: 0, high: 3, step: "any" }, (thrust, finished) => this.change({ thrust }, { finished }));
     const turn = { low: -180, high: 180, step: "any" };
     this.controls.turn = slider("heading, turned by [°]", turn, (angle, finished) => this.change({ turn: (angle * Math.PI) / 180 }, { finished }));
@@ -643,7 +643,7 @@ function begin() {
     // For those who ask in the console, and for the tests.
     const Page = { tissue: HeatExplorer, sections: SectionExplorer }[run.kind] ?? Explorer;
     const page = new Page(run);
-    globalThis.explorer = Object.assign(page, { forceOf });
+    globalThis.explorer = page;
   } catch (error) {
     const note = byId("failure");
     note.hidden = false;

@@ -1,6 +1,5 @@
 // The plan of a navigation: time to go from any state, and the way that makes it least.
 
-import { compile } from "./model.js";
 import { arrayOf } from "./numbers.js";
 
 const LEVELS = 65535; // steps of a value
@@ -9,15 +8,14 @@ const FLOOR = 1e-30; // least value: about seventy scales of time
 export class Plan {
   /** @param packed of the run; values lie on a lattice of positions, or of velocities
    * and positions where there is inertia. */
-  constructor(packed, tree) {
+  constructor(packed) {
     const { ahead: look, ...rest } = packed;
     Object.assign(this, rest, { look });
     this.values = arrayOf(packed.values).map((level) => level / LEVELS);
     this.shape = packed.values.shape;
     this.corners = new Int32Array(16); // of a cell of the lattice
     this.weights = new Float64Array(16);
-    this.steer = new Float64Array(2);
-    this.model = compile(tree, 2, { steer: this.steer });
+    this.rate = PROGRAMS[packed.steered.program].rate();
   }
 
   /** Time to go [T] from a state: great where the goal is out of reach. */
@@ -62,13 +60,12 @@ export class Plan {
 
   /** One Runge-Kutta step under a thrust. */
   ahead(y, thrust, duration) {
-    this.steer.set(thrust);
     const k = [0, 1, 2, 3].map(() => new Float64Array(y.length));
     const along = (slope, part) => y.map((value, i) => value + part * duration * slope[i]);
-    this.model.rate(0, y, k[0]);
-    this.model.rate(0, along(k[0], 0.5), k[1]);
-    this.model.rate(0, along(k[1], 0.5), k[2]);
-    this.model.rate(0, along(k[2], 1), k[3]);
+    this.rate(0, y, thrust, k[0]);
+    this.rate(0, along(k[0], 0.5), thrust, k[1]);
+    this.rate(0, along(k[1], 0.5), thrust, k[2]);
+    this.rate(0, along(k[2], 1), thrust, k[3]);
     return y.map((value, i) => value + (duration / 6) * (k[0][i] + 2 * k[1][i] + 2 * k[2][i] + k[3][i]));
   }
 

@@ -30,12 +30,10 @@ export function* grid(box, at, count = POINTS) {
   return { values, count, box };
 }
 
-const REST = new Float64Array(2);
-
 /** Force of an environment at rest, as [x, y]. */
 export function forceAt(environment, t, x) {
   const force = [0, 0];
-  environment.add(t, x, REST, force);
+  environment.force(t, x, force);
   return force;
 }
 
@@ -52,14 +50,8 @@ function rotationAt(environment, t, x, step) {
 }
 
 /** Standard deviations of the force's components at rest. */
-export function forceSd(columns, posterior, t, x, rows) {
-  const y = new Float64Array(columns.model.states);
-  y.set(x);
-  if (columns.model.environment.basis) {
-    // Weights alone: constants of drag or thrust are not of the environment.
-    for (const row of rows) row.fill(0);
-    columns.environment(t, x, rows);
-  }
+export function forceSd(environment, posterior, t, x, rows) {
+  environment.basis(t, x, rows);
   return variancesOf(posterior, rows[0], rows[1]).map(Math.sqrt);
 }
 
@@ -118,10 +110,7 @@ export function quantitiesOf(experiment) {
   }
   if (environment()?.basis && experiment.posterior) {
     const rows = [0, 1].map(() => new Float64Array(experiment.posterior.count));
-    const at = (t) => {
-      const columns = experiment.columns();
-      return (x) => size(forceSd(columns, experiment.posterior, t, x, rows));
-    };
+    const at = (t) => (x) => size(forceSd(experiment.first().environment, experiment.posterior, t, x, rows));
     list.push(["sd", { label: "standard deviation of the force", unit: force, at, slow: true }]);
   }
   if (experiment.plan) {

@@ -40,7 +40,7 @@ const ANGLES = new Set(["heading", "turn"]);
 export function firstConditions(run, commanded) {
   const track = run.tracks[0];
   const [x, y, vx = 0, vy = 0] = run.plan ? run.plan.start : track.start;
-  const plain = run.models[0].tree.environment?.kind === "ZeroForce" ? "distance" : "force";
+  const plain = run.hasForce ? "force" : "distance";
   return {
     model: 0,
     quantity: run.plan ? "go" : plain,
