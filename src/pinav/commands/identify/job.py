@@ -22,6 +22,8 @@ from pinav.identification import (
 )
 from pinav.identification.forecast import HORIZONS
 from pinav.identification.identify import is_pooled
+from pinav.learning.evidence import Evidence
+from pinav.learning.learned import DATA_FILE, ModelHeader, of_evidence
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
 
