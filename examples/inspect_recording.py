@@ -43,4 +43,4 @@ for speed in run.speeds:
     print(f"{speed.frequency:4.1f} Hz: {speed.median:5.1f} um/s")
 print("what a fit cannot tell:", run.warnings or "nothing of gain, drift and delay")
 
-figure = recording_figure(recording, found)
+figure = recording_figure(recording, found).draw()

@@ -49,6 +49,19 @@ def test_an_existing_run_is_kept_unless_overwritten(folder):
     assert folder.config()["recipe"] == "default"
 
 
+def test_overwriting_deletes_nothing_outside_of_the_run(folder, tmp_path):
+    """Whatever its manifest says, which a damaged or foreign file may say."""
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (folder.path / "linked").symlink_to(outside)
+    for name in ("../outside/one.csv", "linked/two.csv", "three.csv"):
+        (folder.path / name).write_text("mine")
+        folder.record(name)
+    RunFolder.create(folder.path, CONFIG, overwrite=True)
+    assert {path.name for path in outside.iterdir()} == {"one.csv", "two.csv"}
+    assert not folder.has("three.csv")
+
+
 def test_overwriting_leaves_what_is_not_ours(folder):
     names = ("notes.txt", "raw.csv", "notes.json", "tracks.npz", ".mine.tmp")
     for name in names:

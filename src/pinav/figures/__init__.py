@@ -20,7 +20,7 @@ from pinav.figures.laws import law_ranking as law_ranking
 from pinav.figures.maps import force_comparison as force_comparison
 from pinav.figures.maps import map_panel as map_panel
 from pinav.figures.observations import observed_paths as observed_paths
-from pinav.figures.recordings import overlay as overlay
+from pinav.figures.recordings import overlay_figure as overlay_figure
 from pinav.figures.recordings import recording_figure as recording_figure
 from pinav.figures.trajectories import acceleration_figure as acceleration_figure
 from pinav.figures.trajectories import decomposition as decomposition

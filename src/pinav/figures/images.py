@@ -24,6 +24,7 @@ class Picture(AbstractBlock):
         alt: what it shows, for those who do not see it; the first sentence of the
             caption unless given.
         width: share of the page's width, in (0, 1].
+        has_many_points: the page shows it as PNG, because SVG would be too large.
     """
 
     name: str
@@ -31,10 +32,22 @@ class Picture(AbstractBlock):
     caption: str
     alt: str = ""
     width: float = 1.0
+    has_many_points: bool = False
+
+    @property
+    def description(self) -> str:
+        """What it shows: the words for it, or the first sentence of the caption."""
+        return self.alt or self.caption.partition(". ")[0]
 
     def html(self) -> str:
         drawn = svg_text(self.draw()).encode()
-        return figure_html(drawn, ".svg", self.alt, self.caption, self.width)
+        return figure_html(drawn, ".svg", self.description, self.caption, self.width)
+
+    def saved(self, folder: Path) -> Image:
+        """The figure, written into a folder as PNG and SVG."""
+        files = save_figure(self.draw(), folder, self.name)
+        shown = files.png if self.has_many_points else files.svg
+        return Image(shown, self.description, self.caption, self.width)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,8 +101,7 @@ class Figures:
         figure = drawn if isinstance(drawn, Figure) else drawn.get_figure(root=True)
         if figure is None:
             raise InputError(f"figure {name}: expected axes that belong to a figure")
-        files = save_figure(figure, self.folder, name)
-        return Image(files.svg, alt or caption.partition(". ")[0], caption, width)
+        return Picture(name, lambda: figure, caption, alt, width).saved(self.folder)
 
     def saved(self, section: Section) -> Section:
         """The section with its pictures and movies drawn and written."""
@@ -97,8 +109,7 @@ class Figures:
 
     def _saved(self, block: AbstractBlock) -> AbstractBlock:
         if isinstance(block, Picture):
-            drawn, alt, width = block.draw(), block.alt, block.width
-            return self.image(block.name, drawn, block.caption, alt=alt, width=width)
+            return block.saved(self.folder)
         if isinstance(block, Movie):
             file = block.write(self.folder / f"{block.name}.gif")
             return Image(file, block.caption, block.caption)

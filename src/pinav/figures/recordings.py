@@ -9,6 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from pinav.figures.bands import band
+from pinav.figures.images import Picture
 from pinav.figures.palette import (
     BLACK,
     BLUE,
@@ -46,15 +47,13 @@ _MARKS = ("o", "s", "^", "D", "v", "P", "X")
 _DOTS = 4000
 
 
-def recording_figure(recording: Trajectories, quality: Quality) -> Figure:
+def recording_figure(recording: Trajectories, quality: Quality) -> Picture:
     """Four panels; those of the commands give way where there are none.
 
     Args:
         recording: what was read.
         quality: the report on its quality.
     """
-    figure = new_figure(7.5, 6.6)
-    axes = [prepare_axes(ax) for ax in np.ravel(figure.subplots(2, 2))]
     panels = {"paths": paths}
     if any(run.speeds for run in quality.runs):
         panels |= {"speed against frequency": speeds}
@@ -63,11 +62,39 @@ def recording_figure(recording: Trajectories, quality: Quality) -> Figure:
         panels |= {"speed of each particle": speeds_of_tracks}
         panels |= {"intervals between rows": intervals}
         panels |= {"scatter of each particle": errors_of_tracks}
-    for ax, letter, (title, draw) in zip(axes, "abcd", panels.items(), strict=True):
-        draw(recording, quality, ax)
-        title_panel(ax, f"({letter}) {title}")
-    _name_runs(figure, [run.name for run in quality.runs])
-    return figure
+
+    def draw() -> Figure:
+        figure = new_figure(7.5, 6.6)
+        axes = [prepare_axes(ax) for ax in np.ravel(figure.subplots(2, 2))]
+        named = zip(axes, "abcd", panels.items(), strict=True)
+        for ax, letter, (title, draw_panel) in named:
+            draw_panel(recording, quality, ax)
+            title_panel(ax, f"({letter}) {title}")
+        _name_runs(figure, [run.name for run in quality.runs])
+        return figure
+
+    caption = _caption(quality)
+    return Picture("recording", draw, caption, "Four panels", has_many_points=True)
+
+
+def _caption(quality: Quality) -> str:
+    driven = any(run.speeds for run in quality.runs)
+    second = (
+        "(b) median speed over half a second at each commanded frequency; the band "
+        "holds 80 % where there is one run; "
+        if driven
+        else "(b) median speed over half a second; "
+    )
+    last = (
+        "(d) commanded frequency and heading."
+        if driven
+        else "(d) scatter of a row from all causes, and what of it is independent from "
+        "row to row, the localisation error."
+    )
+    return (
+        "(a) Paths, y up, a mark at each start; segments are not joined; "
+        f"{second}(c) intervals between rows; {last}"
+    )
 
 
 def paths(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
@@ -82,25 +109,31 @@ def paths(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     return ax
 
 
-def overlay(recording: Trajectories, image: np.ndarray, ax: Axes | None = None) -> Axes:
+def overlay_figure(recording: Trajectories, image: np.ndarray) -> Picture:
     """The segments over a still image of the film, in its pixels, y down.
 
     Args:
         recording: read from pixels.
         image: grey (row, column) or coloured (row, column, channel).
-        ax: where to draw; a new figure unless given.
 
     Raises:
         InputError: the recording was not read from pixels.
     """
-    ax = prepare_axes(ax, width=6.0, height=5.0)
-    ax.imshow(image, cmap=FILM, origin="upper")
-    for segment in recording:
-        way = image_positions(recording, positions(segment))
-        ax.plot(*way.T, color=TRACK, lw=1.0)
-        ax.plot(*way[:1].T, "o", ms=4, mfc="none", mec=PAPER, mew=1.2)
-    label_axes(ax, channel_label("x", {"x": "px"}), channel_label("y", {"y": "px"}))
-    return ax
+    ways = [image_positions(recording, positions(segment)) for segment in recording]
+
+    def draw() -> Figure:
+        figure = new_figure(6.0, 5.0)
+        ax = prepare_axes(figure.add_subplot())
+        ax.imshow(image, cmap=FILM, origin="upper")
+        for way in ways:
+            ax.plot(*way.T, color=TRACK, lw=1.0)
+            ax.plot(*way[:1].T, "o", ms=4, mfc="none", mec=PAPER, mew=1.2)
+        label_axes(ax, channel_label("x", {"x": "px"}), channel_label("y", {"y": "px"}))
+        return figure
+
+    caption = "Paths over a still of the film, in its pixels; a ring at each start."
+    alt = "Paths on the image"
+    return Picture("overlay", draw, caption, alt, has_many_points=True)
 
 
 def speeds(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:

@@ -1,8 +1,9 @@
 """Residuals that are noise are called so, and those of a missing force are not."""
 
 import numpy as np
+import pytest
 
-from pinav.fitting.engine.goodness import goodness_of_fit
+from pinav.fitting.engine.goodness import GoodnessOfFit, goodness_of_fit
 
 RNG = np.random.default_rng(0)
 
@@ -31,6 +32,18 @@ def test_a_known_noise_that_is_too_small_is_a_misfit():
     residuals = [RNG.normal(size=(200, 2))]
     assert not judge(residuals, 0.5, known=True).is_adequate
     assert judge(residuals, 0.5).is_adequate
+
+
+@pytest.mark.parametrize(("deviations", "is_adequate"), [(3.5, True), (4.5, False)])
+def test_four_standard_deviations_of_either_statistic_are_the_limit(
+    deviations, is_adequate
+):
+    count, fitted = 800.0, 80.0
+    excess, chance = deviations * np.sqrt(2 / count), deviations / np.sqrt(count)
+    for chi2, lag1 in ((1 + excess, 0.0), (1.0, chance), (1.0, -0.1 - chance)):
+        found = GoodnessOfFit(chi2, lag1, count, fitted, noise_known=True)
+        assert found.is_adequate == is_adequate
+    assert GoodnessOfFit(9.0, 0.0, count, fitted, noise_known=False).is_adequate
 
 
 def test_gaps_and_single_samples_count_for_nothing():

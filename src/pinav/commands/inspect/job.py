@@ -13,14 +13,14 @@ from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.inspect.settings import InspectOptions, RecordingSettings
 from pinav.errors import InputError
-from pinav.figures import overlay, recording_figure, save_figure
-from pinav.figures.style import new_figure
+from pinav.figures import overlay_figure, recording_figure
+from pinav.figures.images import Figures
 from pinav.files import write_text
 from pinav.fitting import judge_increments
 from pinav.recordings.conventions import in_words
 from pinav.recordings.quality.commands import Drive
 from pinav.recordings.quality.report import Quality, Run, Track, quality
-from pinav.report import Cell, Code, Image, Paragraph, Section, Table, number, render
+from pinav.report import Cell, Code, Paragraph, Section, Table, number, render
 from pinav.report.text import sections_text
 from pinav.trajectories import Trajectories
 
@@ -203,52 +203,26 @@ def page(
 ) -> str:
     """The report as one HTML page; its figures are written into `out`."""
     provenance = json.dumps(report.provenance, indent=2, ensure_ascii=False)
-    image = save_figure(
-        recording_figure(recording, report), out / "figures", "recording"
-    )
     sections = [
         *verdict_sections(report),
-        Section("At a glance", [Image(image.png, "Four panels", _caption(report))]),
-        *([] if still is None else [_on_image(recording, still, out)]),
+        Section("At a glance", [recording_figure(recording, report)]),
+        *([] if still is None else [_on_image(recording, still)]),
         *_speed_sections(report),
         Section("Particles", [_tracks_table(report)]),
         Section("How it was read", [Code(provenance)]),
     ]
-    return render(f"Recording {report.source}", f"pinav {__version__}", sections)
+    saved = [Figures(out).saved(section) for section in sections]
+    return render(f"Recording {report.source}", f"pinav {__version__}", saved)
 
 
-def _on_image(recording: Trajectories, still: Path, out: Path) -> Section:
+def _on_image(recording: Trajectories, still: Path) -> Section:
     import matplotlib.image
 
     try:
         pixels = matplotlib.image.imread(still)
     except (OSError, SyntaxError, ValueError) as error:
         raise InputError(f"{still}: cannot be read as an image: {error}") from error
-    figure = new_figure(6.0, 5.0)
-    overlay(recording, np.asarray(pixels), figure.add_subplot())
-    image = save_figure(figure, out / "figures", "overlay")
-    caption = "Paths over a still of the film, in its pixels; a ring at each start."
-    return Section("In the image", [Image(image.png, "Paths on the image", caption)])
-
-
-def _caption(report: Quality) -> str:
-    driven = any(run.speeds for run in report.runs)
-    second = (
-        "(b) median speed over half a second at each commanded frequency; the band "
-        "holds 80 % where there is one run; "
-        if driven
-        else "(b) median speed over half a second; "
-    )
-    last = (
-        "(d) commanded frequency and heading."
-        if driven
-        else "(d) scatter of a row from all causes, and what of it is independent from "
-        "row to row, the localisation error."
-    )
-    return (
-        "(a) Paths, y up, a mark at each start; segments are not joined; "
-        f"{second}(c) intervals between rows; {last}"
-    )
+    return Section("In the image", [overlay_figure(recording, np.asarray(pixels))])
 
 
 def _speed_sections(report: Quality) -> list[Section]:
