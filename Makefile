@@ -72,7 +72,7 @@ clean:
 	touch $@
 
 .venv/installed-extras: .venv/installed-dev
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[symbolic,peers,mri,cluster,notebook,exchange]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[symbolic,peers,mri,notebook,exchange]'
 	touch $@
 
 .venv/installed-docs: .venv/installed-dev

@@ -7,10 +7,10 @@ from typing import Protocol, TypeVar
 
 import msgspec
 
-from pinav.commands.sweep import engine_of
+from pinav.commands.sweep import workers_of
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.files import write_text
-from pinav.sweeps import Cell, CellStore, claim, run_sweep
+from pinav.sweeps import Cell, CellStore, claim, map_cells
 
 FILE = "measurement.json"
 
@@ -42,9 +42,9 @@ def measurements(
 ) -> list[Kind]:
     """What was measured in each cell; one that failed is named and left out."""
     store, results = CellStore.of_run(options.out), []
-    with engine_of(options.workers) as engine, claim(options.out):
-        timeout = options.workers.cell_timeout
-        outcomes = run_sweep(cells, store, engine, timeout=timeout, title=title)
+    workers, timeout = workers_of(options.workers), options.workers.cell_timeout
+    with claim(options.out):
+        outcomes = map_cells(cells, store, workers, timeout=timeout, title=title)
     for cell, outcome in zip(cells, outcomes, strict=True):
         if outcome.failure:
             print(f"{cell.label}: {outcome.failure}", file=sys.stderr)

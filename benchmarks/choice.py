@@ -21,11 +21,9 @@ from pinav.commands.settings import Settings
 from pinav.errors import FitError, InputError
 from pinav.files import write_text
 from pinav.identification import (
-    FrameJitter,
     Rollouts,
     Track,
     coverage,
-    path_of,
     select_model,
     tracks,
 )
@@ -153,13 +151,12 @@ def judge(track: Track, fraction: float, group: str, out: Path) -> list[Split]:
     except (InputError, FitError) as error:
         print(f"{label}: {error}")
         return []
-    best = selection.best
+    predictor = selection.predictor
     rollouts = Rollouts.of(selection.held_out, HORIZON)
-    jitter = FrameJitter.of(selection.train, path_of(best))
-    bands = coverage(selection.held_out, rollouts, best, jitter)
+    bands = coverage(selection.held_out, rollouts, predictor)
     fastest = max(p.commands["frequency"].max() for p in selection.held_out.pieces)
     errors = [
-        selection.row(name).errors[HORIZON] if selection.row(name).errors else None
+        selection.row(name).over(HORIZON)
         for name in (selection.chosen, LEAST_SQUARES, STACKED)
     ]
     ours, theirs, both = (
@@ -175,7 +172,7 @@ def judge(track: Track, fraction: float, group: str, out: Path) -> list[Split]:
         stacked=both,
         inside=bands.inside if bands.rollouts else None,
         rollouts=bands.rollouts,
-        faster=bool(fastest > BEYOND * best.fastest),
+        faster=bool(fastest > BEYOND * predictor.fastest),
     )
     write_text(kept, msgspec.json.encode(row).decode() + "\n", overwrite=True)
     print(f"{label}: {row.chosen}, {row.error}, {row.inside}", flush=True)

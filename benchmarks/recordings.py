@@ -21,6 +21,9 @@ import tyro
 from pinav.commands.parsing import parse
 from pinav.errors import InputError
 from pinav.files import write_text
+from pinav.identification import Identification
+from pinav.identification.identify import pooled_coverage
+from pinav.runs import RunFolder
 
 KNOWN = {
     "ecoli_pillars_trackmate": ("--fps", "20", "--mpp", "0.656"),
@@ -92,8 +95,7 @@ def timed(file: Path, options: Options) -> dict[str, Any]:
     inspected = _run("inspect", file, out / "inspect", known)
     extra = (*known, "--candidates", "all") if options.selection else known
     fitted = _run("identify", file, out / "fit", extra)
-    metrics = out / "fit" / "metrics.json"
-    scores = _scores(json.loads(metrics.read_text())) if metrics.is_file() else {}
+    scores = _scores(out / "fit") if (out / "fit" / "metrics.json").is_file() else {}
     return {"recording": name, "inspect": inspected, "fit": fitted, **scores}
 
 
@@ -113,26 +115,23 @@ def _run(command: str, file: Path, out: Path, words: Sequence[str]) -> dict[str,
     return {"seconds": seconds, "reason": reason}
 
 
-def _scores(metrics: dict[str, Any]) -> dict[str, Any]:
+def _scores(run: Path) -> dict[str, Any]:
     """Medians over tracks, and coverage over all rollouts."""
-    fitted = [t for t in metrics["tracks"].values() if not t["reason"]]
-    covered = [(t["coverage"]["inside"], t["coverage"]["rollouts"]) for t in fitted]
-    count = sum(n for _, n in covered)
-    summary = metrics["summary"]
+    result = RunFolder.open(run).load("metrics", Identification)
+    covered = pooled_coverage(result.fitted)
     return {
-        "tracks": len(fitted),
-        "of": len(metrics["tracks"]),
-        "chosen": _relative(summary, "chosen"),
-        "least squares": _relative(summary, "least squares"),
-        "covered": sum(fraction * n for fraction, n in covered if n) / count
-        if count
-        else None,
+        "tracks": len(result.fitted),
+        "of": len(result.tracks),
+        "chosen": _relative(result, "chosen"),
+        "least squares": _relative(result, "least squares"),
+        "covered": covered if covered == covered else None,
     }
 
 
-def _relative(summary: dict[str, Any], name: str) -> float | None:
+def _relative(result: Identification, name: str) -> float | None:
     """Relative error of rollouts of 10 s."""
-    return summary[name]["relative"]["10"] if name in summary else None
+    errors = result.summary[name].over(10.0) if name in result.summary else None
+    return errors.relative if errors is not None and errors.rollouts else None
 
 
 HEADER = (

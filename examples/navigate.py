@@ -28,7 +28,7 @@ from pinav.forces import KernelPotential
 from pinav.navigation.control.default import controller
 from pinav.navigation.control.simple import StraightLine, steered_swimmer
 from pinav.navigation.design.candidates import Experiment
-from pinav.navigation.design.information import suggest
+from pinav.navigation.design.information import PosteriorInformation, best_candidate
 from pinav.navigation.design.prior import PriorField, prior_uncertainty
 from pinav.navigation.maps import Course
 from pinav.navigation.planning.plan import time_to_go
@@ -116,16 +116,15 @@ uncertainty = prior_uncertainty(
     noise=fit.hyperparameters.noise,
     prior=PriorField(crossing.arena, strength=0.4),
 )
-ranking = suggest(
-    uncertainty,
-    np.asarray(route.ys[::10, :2]),
+way = np.asarray(route.ys[::10, :2])
+information = PosteriorInformation.of(uncertainty, way, experiment, crossing.arena)
+first, later = jax.random.split(jax.random.key(3))
+best, sd = best_candidate(
+    information,
     experiment,
-    arena=crossing.arena,
-    key=jax.random.key(3),
-    num_candidates=24,
+    experiment.draw(24, key=first),
+    variations=24,
+    keys=[later],
 )
-best = ranking.candidates[ranking.best]
 print(f"headings: {np.round(np.asarray(best.heading), 2)}")
-print(
-    f"sd of the force along the route: {ranking.sd_now:.2g} -> {ranking.sd.min():.2g}"
-)
+print(f"sd of the force along the route: {information.sd_now:.2g} -> {sd:.2g}")

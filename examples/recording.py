@@ -21,14 +21,17 @@ from pinav.forces import KernelPotential
 from pinav.identification import (
     Rollouts,
     errors,
+    estimates,
     fit_commanded,
     fit_track,
+    gain_matrix,
     path_of,
     split,
     system_of,
     tracks,
+    with_learned,
+    with_response,
 )
-from pinav.identification.models import MATRIX, with_free, with_response
 from pinav.trajectories import Trajectories
 
 random = np.random.default_rng(0)
@@ -54,13 +57,14 @@ recording = Trajectories.from_arrays(  # read_recording(path) gives the same
 )
 
 train, held_out = split(tracks(recording)[0], 0.7)
-candidate = with_free(with_response(MATRIX, "saturating"), "delay", "delay")
+candidate = with_response(gain_matrix(), "saturating")
+candidate = with_learned(candidate, "delay", "propulsion.delay")
 fit = fit_track(train, candidate)
-for name, estimate in fit.estimates().items():
+for name, estimate in estimates(fit).items():
     print(f"{name}: {estimate.value:.3g} ± {1.96 * estimate.sd:.2g}")
 
 rollouts = Rollouts.of(held_out, 10.0)
-found = errors(held_out, rollouts, path_of(fit))
+found = errors(held_out, rollouts, path_of(fit.model))
 print(
     f"{len(rollouts)} open-loop rollouts of 10 s: median error {found.median:.2f} um, "
     f"{100 * found.relative:.1f} % of the path"

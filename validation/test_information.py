@@ -15,16 +15,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.actuation import LinearResponse
+from pinav.actuation import LinearProgramme, LinearResponse
+from pinav.dynamics import FixedStep
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.forces import KernelPotential
 from pinav.navigation.design.candidates import (
     CandidateTrajectories,
+    CommandedThrust,
     Experiment,
-    begins,
-    in_sequence,
 )
-from pinav.navigation.design.information import inside, suggest
+from pinav.navigation.design.information import PosteriorInformation, best_candidate
 from pinav.navigation.design.prior import PriorField, prior_uncertainty
 from pinav.navigation.task.steering import CommandLimits, RollingActuator
 from pinav.navigation.task.zones import Rectangle
@@ -68,8 +68,8 @@ class Laboratory:
     def random(self, model, key) -> CandidateTrajectories:
         """A random candidate that the model expects to stay inside."""
         pool = self.experiment.draw(40, key=key)
-        stays = np.asarray(inside(model, self.experiment, pool, ARENA))
-        return pool[int(np.flatnonzero(stays)[0])]
+        some = (pool[k] for k in range(40))
+        return next(one for one in some if inside(model, self.experiment, one))
 
     def suggested(self, key) -> CandidateTrajectories:
         """The candidate that should tell most of the route."""
@@ -82,14 +82,24 @@ class Laboratory:
             noise=fit.hyperparameters.noise,
             prior=PriorField(ARENA, THRUST / 2),
         )
-        found = suggest(uncertainty, ROUTE, self.experiment, arena=ARENA, key=key)
-        return found.candidates[found.best]
+        information = PosteriorInformation.of(
+            uncertainty, ROUTE, self.experiment, ARENA
+        )
+        _, first, later = jax.random.split(key, 3)
+        drawn = self.experiment.draw(64, key=first)
+        best, _ = best_candidate(
+            information, self.experiment, drawn, variations=63, keys=[later]
+        )
+        return best
 
     def record(self, candidate: CandidateTrajectories) -> None:
         """Observe a candidate, with its own span of the clock."""
         index = len(self.candidates)
         begin = float(begins(self.experiment, index + 1)[index])
-        thrust = self.experiment.thrust(candidate, begin)
+        programme = LinearProgramme(
+            self.experiment.knots + begin, candidate.frequency, candidate.heading
+        )
+        thrust = CommandedThrust(programme, self.experiment.actuator)
         driven = dataclasses.replace(self.truth, propulsion=thrust)
         made = System(
             name="many-barriers",
@@ -118,6 +128,33 @@ class Laboratory:
         self.fit = fit_bayes(model, data, throw=False)
         learned, true = (forces(m.environment) for m in (self.fit.model, self.truth))
         return float(np.linalg.norm(learned - true) / np.linalg.norm(true))
+
+
+@eqx.filter_jit
+def inside(model, experiment: Experiment, candidate: CandidateTrajectories):
+    """True where a candidate stays inside the arena, as far as a model knows."""
+    driven = eqx.tree_at(lambda m: m.propulsion, model, experiment.thrust(candidate))
+    states, _ = FixedStep().solve(driven, candidate.starts, experiment.times)
+    return jnp.all(jax.vmap(ARENA.distance)(states[:, :2]) <= 0)
+
+
+def in_sequence(
+    experiment: Experiment, candidates: CandidateTrajectories
+) -> CommandedThrust:
+    """One propulsion for all candidates, each at its own time: see `begins`.
+
+    A fit knows a single propulsion for all trajectories, so that each has its own span
+    of the operator's clock.
+    """
+    count = candidates.starts.shape[0]
+    knots = experiment.knots[None] + jnp.asarray(begins(experiment, count))[:, None]
+    flat = (a.reshape(-1) for a in (knots, candidates.frequency, candidates.heading))
+    return CommandedThrust(LinearProgramme(*flat), experiment.actuator)
+
+
+def begins(experiment: Experiment, count: int) -> np.ndarray:
+    """When each of several candidates begins on the operator's clock."""
+    return np.arange(count) * (experiment.duration + experiment.knot)
 
 
 def forces(environment):

@@ -1,4 +1,4 @@
-"""`kill -9` at random moments, then `--resume`: the same numbers as an unbroken run."""
+"""`kill -9` at random moments: the same numbers as an unbroken run."""
 
 import os
 import random
@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 
+import psutil
 import pytest
 from validation.conftest import pinav
 
@@ -41,3 +42,53 @@ def test_a_killed_run_resumes_to_the_same_numbers(unbroken, draw, tmp_path):
     for name in RESULTS:
         resumed = (tmp_path / "run" / name).read_bytes()
         assert resumed == (whole / name).read_bytes(), f"{name} differs"
+
+
+FITS = [
+    "study",
+    "noise",
+    "--models",
+    "kernel-potential",
+    "physics-only",
+    "--count",
+    "2",
+]
+FITS += ["--held-out", "4", "--sigmas", "0.005", "0.01", "0.02", "0.05", "0.1"]
+FITS += ["--seeds", "0", "1", "2", "3"]
+KILLS = 100
+
+
+def test_a_study_of_forty_fits_with_a_hundred_kills_ends_in_the_same_table(tmp_path):
+    """Of its two workers, which are replaced, and of itself, which goes on."""
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert pinav(*FITS, "--out", str(whole)).returncode == 0
+    dice, kills, words = random.Random(0), 0, []
+    command = [sys.executable, "-m", "pinav", *FITS, "--out", str(broken)]
+    while True:
+        process = subprocess.Popen(
+            [*command, "--workers", "2", *words],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        words = ["--resume"]
+        while process.poll() is None:
+            time.sleep(dice.uniform(0.5, 8.0))
+            if kills < KILLS and (victims := processes_of(process.pid)):
+                kills += 1
+                dice.choice(victims).kill()
+        assert process.returncode in (0, -signal.SIGKILL)
+        if process.returncode == 0:
+            break
+    print(f"{kills} kills of workers and clients")
+    assert kills > 10
+    for name in ("study.csv", "metrics.json"):
+        assert (broken / name).read_bytes() == (whole / name).read_bytes()
+
+
+def processes_of(client):
+    """The client of a study, rarely, and its workers."""
+    try:
+        one = psutil.Process(client)
+        return [one, *one.children(recursive=True) * 5]
+    except psutil.NoSuchProcess:
+        return []

@@ -17,20 +17,21 @@ from benchmarks.recording_baselines import gaussian_process
 from validation.wandering_velocity import drift_over_time
 
 from pinav.identification import (
-    FrameJitter,
     Rollouts,
     coverage,
     delay_findings,
+    drift_only,
+    estimates,
     fit_track,
-    path_of,
+    gain_matrix,
     select_model,
     tracks,
-    with_free,
     with_response,
+    with_slow_drift,
 )
+from pinav.identification.estimates import speed as speed_of
 from pinav.identification.findings import interval, positive_interval
 from pinav.identification.forecast import errors
-from pinav.identification.models import DRIFT_ONLY, MATRIX, SLOW_DRIFT
 from pinav.identification.restoring import restoring_force
 from pinav.identification.selection import split
 from pinav.recordings import read_recording
@@ -60,15 +61,14 @@ def sessions():
 
 def whole(selection):
     """The chosen model fitted to all of the track."""
-    best = selection.best
-    return fit_track(selection.track, best.candidate, start=best)
+    return fit_track(selection.track, selection.system, start=selection.best)
 
 
 def test_the_chosen_model_beats_least_squares(sessions):
     chosen, baseline = [], []
     for selection in sessions:
-        ours = selection.row(selection.chosen).errors[10.0].relative
-        theirs = selection.row("least squares").errors[10.0].relative
+        ours = selection.row(selection.chosen).over(10.0).relative
+        theirs = selection.row("least squares").over(10.0).relative
         print(f"{selection.track.name}: {ours:.3f}, least squares {theirs:.3f}")
         assert ours <= 1.15 * theirs, selection.track.name
         chosen.append(ours)
@@ -82,9 +82,8 @@ def test_nominal_bands_of_90_percent_hold(sessions):
     """Of one group at least 85 %; at most 95 % of the pool, see `bench choice`."""
     inside = []
     for selection in sessions:
-        jitter = FrameJitter.of(selection.train, path_of(selection.best))
         rollouts = Rollouts.of(selection.held_out, 10.0)
-        result = coverage(selection.held_out, rollouts, selection.best, jitter)
+        result = coverage(selection.held_out, rollouts, selection.predictor)
         name, count = selection.track.name, result.rollouts
         print(f"{name}: {result.inside:.3f} of {count} rollouts")
         inside += [result.inside] * count
@@ -94,7 +93,9 @@ def test_nominal_bands_of_90_percent_hold(sessions):
 
 def test_the_heading_offset_is_found(sessions):
     for selection in sessions:
-        found = delay_findings(selection.track, whole(selection)).offset_without_delay
+        found = delay_findings(
+            selection.track, selection.system, whole(selection)
+        ).offset_without_delay
         degrees = math.degrees(found.value)
         print(f"{selection.track.name}: {degrees:.1f} degrees")
         assert abs(degrees - 90) <= 7, selection.track.name
@@ -103,7 +104,7 @@ def test_the_heading_offset_is_found(sessions):
 def test_the_delay_of_random_paths(sessions):
     for selection in sessions:
         if selection.track.name.startswith("datasetGP2"):
-            found = delay_findings(selection.track, whole(selection))
+            found = delay_findings(selection.track, selection.system, whole(selection))
             low, high = interval(found.free)
             print(
                 f"{selection.track.name}: {found.free.value:.3f} ({low:.3f}-{high:.3f})"
@@ -115,7 +116,7 @@ def test_the_delay_of_random_paths(sessions):
 def test_the_gaussian_process_is_slower_and_no_better(sessions):
     ours, theirs, slower = [], [], []
     for selection in sessions:
-        candidate = selection.best.candidate
+        candidate = selection.system
         fit_track(selection.train, candidate)  # compiled
         begin = time.perf_counter()
         fit_track(selection.train, candidate)
@@ -123,7 +124,7 @@ def test_the_gaussian_process_is_slower_and_no_better(sessions):
         found = gaussian_process(selection.train, rows=None)
         rollouts = Rollouts.of(selection.held_out, 10.0)
         score = errors(selection.held_out, rollouts, found.displacement()).relative
-        ours.append(selection.row(selection.chosen).errors[10.0].relative)
+        ours.append(selection.row(selection.chosen).over(10.0).relative)
         theirs.append(score)
         slower.append(found.seconds / seconds)
         print(
@@ -137,8 +138,8 @@ def test_the_gaussian_process_is_slower_and_no_better(sessions):
 def test_the_delay_of_constant_circles():
     name = "magscope_roller_circles/control_circles.csv.gz"
     track = tracks(recorded(name))[0]
-    fit = fit_track(track, with_response(MATRIX, "slipping"))
-    found = delay_findings(track, fit)
+    candidate = with_response(gain_matrix(), "slipping")
+    found = delay_findings(track, candidate, fit_track(track, candidate))
     aligned = found.zero_offset
     assert aligned is not None
     low, high = interval(aligned)
@@ -168,7 +169,7 @@ LEFT_OUT = ("1botcellbotbad", "6botcellbot7")
 
 def test_speed_against_frequency():
     gains = {}
-    candidate = with_response(MATRIX, "slipping")
+    candidate = with_response(gain_matrix(), "slipping")
     for name in ("5um_roller", "5um_dimer", "20um_roller", "cellbot"):
         recording = recorded(f"magscope_speed_vs_freq/{name}.csv.gz")
         for track in tracks(recording):
@@ -182,10 +183,10 @@ def test_speed_against_frequency():
             if track.duration < 20:
                 continue
             found = fit_track(track, candidate)
-            speed, sd = found.speed(np.array([9.0]))
+            speed, sd = speed_of(found, np.array([9.0]))
             if sd[0] < 0.5 * speed[0]:
                 gains.setdefault(groups[0], []).append((speed[0] / 9, sd[0] / 9))
-                corner = found.estimates()["corner"]
+                corner = estimates(found)["corner"]
                 print(
                     f"{groups[0]}, {track.name}: {speed[0] / 9:.2f} ± "
                     f"{1.96 * sd[0] / 9:.2f} um per cycle at 9 Hz, corner "
@@ -227,9 +228,7 @@ def test_the_drift_of_a_swimmer_is_the_flow_that_beads_show():
             [rows[:, 0]], [rows[:, 1:]], channels=("x", "y"), units={"x": "um"}
         )
         track = tracks(recording, pooled=True)[0]
-        fit = fit_track(
-            track, with_free(DRIFT_ONLY, "time-dependent drift", *SLOW_DRIFT)
-        )
+        fit = fit_track(track, with_slow_drift(drift_only()))
         learned = drift_over_time(track, fit)
         window = 1.0
         flow = []
@@ -249,7 +248,9 @@ def test_the_drift_of_a_swimmer_is_the_flow_that_beads_show():
         flow = np.mean(flow, axis=0)
         correlations.append(_correlation(learned.velocity, flow))
         slow = _correlation(learned.drift, flow)
-        constant = np.sqrt(np.mean(np.sum((fit.drift - flow) ** 2, axis=1)))
+        constant = np.sqrt(
+            np.mean(np.sum((fit.model.flow.velocity - flow) ** 2, axis=1))
+        )
         error = np.sqrt(np.mean(np.sum((learned.velocity - flow) ** 2, axis=1)))
         print(
             f"{run} swimmer {particle}: correlation {correlations[-1]:.2f} "
@@ -271,8 +272,8 @@ def test_bacteria_fit_without_commands(name):
     recording = recorded(f"ecoli_pillars_trackmate/{name}", fps=20.0, mpp=0.656)
     for track in tracks(recording, pooled=True):
         found = select_model(track)
-        print(name, found.chosen, found.best.estimates())
-        assert np.isfinite(found.best.log_evidence)
+        print(name, found.chosen, estimates(found.best))
+        assert np.isfinite(found.best.hyperparameters.log_evidence)
 
 
 def test_the_trap_is_found():

@@ -7,14 +7,13 @@ from tests.identification.test_kalman import disturbance
 from tests.identification.test_residual_field import vortex
 from validation.wandering_velocity import drift_over_time, smoothed_velocity
 
-from pinav.identification import fit_track, tracks, with_free
+from pinav.identification import drift_only, fit_track, tracks, with_slow_drift
 from pinav.identification.kalman import transitions
-from pinav.identification.models import DRIFT_ONLY, SLOW_DRIFT
 
 
 def test_the_drift_over_time_follows_the_velocity():
     passive = tracks(vortex(), pooled=True)[0]
-    fit = fit_track(passive, with_free(DRIFT_ONLY, "slow", *SLOW_DRIFT))
+    fit = fit_track(passive, with_slow_drift(drift_only()))
     found = drift_over_time(passive, fit)
     piece = passive.pieces[0]
     positions = [np.interp(found.times, piece.times, x) for x in piece.states.T]

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from pinav.identification.blocks_filter import rolling_about
-from pinav.identification.fit import TrackFit
+from pinav.fitting import EvidenceFit
+from pinav.identification.blocks_filter import disturbance_of, rolling_about
+from pinav.identification.estimates import drift_of, gain_of
 from pinav.identification.forecast import cycles
 from pinav.identification.kalman import (
     Disturbance,
@@ -18,6 +19,7 @@ from pinav.identification.kalman import (
     transitions,
     update,
 )
+from pinav.identification.parameters import fitted_coordinates
 from pinav.identification.tracks import Track, block_indices, commands_of
 from pinav.trajectories import Trajectory
 
@@ -38,7 +40,7 @@ class DriftOverTime(eqx.Module):
     sd: Float[np.ndarray, " block"]
 
 
-def drift_over_time(track: Track, fit: TrackFit) -> DriftOverTime:
+def drift_over_time(track: Track, fit: EvidenceFit) -> DriftOverTime:
     """Smooth what gain and constant drift leave of a track.
 
     Args:
@@ -49,21 +51,23 @@ def drift_over_time(track: Track, fit: TrackFit) -> DriftOverTime:
     return DriftOverTime(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def _piece(piece: Trajectory, width: float, fit: TrackFit) -> tuple[np.ndarray, ...]:
+def _piece(piece: Trajectory, width: float, fit: EvidenceFit) -> tuple[np.ndarray, ...]:
     index = block_indices(piece.times, width)
     counts = np.bincount(index)
 
     def means(values: np.ndarray) -> np.ndarray:
         return np.bincount(index, values) / counts
 
-    turned = cycles(fit, piece)
-    left = piece.states - turned @ fit.gain.T
-    left = left - np.outer(piece.times - piece.times[0], fit.drift)
+    swimmer = fit.model
+    turned = cycles(swimmer, piece)
+    left = piece.states - turned @ gain_of(swimmer).T
+    left = left - np.outer(piece.times - piece.times[0], drift_of(swimmer))
     times = means(piece.times)
     frequency = means(commands_of(piece)[0])
     positions, along = (means(a) + 1j * means(b) for a, b in (left.T, turned.T))
     with jax.enable_x64(new_val=True):
-        disturbance, rate = fit.disturbance, jnp.asarray(frequency)
+        coordinates = jnp.asarray(fitted_coordinates(fit))
+        disturbance, rate = disturbance_of(coordinates), jnp.asarray(frequency)
         step_strength = disturbance.strength(rolling_about(rate))
         strength = disturbance.strength(rate)
         steps = transitions(
@@ -75,7 +79,7 @@ def _piece(piece: Trajectory, width: float, fit: TrackFit) -> tuple[np.ndarray, 
         velocity, slow, sd = smoothed_velocity(
             jnp.asarray(positions), strength, steps, disturbance
         )
-    velocities = np.asarray(velocity) + fit.drift, np.asarray(slow) + fit.drift
+    velocities = (np.asarray(part) + drift_of(swimmer) for part in (velocity, slow))
     return times, *velocities, np.asarray(sd)
 
 

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from benchmarks.navigate.gaussian_process import gaussian_process
+from benchmarks.navigate.line_of_sight import LineOfSight
 from pinav.codec import encode
 from pinav.commands.fit.job import fit
 from pinav.commands.fit.plan import plan_fit
@@ -19,7 +20,6 @@ from pinav.errors import InputError
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
 from pinav.navigation.control.simple import (
-    LineOfSight,
     StraightLine,
     physics_only,
     steered_swimmer,

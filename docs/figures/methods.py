@@ -10,13 +10,11 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from pinav.analysis import Analysis, Discovery
-from pinav.commands.identify.metrics import IdentifyMetrics, as_float
-from pinav.commands.identify.report import DRAWN
 from pinav.evaluation import BASELINE, ErrorCurve, Evaluation, FieldMap
 from pinav.figures.analysis import growth_map
 from pinav.figures.errors import error_over_time
-from pinav.figures.heat import perfusion_law, probe_curves
-from pinav.figures.identification import horizon_errors, speed_law
+from pinav.figures.heat import perfusion_law, place_names, probe_curves
+from pinav.figures.identification import errors_by_horizon, horizon_errors, speed_law
 from pinav.figures.laws import law_agreement, law_ranking
 from pinav.figures.maps import (
     ERROR,
@@ -38,9 +36,11 @@ from pinav.figures.style import (
     style_of,
     title_panel,
 )
+from pinav.identification import Identification
 from pinav.identification.forecast import HORIZONS
 from pinav.navigation import OnlineNavigation
 from pinav.runs import RunFolder
+from pinav.thermal.learned_tissue import LearnedTissue
 from pinav.trajectories import load
 
 WIDTH = 4.6
@@ -116,21 +116,18 @@ def identification(workshop: Workshop) -> Figure:
     film = workshop.file("robot.csv", film_of_a_robot)
     words = ("identify", film.name, "--heading-offset", "0")
     folder = workshop.run("robot", *words)
-    arrays = read(folder, "track-0.npz")
+    result = RunFolder.open(folder).load("metrics", Identification)
+    law = result.tracks[0].law
+    assert law is not None
     figure = new_figure(WIDTH, 5.2)
     above, below = figure.subplots(2, 1)
-    places = arrays["law/places"]
-    curve = (places, arrays["law/fitted"], arrays["law/sd"])
-    speed_law(arrays["law/frequency"], arrays["law/speed"], curve, ax=above)
+    places = law.places
+    curve = (places, law.fitted, law.sd)
+    speed_law(law.frequency, law.speed, curve, ax=above)
     truth = GAIN * places / np.sqrt(1 + (places / CORNER) ** 2)
     above.plot(places, truth, color=TRUTH, lw=THIN, ls="--", label="truth")
     add_legend(above)
-    summary = (
-        RunFolder.open(folder).read_metrics("metrics.json", IdentifyMetrics).summary
-    )
-    names = [name for name in DRAWN if name in summary]
-    errors = {n: [as_float(v) for v in summary[n].relative.values()] for n in names}
-    horizon_errors(HORIZONS, errors, ax=below)
+    horizon_errors(HORIZONS, errors_by_horizon(result), ax=below)
     below.set_ylim(bottom=0.01)
     add_legend(below, columns=2)
     title_panel(above, "(a) response to the frequency")
@@ -251,17 +248,16 @@ def adaptive(workshop: Workshop) -> Figure:
 def thermal(workshop: Workshop) -> Figure:
     """Probes and their fit, and the perfusion of muscle that it took."""
     folder = workshop.tutorial("bioheat") / "runs" / "learn"
-    arrays = read(folder, "results.npz")
+    found = RunFolder.open(folder).load("metrics", LearnedTissue)
+    assert found.probes is not None
+    data, predicted = found.probes.data, found.probes.predicted
     figure = new_figure(WIDTH, 5.4)
     above, below = figure.subplots(2, 1)
-    times, values = arrays["data_times"], arrays["data_values"]
-    places = [f"{1e3 * point[0]:.3g} mm" for point in arrays["points"]]
-    probe_curves(times, arrays["predicted"], places, readings=(times, values), ax=above)
-    prefix = "law/tissue/"
-    law = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+    readings, places = (data.times, data.values), place_names(data.points)
+    probe_curves(data.times, predicted, places, readings=readings, ax=above)
     above.set_ylim(top=49.5)
     add_legend(above, columns=4, loc="upper left")
-    perfusion_law(law, ax=below)
+    perfusion_law(found.laws["tissue"], ax=below)
     add_legend(below)
     title_panel(above, "(a) seven probes along the radius, readings and fit")
     title_panel(below, "(b) perfusion of muscle; dotted: not reached")

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from pinav.forces import LinearDrag as LinearDrag
     from pinav.forces import RollingPropulsion as RollingPropulsion
     from pinav.forces import ZeroForce as ZeroForce
+    from pinav.identification import identify as identify
     from pinav.recordings import read_recording as read_recording
     from pinav.scenarios import find_system as find_system
     from pinav.scenarios import scenario as scenario
@@ -63,6 +64,7 @@ _PUBLIC = {
         *("KernelForce", "KernelPotential", "LinearDrag", "RollingPropulsion"),
         "ZeroForce",
     ),
+    "identification": ("identify",),
     "recordings": ("read_recording",),
     "scenarios": ("find_system", "scenario"),
     "systems": ("System", "read_system", "write_system"),

@@ -3,9 +3,10 @@ from benchmarks._sweep import measurements
 from benchmarks.fields import main
 from benchmarks.fields.cells import COLUMNS, Measurement, cell_of, measure
 from benchmarks.fields.table import Options, cells, draw, line, summary
+from tests.sweeps.here import here
 
 from pinav.errors import InputError
-from pinav.sweeps import CellStore, InThisProcess, run_sweep
+from pinav.sweeps import CellStore, map_cells
 
 
 def measurement(**changes):
@@ -59,7 +60,7 @@ def test_a_crash_is_a_result_and_a_finished_cell_is_not_run_again(
 
     monkeypatch.setitem(measure.__globals__["COLUMNS"], "free", crash)
     cell, store = cell_of("none", 0, "free", 1), CellStore.of_run(tmp_path)
-    run_sweep([cell], store, InThisProcess())
+    map_cells([cell], store, here)
     monkeypatch.setitem(measure.__globals__["COLUMNS"], "free", None)
     options = Options(out=tmp_path)
     (one,) = measurements([cell], Measurement, options, "fields")
@@ -68,6 +69,6 @@ def test_a_crash_is_a_result_and_a_finished_cell_is_not_run_again(
 
 def test_a_cell_that_failed_is_named(tmp_path, capsys):
     lost = cell_of("nowhere", 0, "free", 1)
-    run_sweep([lost], CellStore.of_run(tmp_path), InThisProcess())
+    map_cells([lost], CellStore.of_run(tmp_path), here)
     assert measurements([lost], Measurement, Options(out=tmp_path), "fields") == []
     assert "nowhere 0 free: " in capsys.readouterr().err

@@ -7,6 +7,8 @@ import pytest
 
 from benchmarks import recordings
 from pinav.errors import InputError
+from pinav.identification import Identification
+from pinav.runs import RunFolder
 
 
 def drifter(path):
@@ -61,8 +63,10 @@ def test_a_file_has_its_row_and_its_paths_lie_on_the_image(
     assert row["inspect"]["reason"] == row["fit"]["reason"] == ""
     assert row["chosen"] < 0.1
     assert "lab/a.csv" in capsys.readouterr().out
-    arrays = np.load(out / "lab-a.csv" / "fit" / "track-0.npz")
-    seen = arrays["image whole/0"]  # in pixels, y down, as in the file
+    run = RunFolder.open(out / "lab-a.csv" / "fit")
+    (track,) = run.load("metrics", Identification).tracks
+    seen = track.image_paths.whole[0]  # in pixels, y down, as in the file
     assert np.allclose(seen[-1], [40 + 0.2 * 599, 90 + 0.1 * 599], atol=1)
-    assert np.allclose(arrays["image sd/0"], arrays["sd/0"] / 0.5)
+    one, pixels = track.paths.rollouts[0], track.image_paths.rollouts[0]
+    assert np.allclose(pixels.sd, one.sd / 0.5)
     assert (out / "lab-a.csv" / "fit" / "figures" / "image-0.svg").is_file()

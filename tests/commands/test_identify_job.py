@@ -1,29 +1,22 @@
 """`pinav fit RECORDING`: from a file to a table, a verdict and a page."""
 
 import contextlib
-import json
 
 import jax
 import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.identify.metrics import (
-    CandidateRow,
-    CoverageOfBands,
-    HorizonErrors,
-    IdentifyMetrics,
-    TrackMetrics,
-    label,
-    pooled_coverage,
-    summarise_tracks,
-)
-from pinav.commands.identify.quantities import QUANTITIES
-from pinav.commands.identify.report import _estimate
+from pinav.commands.identify.sections import estimate_row, gain_text, sections
 from pinav.commands.identify.settings import IdentifySettings
 from pinav.errors import InputError
 from pinav.fitting import Estimate
+from pinav.identification import Coverage, Errors, Identification, IdentifiedTrack, Row
+from pinav.identification.identify import pooled_coverage
+from pinav.identification.quantities import QUANTITIES
 from pinav.identification.selection import RESIDUALS
+from pinav.report.text import sections_text
+from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories, is_trajectories, save
 
 
@@ -83,19 +76,20 @@ def run(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_table_has_every_candidate_and_baseline(run):
-    metrics = json.loads((run / "metrics.json").read_text())
-    (track,) = metrics["tracks"].values()
-    names = [label(row["name"]) for row in track["rows"]]
+    result = RunFolder.open(run).load("metrics", Identification)
+    (track,) = result.tracks
+    names = [row.label for row in track.rows]
     for name in ("drift only", "scalar gain", "gain matrix and drift", "+ slipping"):
         assert name in names
     for name in ("+ delay", "+ lag", "+ time-dependent drift", "+ network"):
         assert name in names
     assert "least squares" in names
-    ours = metrics["summary"]["chosen"]["relative"]["10"]
+    ours = result.summary["chosen"].over(10.0).relative
     assert ours < 0.05
-    assert ours < metrics["summary"]["drift only"]["relative"]["10"]
-    assert abs(track["estimates"]["heading offset"]["value"]) < 0.1
-    assert any("Propulsion by the command: supported" in s for s in track["findings"])
+    assert ours < result.summary["drift only"].over(10.0).relative
+    assert abs(track.estimates["heading offset"].value) < 0.1
+    assert any("Propulsion by the command: supported" in s for s in track.findings)
+    assert track.system.swimmer.propulsion.gain.shape == (2, 2)
 
 
 @pytest.mark.slow
@@ -122,7 +116,7 @@ def test_resuming_a_finished_run_changes_nothing(run, capsys):
     ]
     assert cli.run([*words, "--out", str(run)]) == 0
     assert (run / "metrics.json").read_text() == before
-    assert "Gain matrix, rows x and y" in capsys.readouterr().out
+    assert "gain (um per turn)" in capsys.readouterr().out
 
 
 def idle():
@@ -152,10 +146,10 @@ def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys
     with standard_promotion():
         assert cli.run([*words, "--out", str(out)]) == 0
     assert "The commands ask for no motion: gain" in capsys.readouterr().out
-    (track,) = json.loads((out / "metrics.json").read_text())["tracks"].values()
-    assert track["gain"] is None
-    assert track["rows"][0]["name"] == "drift only"
-    assert track["delay"] is None
+    (track,) = RunFolder.open(out).load("metrics", Identification).tracks
+    assert track.gain is None
+    assert track.rows[0].name == "drift only"
+    assert track.delay is None
 
 
 def test_a_recording_without_commands(tmp_path, capsys):
@@ -199,42 +193,37 @@ def test_settings_that_make_no_sense(settings, message):
 
 
 def test_a_track_that_was_not_fitted_is_told():
-    metrics = IdentifyMetrics(
-        units={"x": "um", "t": "s"},
-        system=None,
-        tracks={"a/1": TrackMetrics(reason="too short")},
-        summary=summarise_tracks([]),
-    )
-    assert "not fitted: too short" in metrics.text()
+    track = IdentifiedTrack("a/1", 3.0, reason="too short")
+    result = Identification({"x": "um", "t": "s"}, None, (track,), {})
+    assert "Not fitted: too short" in sections_text(sections(result))
 
 
 def test_a_summary_holds_gain_errors_and_pooled_bands():
     def track(inside, rollouts):
-        horizons = {"10": HorizonErrors(relative=0.04, median=1.0, rollouts=rollouts)}
-        row = CandidateRow(
-            name="model",
-            log_evidence=0.0,
-            seconds=0.0,
-            velocity_r2=0.9,
-            reason="",
-            horizons=horizons,
-        )
-        bands = CoverageOfBands(inside=inside, at_end=inside, rollouts=rollouts)
-        return TrackMetrics(
-            chosen="model", gain=[[1.0, -2.0], [2.0, 1.5]], rows=(row,), coverage=bands
+        errors = {"10": Errors(relative=0.04, median=1.0, rollouts=rollouts)}
+        row = Row("model", 0.0, 0.0, errors, 0.9)
+        return IdentifiedTrack(
+            "a",
+            9.0,
+            chosen="model",
+            gain=np.array([[1.0, -2.0], [2.0, 1.5]]),
+            rows=(row,),
+            coverage=Coverage(inside, inside, rollouts),
         )
 
-    several = {"a": track(0.9, 30), "b": track(0.7, 10), "c": track(None, 0)}
+    several = {"a": track(0.9, 30), "b": track(0.7, 10), "c": track(np.nan, 0)}
     assert pooled_coverage(several.values()) == pytest.approx(0.85)
-    assert pooled_coverage([several["c"]]) is None
-    assert several["a"].gain_text() == "1 -2; 2 1.5"
-    assert several["a"].error_at(10.0, "model") == 0.04
-    assert several["a"].error_at(10.0, "other") is None
+    assert np.isnan(pooled_coverage([several["c"]]))
+    assert gain_text(several["a"]) == "1 -2; 2 1.5"
+    assert several["a"].row("model").over(10.0).relative == 0.04
+    assert several["a"].row("other") is None
 
 
 def test_a_label_is_the_last_step():
-    assert label("gain matrix and drift + slipping + delay") == "+ delay"
-    assert label("drift only") == "drift only"
+    errors = {"10": Errors(0.1, 1.0, 3)}
+    long = Row("gain matrix and drift + slipping + delay", 0.0, 0.0, errors, 0.9)
+    assert long.label == "+ delay"
+    assert Row("drift only", 0.0, 0.0, errors, 0.9).label == "drift only"
 
 
 def test_quantities_are_named_in_words_and_units_of_the_recording():
@@ -242,7 +231,7 @@ def test_quantities_are_named_in_words_and_units_of_the_recording():
     assert len(set(titles)) == len(titles)
     assert {"still", "driven", "slow"}.isdisjoint(titles)
     units = {"x": "um", "t": "s"}
-    row = _estimate("driven", Estimate(2.0, 0.1), units)
+    row = estimate_row("driven", Estimate(2.0, 0.1), units)
     assert row[:3] == ("wandering under a command", "um/s", 2.0)
     assert 0 < row[3] < 2.0 < row[4]  # of a logarithm
-    assert _estimate("of a new model", Estimate(1.0, 0.1), units)[1] == "1"
+    assert estimate_row("of a new model", Estimate(1.0, 0.1), units)[1] == "1"

@@ -49,9 +49,7 @@ def test_an_interrupt_ends_in_one_line_at_any_moment(moment, data, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", [0.2, 1.0, 3.0])
-@pytest.mark.parametrize(
-    "command", ["explore", "heat", "identify", "navigate", "truth"]
-)
+@pytest.mark.parametrize("command", ["explore", "heat", "identify", "navigate"])
 def test_other_commands_end_in_one_line_too(command, moment, tmp_path, fitted_run):
     folder = Folder(tmp_path, fitted_run)
     identify = (folder.data("identified"), *folder.out)

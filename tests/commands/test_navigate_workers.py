@@ -8,6 +8,7 @@ import jax
 import msgspec
 import numpy as np
 import pytest
+from tests.sweeps.here import here
 
 from pinav import cli
 from pinav.commands import sweep
@@ -23,7 +24,6 @@ from pinav.navigation.comparison import try_model
 from pinav.navigation.problem import PHYSICS
 from pinav.runs import RunFolder
 from pinav.sweeps import CellStore
-from pinav.sweeps.engines import InThisProcess
 
 
 def navigate(*words):
@@ -34,7 +34,7 @@ def navigate(*words):
 @pytest.fixture
 def workers_here(monkeypatch):
     """Workers are this process, which has the programs compiled."""
-    monkeypatch.setattr(sweep, "LocalProcesses", lambda count: InThisProcess())
+    monkeypatch.setattr(sweep, "local_cluster", lambda count: here())
 
 
 RECORD = Flight(

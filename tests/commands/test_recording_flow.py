@@ -79,4 +79,4 @@ def test_bacteria_that_overlap_in_time_are_identified(recording, name, tmp_path)
     finally:
         jax.config.update("jax_numpy_dtype_promotion", "strict")
     metrics = json.loads((tmp_path / "I" / "metrics.json").read_text())
-    assert not any(track.get("reason") for track in metrics["tracks"].values())
+    assert not any(track["reason"] for track in metrics["value"]["tracks"])

@@ -2,6 +2,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from tests.sweeps.here import here
 
 from pinav import cli
 from pinav.commands.study import job
@@ -19,7 +20,6 @@ from pinav.figures.errors import scaling_figure
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings
-from pinav.sweeps import InThisProcess
 from pinav.trajectories import load
 
 pytestmark = pytest.mark.slow
@@ -121,7 +121,7 @@ def test_a_model_that_fails_is_a_row_that_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(job, "fit_choice", fail)
     settings = StudySettings(models=("physics-only",), counts=(1,), held_out=3)
     folder = RunFolder.create(tmp_path, {}, overwrite=False)
-    sweep = Sweep(folder, InThisProcess())
+    sweep = Sweep(folder, here)
     (row,) = job.study("data-efficiency", "swirl", settings, sweep).rows
     assert row.outcome == "failed: the fit is singular"
     assert row.force_visited is None

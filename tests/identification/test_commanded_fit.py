@@ -18,13 +18,11 @@ from pinav.forces import KernelForce, NeuralForce
 from pinav.identification import (
     fit_commanded,
     fit_track,
-    posterior_of,
+    gain_matrix,
     system_of,
     tracks,
-    with_free,
-    with_response,
+    with_learned,
 )
-from pinav.identification.models import MATRIX
 from pinav.trajectories import Trajectories
 
 pytestmark = pytest.mark.slow
@@ -67,7 +65,7 @@ def recording(seed=0, *, duration=300.0, step=0.1, strength=1.0, wandering=0.5):
 
 GRID = KernelGrid(across=5, margin=2.0)
 
-CANDIDATE = with_free(with_response(MATRIX, "linear"), "delay", "delay")
+CANDIDATE = with_learned(gain_matrix(), "delay", "propulsion.delay")
 
 
 def identified(data):
@@ -160,22 +158,22 @@ def test_the_evidence_without_a_field_is_that_of_the_candidate():
     system, track_fit = identified(data)
     alone = fit_commanded(system, data, None)
     # priors stand about the estimates here, about the track's scales there
-    assert _evidence(alone) == pytest.approx(track_fit.log_evidence, abs=8.0)
+    assert _evidence(alone) == pytest.approx(
+        track_fit.hyperparameters.log_evidence, abs=8.0
+    )
     assert alone.constants["propulsion.delay"].value == pytest.approx(
-        track_fit.parameter("delay"), abs=0.03
+        track_fit.constants["propulsion.delay"].value, abs=0.03
     )
 
 
 def test_the_posterior_of_a_track_is_over_the_numbers_of_its_swimmer():
     data = recording(3, duration=60.0)
     system, fit = identified(data)
-    posterior = posterior_of(fit)
-    np.testing.assert_allclose(posterior.model.propulsion.gain, fit.gain)
-    np.testing.assert_allclose(posterior.model.flow.velocity, fit.drift)
-    first = len(fit.candidate.learned)
+    posterior = fit.posterior
     learned = posterior.free.unravel(jnp.sqrt(jnp.diag(posterior.covariance)))
-    expected = np.sqrt(fit.covariance[first, first])
-    np.testing.assert_allclose(learned.propulsion.gain[0, 0], expected)
+    gain = fit.constants["propulsion.gain[0, 1]"]
+    assert float(posterior.model.propulsion.gain[0, 1]) == pytest.approx(gain.value)
+    assert float(learned.propulsion.gain[0, 1]) == pytest.approx(gain.sd)
     states, _ = predict(posterior.model, data.select([0]))
     assert np.isfinite(states).all()
     assert system.swimmer.propulsion.gain.shape == (2, 2)

@@ -6,30 +6,37 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.dynamics import Adaptive, rollout
+from pinav.dynamics import Adaptive, drive_by_commands, rollout
 from pinav.errors import InputError
 from pinav.identification import (
     Blocks,
     ErrorGrowth,
-    FrameJitter,
+    Predictor,
     Rollouts,
     coverage,
     delay_findings,
+    drift_only,
     errors,
+    estimates,
     fit_track,
+    gain_matrix,
     path_of,
     split,
     tracks,
-    with_free,
+    with_learned,
     with_response,
 )
 from pinav.identification.error_growth import LENGTHS
 from pinav.identification.findings import extrapolation
 from pinav.identification.fit import Search
-from pinav.identification.forecast import programme_of
 from pinav.identification.likelihood import Design, evidence_and_coefficients
-from pinav.identification.models import DRIFT_ONLY, MATRIX
-from pinav.identification.priors import Prior
+from pinav.identification.parameters import (
+    DELAY,
+    Prior,
+    fitted_coordinates,
+    learned_parameters,
+    stated_coordinates,
+)
 from pinav.identification.tracks import (
     COMPILATION,
     PER_BLOCK,
@@ -41,7 +48,7 @@ from pinav.identification.tracks import (
 )
 from pinav.trajectories import Trajectories
 
-RUNG = with_free(with_response(MATRIX, "saturating"), "delay", "delay")
+RUNG = with_learned(with_response(gain_matrix(), "saturating"), "delay", DELAY)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +63,7 @@ def fit(track):
 
 @pytest.mark.slow
 def test_constants_come_back_within_their_intervals(fit, synthetic):
-    found = fit.estimates()
+    found = estimates(fit)
     truth = {
         "gain": synthetic.gain,
         "corner": synthetic.corner,
@@ -75,11 +82,11 @@ def test_constants_come_back_within_their_intervals(fit, synthetic):
 
 def test_the_swimmer_of_a_fit_moves_as_its_path_says(track, fit):
     piece = track.pieces[0]
-    programme = programme_of(piece)
     ts = jnp.asarray(piece.times[20:50])
     start = jnp.asarray(piece.states[20])
-    run = rollout(fit.swimmer(programme), start, ts, solver=Adaptive(1e-8, 1e-8))
-    path = path_of(fit)(piece)[20:50]
+    swimmer = drive_by_commands(fit.model, piece)
+    run = rollout(swimmer, start, ts, solver=Adaptive(1e-8, 1e-8))
+    path = path_of(fit.model)(piece)[20:50]
     moved = np.asarray(run.ys)
     np.testing.assert_allclose(moved - moved[0], path - path[0], atol=5e-3)
 
@@ -88,26 +95,24 @@ def test_bands_hold_what_they_promise(track, fit, synthetic):
     found = []
     for seed in range(1, 4):
         other = tracks(synthetic.as_recording(synthetic.robot(seed)))[0]
-        jitter = FrameJitter.of(track, path_of(fit))
-        own = coverage(other, Rollouts.of(other, 10.0), fit, jitter)
+        own = coverage(other, Rollouts.of(other, 10.0), Predictor.of(track, fit))
         found.append(own.inside)
     assert 0.8 < np.mean(found) < 0.97
 
 
 def test_open_loop_errors_are_those_of_the_disturbance(track, fit):
-    found = errors(track, Rollouts.of(track, 10.0), path_of(fit))
-    assert len(found.distance) == 16
+    found = errors(track, Rollouts.of(track, 10.0), path_of(fit.model))
+    assert found.rollouts == 16
     assert found.median < 2.5  # um; 0.3 um/s over 10 s with a memory of 1 s
     assert found.relative < 0.05
 
 
 def test_growth_of_errors_agrees_with_rollouts_of_each_length(track, fit):
-    jitter = FrameJitter.of(track, path_of(fit))
-    growth = ErrorGrowth.of(track, fit, jitter, path_of(fit))
+    growth = ErrorGrowth.of(track, Predictor.of(track, fit), path_of(fit.model))
     np.testing.assert_allclose(growth.lengths, LENGTHS)
     for length in (1.0, 10.0, 30.0):
         place = list(LENGTHS).index(length)
-        alone = errors(track, Rollouts.of(track, length), path_of(fit))
+        alone = errors(track, Rollouts.of(track, length), path_of(fit.model))
         assert growth.rollouts[place] == alone.rollouts
         np.testing.assert_allclose(growth.errors[1, place], alone.median)
     np.testing.assert_allclose(growth.reference, growth.errors[1])
@@ -116,10 +121,15 @@ def test_growth_of_errors_agrees_with_rollouts_of_each_length(track, fit):
     assert np.mean(growth.promised > 0.7 * growth.errors[2]) > 0.8
 
 
+def search_of(track, system):
+    """The search for the numbers that a system leaves open."""
+    design, learned = Design.of(system, Blocks.of(track)), learned_parameters(system)
+    return Search(design, learned, Prior.of(track), stated_coordinates(system))
+
+
 def stub_search(track, monkeypatch, slope):
     """A search of two response parameters with this gradient beside the prior's."""
-    candidate = with_response(MATRIX, "slipping")
-    search = Search(Design.of(candidate, Blocks.of(track)), candidate, Prior.of(track))
+    search = search_of(track, with_response(gain_matrix(), "slipping"))
     mean, sd = search.prior.mean[search.places], search.prior.sd[search.places]
 
     def value_and_gradient(self, learned):
@@ -154,13 +164,11 @@ def test_a_kink_at_one_frequency_makes_no_narrow_interval(track, monkeypatch):
 
 def test_intervals_of_the_response_are_those_of_the_posterior(track):
     """Minus its logarithm rises by a half over one deviation, within a factor of 2."""
-    candidate = with_response(MATRIX, "slipping")
-    learned = fit_track(track, candidate)
+    candidate = with_response(gain_matrix(), "slipping")
+    fit = fit_track(track, candidate)
     with jax.enable_x64(new_val=True):
-        search = Search(
-            Design.of(candidate, Blocks.of(track)), candidate, Prior.of(track)
-        )
-        best = learned.theta[search.places]
+        search = search_of(track, candidate)
+        best = fitted_coordinates(fit)[search.places]
         covariance, _ = search.laplace(best)
         least = search(best)[0]
         for index in range(2):
@@ -168,12 +176,12 @@ def test_intervals_of_the_response_are_those_of_the_posterior(track):
             along = covariance[:, index] / np.sqrt(covariance[index, index])
             for sign in (-1, 1):
                 rise = search(best + sign * along)[0] - least
-                assert 0.2 < rise < 1.0, (candidate.learned[index], sign)
+                assert 0.2 < rise < 1.0, (search.learned[index], sign)
 
 
 @pytest.mark.slow
 def test_evidence_does_not_depend_on_the_place_or_on_padding(track, fit):
-    theta = jnp.asarray(fit.theta)
+    theta = jnp.asarray(fitted_coordinates(fit))
     design = Design.of(RUNG, Blocks.of(track))
     moved = moved_by(design, 1e3)
     value, moved_value = (
@@ -202,7 +210,7 @@ def test_constant_turning_confounds_delay_and_offset(synthetic):
             (times, states, {"frequency": frequency, "heading": heading})
         )
     )[0]
-    found = delay_findings(track, fit_track(track, MATRIX))
+    found = delay_findings(track, gain_matrix(), fit_track(track, gain_matrix()))
     assert found.confounded
     assert found.turning_rate == pytest.approx(0.4, rel=1e-6)
     aligned = found.zero_offset
@@ -214,7 +222,7 @@ def test_constant_turning_confounds_delay_and_offset(synthetic):
 
 
 def test_random_headings_do_not_confound(track, fit, synthetic):
-    found = delay_findings(track, fit)
+    found = delay_findings(track, RUNG, fit)
     assert not found.confounded
     assert abs(found.free.value - synthetic.delay) < 3.5 * found.free.sd
 
@@ -324,11 +332,12 @@ def test_a_heading_that_never_changes_leaves_the_other_gain_at_zero(synthetic):
     states = states + 0.05 * random.normal(size=states.shape)
     commands = {"frequency": frequency, "heading": constant}
     track = tracks(synthetic.as_recording((times, states, commands)))[0]
-    fit = fit_track(track, MATRIX)
-    np.testing.assert_allclose(fit.gain[:, 1], [0.0, 3.0], atol=0.05)
-    np.testing.assert_allclose(fit.gain[:, 0], 0.0, atol=0.01)
-    assert np.linalg.eigvalsh(fit.covariance).min() >= 0
-    assert fit.estimates()["heading offset"].sd > 1.0
+    fit = fit_track(track, gain_matrix())
+    gain = fit.model.propulsion.gain
+    np.testing.assert_allclose(gain[:, 1], [0.0, 3.0], atol=0.05)
+    np.testing.assert_allclose(gain[:, 0], 0.0, atol=0.01)
+    assert np.linalg.eigvalsh(fit.posterior.covariance).min() >= 0
+    assert estimates(fit)["heading offset"].sd > 1.0
 
 
 def test_particles_that_overlap_in_time_are_pooled_one_after_the_other():
@@ -345,7 +354,8 @@ def test_particles_that_overlap_in_time_are_pooled_one_after_the_other():
             lambda t: [piece.times for piece in t.pieces], track, clocks
         )
         assert np.all(np.diff(Blocks.of(overlapping).times) > 0)
-        fits.append(fit_track(overlapping, DRIFT_ONLY))
-    first, apart = fits
-    assert first.log_evidence == pytest.approx(apart.log_evidence, abs=0.01)
-    np.testing.assert_allclose(first.drift, apart.drift, rtol=1e-3)
+        fits.append(fit_track(overlapping, drift_only()))
+    evidence = [fit.hyperparameters.log_evidence for fit in fits]
+    assert evidence[0] == pytest.approx(evidence[1], abs=0.01)
+    first, apart = (fit.model.flow.velocity for fit in fits)
+    np.testing.assert_allclose(first, apart, rtol=1e-3)

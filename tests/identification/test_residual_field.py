@@ -8,6 +8,7 @@ from pinav.fitting import Estimate, KernelGrid, kernel_environment
 from pinav.forces import KernelForce
 from pinav.identification import (
     Rollouts,
+    drift_only,
     errors,
     fit_residual,
     fit_track,
@@ -15,7 +16,6 @@ from pinav.identification import (
     tracks,
 )
 from pinav.identification.findings import interval, positive_interval
-from pinav.identification.models import DRIFT_ONLY
 from pinav.identification.residual_field import positions_of, residual_errors
 from pinav.trajectories import Trajectories
 
@@ -45,17 +45,18 @@ def passive():
 
 @pytest.fixture(scope="module")
 def drifting(passive):
-    return fit_track(passive, DRIFT_ONLY)
+    return fit_track(passive, drift_only())
 
 
 @pytest.mark.slow
 def test_a_kernel_residual_finds_a_field_that_is_there(passive, drifting):
     grid = KernelGrid(across=5, margin=2.0)
     environment = kernel_environment(KernelForce, positions_of(passive), grid, dim=2)
-    found = fit_residual(passive, drifting, environment)
-    assert found.log_evidence > drifting.log_evidence + 5
+    found = fit_residual(passive, drift_only(), drifting, environment)
+    assert found.log_evidence > drifting.hyperparameters.log_evidence + 5
     place = jnp.array([6.0, 0.0])
-    velocity = found.environment(0.0, place, jnp.zeros(2)) + found.corrected.drift
+    swimmer = found.swimmer
+    velocity = swimmer.environment(0.0, place, jnp.zeros(2)) + swimmer.flow.velocity
     np.testing.assert_allclose(velocity, [-0.15, 1.5], atol=0.5)
     rollouts = Rollouts.of(passive, 5.0)
     plain = errors(passive, rollouts, lambda piece: 0 * piece.states)

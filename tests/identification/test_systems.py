@@ -9,7 +9,7 @@ import pytest
 
 from pinav.errors import InputError
 from pinav.identification import needs_kalman_filter, record_commands
-from pinav.identification.systems import candidate_of
+from pinav.identification.commanded_fit import fit_commanded
 from pinav.scenarios import scenario
 from pinav.systems import read_system
 from pinav.trajectories import simulate
@@ -58,9 +58,9 @@ def test_a_known_programme_alone_needs_no_filter(roller):
     assert needs_kalman_filter(dataclasses.replace(helical, swimmer=swimmer))
 
 
-def test_a_wandering_velocity_is_fitted_beside_commands_or_nothing(roller):
+def test_a_wandering_velocity_is_fitted_beside_commands_or_nothing(roller, driven):
     propulsion = scenario("paper").swimmer.propulsion
     swimmer = dataclasses.replace(roller.swimmer, propulsion=propulsion)
     system = dataclasses.replace(roller, swimmer=swimmer, learn=())
     with pytest.raises(InputError, match="or no propulsion beside a wandering"):
-        candidate_of(system)
+        fit_commanded(system, driven, None)

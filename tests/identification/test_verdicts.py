@@ -4,18 +4,19 @@ import numpy as np
 import pytest
 
 from pinav.fitting import Estimate
+from pinav.identification.candidates import (
+    drift_only,
+    gain_matrix,
+    like,
+    response_name,
+    scalar_gain,
+    with_learned,
+    with_response,
+    with_slow_drift,
+)
 from pinav.identification.findings import _offset, _range, choice, shortcomings
 from pinav.identification.forecast import Errors
-from pinav.identification.models import (
-    COMMAND_RESPONSE,
-    DRIFT_ONLY,
-    MATRIX,
-    SCALAR,
-    SLOW_DRIFT,
-    like,
-    with_free,
-    with_response,
-)
+from pinav.identification.parameters import CORNER, DELAY, DRIFT, GAIN, RESIDUAL
 from pinav.identification.selection import Row
 
 
@@ -23,8 +24,8 @@ def rows(ours, theirs, *, rollouts=4, r2=0.9):
     """The chosen line and that of least squares."""
 
     def row(name, error):
-        errors = Errors(np.full(rollouts, error), np.ones(rollouts))
-        return Row(name, 0.0, 0.0, {10.0: errors}, r2)
+        errors = Errors.of(np.full(rollouts, error), np.ones(rollouts))
+        return Row(name, 0.0, 0.0, {"10": errors}, r2)
 
     return row("chosen", ours), row("least squares", theirs)
 
@@ -71,14 +72,18 @@ def test_an_offset_that_is_not_known_is_not_stated():
 
 
 def test_a_verdict_compares_with_the_same_model():
-    chosen = with_free(with_response(MATRIX, "slipping"), "delay", "delay")
-    slow = with_free(chosen, "time-dependent drift", *SLOW_DRIFT)
-    scalar = like(SCALAR, chosen)
+    chosen = with_response(gain_matrix(), "slipping")
+    chosen = with_learned(chosen, "delay", DELAY)
+    slow = with_slow_drift(chosen)
+    scalar = like(scalar_gain(), chosen)
     assert scalar.name == "scalar gain, else as chosen"
-    assert scalar.free == chosen.free
-    assert scalar.response == "slipping"
-    idle = like(DRIFT_ONLY, slow, without=COMMAND_RESPONSE)
+    assert [n.path for n in scalar.learn] == [GAIN, CORNER, RESIDUAL, DELAY]
+    assert scalar.swimmer.propulsion.gain.ndim == 0
+    assert response_name(scalar.swimmer) == "slipping"
+    idle = like(drift_only(), slow)
     assert idle.name == "drift only, else as chosen"
-    assert idle.free == SLOW_DRIFT
-    assert idle.response == "linear"
-    assert like(DRIFT_ONLY, chosen, without=COMMAND_RESPONSE) is DRIFT_ONLY
+    assert [number.path for number in idle.learn] == [DRIFT]
+    assert idle.wandering == slow.wandering
+    assert response_name(idle.swimmer) == "linear"
+    alone = drift_only()
+    assert like(alone, chosen) is alone

@@ -7,24 +7,23 @@ import numpy as np
 import pytest
 
 from pinav.identification import (
-    FrameJitter,
+    Predictor,
     Rollouts,
     coverage,
+    estimates,
     fit_track,
+    gain_matrix,
     path_of,
     select_model,
     tracks,
-    with_free,
     with_response,
 )
 from pinav.identification.findings import _wandering
-from pinav.identification.forecast import Forecast
-from pinav.identification.models import MATRIX, WANDERING_GAIN
+from pinav.identification.parameters import WANDERING_GAIN
 from pinav.identification.selection import split
 from pinav.trajectories import Trajectories
 
 GAIN, WANDER, MEMORY = 5.0, 0.5, 5.0
-CANDIDATE = with_free(MATRIX, "wandering gain", *WANDERING_GAIN)
 
 
 def wander(random, times, memory):
@@ -63,54 +62,65 @@ def as_track(times, path, commands):
     return tracks(recording)[0]
 
 
+def evidence(fit):
+    """Log evidence of a fit."""
+    return fit.hyperparameters.log_evidence
+
+
+def both_fits(track):
+    """The fit with a constant gain, and the one with a gain that wanders."""
+    constant = fit_track(track, gain_matrix())
+    return constant, fit_track(
+        track, gain_matrix(), start=constant, wandering_gain=True
+    )
+
+
 @pytest.fixture(scope="module")
 def fits():
     """Training and test part, fit with a constant gain, and with one that wanders."""
     results = []
     for wandering in (WANDER, 0.0):
         parts = split(robot(wandering), 0.7)
-        constant = fit_track(parts[0], MATRIX)
-        results.append(
-            (*parts, constant, fit_track(parts[0], CANDIDATE, start=constant))
-        )
+        results.append((*parts, *both_fits(parts[0])))
     return results
 
 
 @pytest.mark.slow
 def test_a_gain_that_wanders_is_found(fits):
     _, _, constant, fit = fits[0]
-    assert fit.log_evidence > constant.log_evidence + 20
-    found = fit.estimates()
+    assert evidence(fit) > evidence(constant) + 20
+    found = estimates(fit)
     assert 0.5 * WANDER < found["gain wander"].value < 2 * WANDER
     assert abs(found["gain"].value - GAIN) < 3 * found["gain"].sd
     # What the wandering gain does is no wandering of the velocity.
-    assert fit.parameter("log_driven") < constant.parameter("log_driven") - 0.5
+    driven = (one.constants["wandering.driven"].value for one in (fit, constant))
+    assert next(driven) < np.exp(-0.5) * next(driven)
 
 
 def test_a_constant_gain_stays_constant(fits):
     _, _, constant, fit = fits[1]
-    assert fit.log_evidence < constant.log_evidence + 1
-    assert fit.estimates()["gain wander"].value < 0.1 * GAIN
+    assert evidence(fit) < evidence(constant) + 1
+    assert estimates(fit)["gain wander"].value < 0.1 * GAIN
 
 
 def test_bands_of_a_wandering_gain_grow_with_the_speed(fits):
     train, held_out, constant, fit = fits[0]
-    jitter = FrameJitter.of(train, path_of(constant))
-    both = dataclasses.replace(constant, wandering=fit)
+    alone, both = Predictor.of(train, constant), Predictor.of(train, constant, fit)
     piece = held_out.pieces[0]
-    forecast = Forecast.of(piece, both, jitter)
-    np.testing.assert_array_equal(forecast.path, path_of(constant)(piece))
+    path = path_of(constant.model)(piece)
+    np.testing.assert_array_equal(both.forecast(piece).path, path)
     variances = []
-    for of in (constant, both):
+    for predictor in (alone, both):
         for factor in (1, 2):
             faster = {
                 **piece.commands,
                 "frequency": factor * piece.commands["frequency"],
             }
             driven = dataclasses.replace(piece, commands=faster)
-            forecast = Forecast.of(driven, of, jitter)
-            alone = eqx.tree_at(lambda f: f.beyond, forecast, 0 * forecast.beyond)
-            variances.append(alone.variance(0, 100).mean() - 2 * jitter.deviation**2)
+            forecast = predictor.forecast(driven)
+            inner = eqx.tree_at(lambda f: f.beyond, forecast, 0 * forecast.beyond)
+            jitter = 2 * predictor.jitter.deviation**2
+            variances.append(inner.variance(0, 100).mean() - jitter)
     # Twice the speed: four times the variance of a gain, less of a driven velocity.
     assert variances[1] / variances[0] < 3 < variances[3] / variances[2]
 
@@ -120,24 +130,22 @@ def test_bands_of_a_wandering_gain_hold():
     inside = {"constant": [], "wandering": []}
     for seed in range(1, 5):
         train, held_out = split(robot(WANDER, seed), 0.7)
-        constant = fit_track(train, MATRIX)
-        fit = fit_track(train, CANDIDATE, start=constant)
-        jitter = FrameJitter.of(train, path_of(constant))
-        both = dataclasses.replace(constant, wandering=fit)
-        for name, one in (("constant", constant), ("wandering", both)):
+        constant, fit = both_fits(train)
+        for name, wandering in (("constant", None), ("wandering", fit)):
+            predictor = Predictor.of(train, constant, wandering)
             rollouts = Rollouts.of(held_out, 10.0)
-            inside[name].append(coverage(held_out, rollouts, one, jitter).inside)
+            inside[name].append(coverage(held_out, rollouts, predictor).inside)
     assert 0.8 < np.mean(inside["wandering"]) < 0.98
 
 
 @pytest.mark.slow
 def test_the_selection_allows_for_a_wandering_gain_in_the_bands_alone():
     selection = select_model(robot(WANDER))
-    best = selection.best
-    assert best.wandering is not None
-    assert not {*WANDERING_GAIN} & {*best.candidate.learned}
+    assert selection.wandering is not None
+    paths = {parameter.path for parameter in WANDERING_GAIN}
+    assert not paths & {*selection.best.constants}
     row = selection.row(f"{selection.chosen} + wandering gain")
-    assert row.log_evidence == best.wandering.log_evidence
+    assert row.log_evidence == evidence(selection.wandering)
     sentence = _wandering(selection)
     assert "of the gain with a memory of" in sentence
     assert sentence.endswith("the bands allow for it.")
@@ -150,17 +158,17 @@ def test_bands_hold_where_the_test_part_is_faster_and_slips():
     for seed in range(3):
         times, seen, commands = slipping_robot(seed)
         train, held_out = split(as_track(times, seen, commands), 0.6)
-        fit = fit_track(train, with_response(MATRIX, "slipping"))
-        jitter = FrameJitter.of(train, path_of(fit))
-        assert fit.fastest <= 4
+        fit = fit_track(train, with_response(gain_matrix(), "slipping"))
+        predictor = Predictor.of(train, fit)
+        assert predictor.fastest <= 4
         rollouts = Rollouts.of(held_out, 10.0)
-        inside.append(coverage(held_out, rollouts, fit, jitter).inside)
-        forecast = Forecast.of(held_out.pieces[0], fit, jitter)
+        inside.append(coverage(held_out, rollouts, predictor).inside)
+        forecast = predictor.forecast(held_out.pieces[0])
         beyond = np.abs(forecast.beyond[-1]).max()
         assert beyond > 0
         slower = dict(commands, frequency=np.minimum(commands["frequency"], 3.9))
         same = split(as_track(times, seen, slower), 0.6)[1]
-        assert not Forecast.of(same.pieces[0], fit, jitter).beyond.any()
+        assert not predictor.forecast(same.pieces[0]).beyond.any()
     assert np.mean(inside) > 0.75
 
 

@@ -1,25 +1,34 @@
-"""Sweeps on Dask: a scheduler and workers as processes of this machine."""
+"""Sweeps on Dask: on a local cluster, and by a scheduler that runs.
 
-import importlib
+Workers that are killed, crash and hang lose nothing and change no byte.
+"""
+
+import contextlib
+import functools
+import json
 import os
+import random
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
+import psutil
 import pytest
+from tests.sweeps.here import Client
 from tests.sweeps.test_sweep import cells_of, sweep
 
 from pinav.errors import InputError
-from pinav.sweeps import CellStore, DaskCluster, TlsFiles
+from pinav.sweeps import CellStore, Cluster, TlsFiles, cluster_at, local_cluster
 from pinav.sweeps import cluster as cluster_module
 
-extras = pytest.mark.extras("distributed")
+pytestmark = pytest.mark.filterwarnings("ignore")  # of Dask
 slow = pytest.mark.slow
 
 
-class Cluster:
+class Scheduler:
     """A scheduler with workers, one thread each, which nannies replace."""
 
     def __init__(self, folder, *options):
@@ -41,7 +50,7 @@ class Cluster:
         self.address = self.read_address(file)
 
     def read_address(self, file):
-        return importlib.import_module("json").loads(file.read_text())["address"]
+        return json.loads(file.read_text())["address"]
 
     def start(self, *words):
         command = [sys.executable, "-m", "dask", *words, *self.options]
@@ -71,45 +80,52 @@ class Cluster:
 
 @pytest.fixture(scope="module")
 def dask(tmp_path_factory):
-    cluster = Cluster(tmp_path_factory.mktemp("dask"))
+    cluster = Scheduler(tmp_path_factory.mktemp("dask"))
     yield cluster
     cluster.stop()
 
 
-@extras
 @slow
-@pytest.mark.filterwarnings("ignore")
 def test_a_cluster_leaves_the_table_of_this_process(dask, tmp_path):
     cells = cells_of("square", 6)
-    outcomes, table = sweep(tmp_path / "dask", cells, DaskCluster(dask.address))
+    workers = functools.partial(cluster_at, dask.address)
+    outcomes, table = sweep(tmp_path / "dask", cells, workers)
     assert {outcome.failure for outcome in outcomes} == {""}
     assert table == sweep(tmp_path / "here", cells)[1]
 
 
-@extras
 @slow
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(("task", "timeout"), [("leave", None), ("hang", 0.5)])
-def test_a_cell_that_takes_workers_along_is_a_failed_row(task, timeout, dask, tmp_path):
-    cells = [*cells_of(task, 1), *cells_of("square", 3)]
-    engine = DaskCluster(dask.address)
-    outcomes, table = sweep(tmp_path, cells, engine, timeout=timeout)
-    assert outcomes[0].failure.startswith(("its worker died", "took longer than 0.5"))
-    assert table[1:] == ["7.0", "8.0", "11.0"]
+@pytest.mark.parametrize("where", ["local", "cluster"])
+def test_cells_that_take_workers_along_are_failed_rows(where, dask, tmp_path, capfd):
+    tasks = ("crash", "hang", "shout", "fail")
+    cells = [cell for task in tasks for cell in cells_of(task, 1)]
+    cells += cells_of("square", 3)
+    workers = functools.partial(
+        *((local_cluster, 2) if where == "local" else (cluster_at, dask.address))
+    )
+    outcomes, table = sweep(tmp_path, cells, workers, timeout=1.0)
+    assert [outcome.failure for outcome in outcomes[:4]] == [
+        "its worker died 3 times",
+        "took longer than 1 s",
+        "",
+        "the fit is singular",
+    ]
+    assert table[4:] == ["7.0", "8.0", "11.0"]
+    assert not (CellStore.of_run(tmp_path).folder(cells[1]) / "half.txt").exists()
+    assert "this is no answer" not in capfd.readouterr().out
+    assert not [*CellStore.of_run(tmp_path).path.glob(".*")]
 
 
-@extras
 @slow
-@pytest.mark.filterwarnings("ignore")
 def test_when_the_scheduler_dies_what_is_done_stays(tmp_path):
-    cluster = Cluster(tmp_path)
+    cluster = Scheduler(tmp_path)
     cells = cells_of("square", 40, seconds=0.2)
     try:
         with pytest.raises(InputError, match=r"is gone; .* continue with --resume"):
             sweep(
                 tmp_path / "run",
                 cells,
-                DaskCluster(cluster.address),
+                functools.partial(cluster_at, cluster.address),
                 on_done=lambda cell, _: (
                     cell.label == "number 3" and cluster.scheduler.kill()
                 ),
@@ -122,41 +138,120 @@ def test_when_the_scheduler_dies_what_is_done_stays(tmp_path):
     assert table == [repr(float(value) ** 2 + 7) for value in range(6)]
 
 
-@extras
-@pytest.mark.filterwarnings("ignore")
+CLIENT = """
+import sys
+from functools import partial
+from pathlib import Path
+from pinav.sweeps import local_cluster
+from tests.sweeps.test_sweep import cells_of, sweep
+if __name__ == "__main__":
+    cells = cells_of("square", 12, seconds=0.3)
+    try:
+        sweep(Path(sys.argv[1]), cells, partial(local_cluster, 2))
+    except KeyboardInterrupt:
+        sys.exit(130)
+"""
+
+
+@slow
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_a_client_that_was_ended_leaves_no_worker_and_goes_on(how, tmp_path):
+    (tmp_path / "client.py").write_text(CLIENT)
+    root, store = Path(__file__).parents[2], CellStore.of_run(tmp_path / "run")
+    command = [sys.executable, str(tmp_path / "client.py"), str(tmp_path / "run")]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(root), *sys.path])}
+    with subprocess.Popen(
+        command, env=environment, start_new_session=True, stderr=subprocess.PIPE
+    ) as client:
+        while len([*store.path.glob("number-*")]) < 3:
+            time.sleep(0.05)
+        workers = psutil.Process(client.pid).children(recursive=True)
+        os.killpg(client.pid, how) if how == signal.SIGINT else client.kill()
+        _, errors = client.communicate(timeout=60)
+    assert workers
+    assert b"Traceback" not in errors, errors.decode()
+    psutil.wait_procs(workers, timeout=20)
+    assert not [one for one in workers if one.is_running()]
+    cells, seen = cells_of("square", 12, seconds=0.3), []
+    done = [cell for cell in cells if store.outcome(cell) is not None]
+    _, table = sweep(tmp_path / "run", cells, on_done=lambda cell, _: seen.append(cell))
+    assert not set(seen) & set(done)
+    assert table == [repr(float(value) ** 2 + 7) for value in range(12)]
+
+
+@slow
+def test_many_kills_change_no_byte_of_the_table(tmp_path):
+    """Of workers of this machine, at random moments, also while they write."""
+    cells = cells_of("square", 300, seconds=0.05)
+    kills, over = [], threading.Event()
+
+    def kill():
+        dice = random.Random(1)
+        while len(kills) < 30 and not over.is_set():
+            time.sleep(dice.uniform(0.0, 1.0))
+            if pids := workers_of(CellStore.of_run(tmp_path)):
+                kills.append(dice.choice(pids))
+                with contextlib.suppress(ProcessLookupError):  # it has just ended
+                    os.kill(kills[-1], signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    outcomes, table = sweep(tmp_path, cells, functools.partial(local_cluster, 2))
+    over.set()
+    killer.join()
+    assert {outcome.failure for outcome in outcomes} == {""}
+    assert table == [repr(float(value) ** 2 + 7) for value in range(300)]
+    assert len(kills) >= 10
+    assert not [*CellStore.of_run(tmp_path).path.glob(".*")]
+
+
+def workers_of(store):
+    """Processes that are at work on a cell, or were."""
+    attempts = (store.start_of(path) for path in store.path.glob(".*.tmp"))
+    return [start.pid for start in attempts if start is not None]
+
+
 def test_nobody_at_the_address_is_one_line(monkeypatch):
     monkeypatch.setattr(cluster_module, "CONNECTION_TIME", 0.5)
-    with pytest.raises(InputError, match=r"--scheduler tcp://127.0.0.1:9: "):
-        DaskCluster("tcp://127.0.0.1:9")
+    refusal = pytest.raises(InputError, match=r"--scheduler tcp://127.0.0.1:9: ")
+    with refusal, cluster_at("tcp://127.0.0.1:9"):
+        pass
 
 
-@extras
 def test_damaged_certificates_are_one_line(tmp_path):
     file = tmp_path / "ca.pem"
     file.write_text("nothing")
-    with pytest.raises(InputError, match=r"--scheduler tls://127.0.0.1:9: "):
-        DaskCluster("tls://127.0.0.1:9", TlsFiles(file, file, file))
+    refusal = pytest.raises(InputError, match=r"--scheduler tls://127.0.0.1:9: ")
+    with refusal, cluster_at("tls://127.0.0.1:9", TlsFiles(file, file, file)):
+        pass
 
 
-def test_without_dask_the_extra_is_named(monkeypatch):
-    monkeypatch.setattr(cluster_module.importlib.util, "find_spec", lambda _: None)
-    with pytest.raises(InputError, match=r"pip install 'pinav\[cluster\]'"):
-        DaskCluster("tcp://127.0.0.1:9")
+def test_a_cluster_that_is_gone_is_one_line():
+    client = Client()
+    client.status = "closed"
+    with pytest.raises(InputError, match="scheduler of a is gone; what is done is"):
+        Cluster(client, "a").workers()
 
 
-@pytest.mark.parametrize(
-    ("error", "message"),
-    [
-        (ConnectionError("closed"), "the scheduler at a is gone; what is done is kept"),
-        (ImportError("no pinav"), "a worker of a cannot load pinav .no pinav."),
-    ],
-)
-def test_errors_of_a_cluster_are_one_line(error, message):
-    engine = DaskCluster.__new__(DaskCluster)
-    engine.address = "a"
-    with pytest.raises(InputError, match=message):
-        engine.check_death(error)
-    killed = type("KilledWorker", (Exception,), {})
-    assert engine.check_death(killed()).pid is None
+class KilledWorker(Exception):
+    """As Dask calls a worker that died several times."""
+
+
+def test_what_became_of_a_cell_elsewhere():
+    cluster, future = Cluster(Client(), "a"), Failed("error", KilledWorker())
+    assert cluster.answer(future) is None
+    assert cluster.answer(Failed("lost", None)) is None
+    with pytest.raises(InputError, match="a worker of a cannot load pinav .no pinav."):
+        cluster.answer(Failed("error", ImportError("no pinav")))
     with pytest.raises(KeyError):
-        engine.check_death(KeyError())
+        cluster.answer(Failed("error", KeyError()))
+
+
+class Failed:
+    """A future without an answer."""
+
+    def __init__(self, status, error):
+        self.status, self.error = status, error
+
+    def exception(self):
+        return self.error

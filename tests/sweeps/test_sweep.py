@@ -3,18 +3,11 @@
 import contextlib
 import json
 import os
-import random
-import signal
-import subprocess
-import sys
-import threading
-import time
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 import msgspec
 import pytest
+from tests.sweeps.here import Client, here
 from tests.sweeps.tasks import Number
 
 import pinav.sweeps.attempt
@@ -24,12 +17,9 @@ from pinav.sweeps import (
     Cell,
     CellState,
     CellStore,
-    InThisProcess,
-    LocalProcesses,
-    OfExecutor,
-    WorkerDeath,
+    Cluster,
     claim,
-    run_sweep,
+    map_cells,
     sweep_status,
 )
 
@@ -47,15 +37,11 @@ def cells_of(task, count, **settings):
     ]
 
 
-def sweep(run, cells, engine=None, **options):
+def sweep(run, cells, workers=here, **options):
     """The outcomes, and the table that a command would make of them."""
-    engine = engine or InThisProcess()
     store = CellStore.of_run(run)
-    try:
-        with claim(run):
-            outcomes = run_sweep(cells, store, engine, **options)
-    finally:
-        engine.close()
+    with claim(run):
+        outcomes = map_cells(cells, store, workers, **options)
     files = [store.folder(cell) / "square.txt" for cell in cells]
     table = [file.read_text() if file.exists() else "" for file in files]
     return outcomes, table
@@ -71,25 +57,6 @@ def test_a_cell_is_text_and_its_name_is_its_content():
     assert renamed.hash == cell.hash
     assert renamed.name == f"cell-{cell.hash[:12]}"
     assert msgspec.structs.replace(cell, seed=8).hash != cell.hash
-
-
-def test_every_engine_leaves_the_same_files(tmp_path):
-    cells = cells_of("square", 5)
-    with ThreadPoolExecutor(2) as threads:
-        engines = {
-            "here": InThisProcess(),
-            "processes": LocalProcesses(2),
-            "threads": OfExecutor(threads, 2),
-        }
-        tables = {}
-        for name, engine in engines.items():
-            outcomes, tables[name] = sweep(tmp_path / name, cells, engine)
-            assert [outcome.failure for outcome in outcomes] == [""] * 5
-            store = CellStore.of_run(tmp_path / name)
-            left = sorted(path.name for path in store.path.iterdir())
-            assert left == sorted([*(cell.name for cell in cells), "sweep.json"])
-    assert tables["here"] == tables["processes"] == tables["threads"]
-    assert tables["here"][2] == "11.0"
 
 
 def test_what_is_done_is_not_done_again(tmp_path):
@@ -111,26 +78,62 @@ def test_a_cell_that_fails_says_why_and_is_not_tried_again(task, reason, tmp_pat
     outcomes, table = sweep(tmp_path, cells)
     assert [outcome.failure for outcome in outcomes] == [reason, ""]
     assert table == ["", "7.0"]
-    assert sweep(tmp_path, cells, LocalProcesses(1))[0] == outcomes
+    assert sweep(tmp_path, cells)[0] == outcomes
 
 
-@pytest.mark.parametrize("task", ["crash", "leave"])
-def test_a_cell_that_ends_its_worker_three_times_has_failed(task, tmp_path):
-    cells = [*cells_of(task, 1), *cells_of("square", 3)]
-    outcomes, table = sweep(tmp_path, cells, LocalProcesses(2))
-    assert outcomes[0].failure == "its worker died 3 times"
-    assert table == ["", "7.0", "8.0", "11.0"]
-    assert outcomes[0].again  # by --resume, with a better machine
+@pytest.mark.parametrize(
+    ("count", "words", "failure"),
+    [
+        (3, "Fatal Python error: Segmentation fault", "its worker died 3 times"),
+        (2, "Fatal Python error: Segmentation fault", ""),
+        (20, "", "its worker was killed 20 times"),
+        (19, "", ""),
+        (1, "Timeout (0:00:01)!", "took longer than its time"),
+    ],
+)
+def test_what_died_attempts_left_decides_whether_a_cell_is_tried(
+    count, words, failure, tmp_path
+):
+    (cell,) = cells_of("square", 1)
+    store = CellStore.of_run(tmp_path)
+
+    class Dying(Client):
+        def submit(self, function, version, order, **_):
+            for _ in range(count):
+                (store.begin(cell) / "trace.txt").write_text(words)
+            return super().submit(function, version, order)
+
+    def workers():
+        return contextlib.nullcontext(Cluster(Dying(), "mortal ones"))
+
+    (outcome,), table = sweep(tmp_path, [cell], workers)
+    assert outcome.failure == failure
+    assert table == (["7.0"] if not failure else [""])
+    assert outcome.again == bool(failure)  # by --resume, with a better machine
+    assert not store.attempts(cell.name)
 
 
-def test_a_cell_that_hangs_is_ended_and_the_next_client_tries_again(tmp_path):
-    cells = [*cells_of("hang", 1), *cells_of("square", 2)]
-    outcomes, table = sweep(tmp_path, cells, LocalProcesses(2), timeout=0.5)
-    assert outcomes[0].failure == "took longer than 0.5 s"
-    assert table[1:] == ["7.0", "8.0"]
-    assert not (CellStore.of_run(tmp_path).folder(cells[0]) / "half.txt").exists()
-    again, _ = sweep(tmp_path, cells, LocalProcesses(1), timeout=0.2)
-    assert again[0].failure == "took longer than 0.2 s"
+def test_a_worker_that_is_gone_gives_its_cell_back(tmp_path):
+    class Vanishing(Client):
+        count = 0
+
+        def scheduler_info(self, **_):
+            self.count += 1
+            return {"workers": {f"worker {self.count}": {}}}
+
+        def submit(self, function, version, order, **_):
+            future = super().submit(function, version, order)
+            future.status = ["pending", "finished"][self.count > 2]
+            future.cancel = lambda: None
+            return future
+
+    gone = Cluster(Vanishing(), "some")
+    gone.wait = lambda futures, seconds: None
+    outcomes, table = sweep(
+        tmp_path, cells_of("square", 1), lambda: contextlib.nullcontext(gone)
+    )
+    assert table == ["7.0"]
+    assert outcomes[0].failure == ""
 
 
 def test_a_limit_of_time_needs_processes(tmp_path):
@@ -205,24 +208,6 @@ def test_a_worker_that_does_not_see_the_folder_says_so(tmp_path, monkeypatch):
         sweep(tmp_path, cells_of("square", 1))
 
 
-def test_an_executor_without_workers_ends_the_sweep(tmp_path):
-    refusal = pytest.raises(InputError, match="the executor has lost its workers")
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool, refusal:
-        sweep(tmp_path, cells_of("leave", 1), OfExecutor(pool, 1))
-
-
-def test_what_a_cell_prints_is_no_answer(tmp_path):
-    assert sweep(tmp_path, cells_of("shout", 2), LocalProcesses(1))[1] == ["0", "0"]
-
-
-def test_an_error_of_ours_is_no_death(tmp_path):
-    for engine in (InThisProcess(), LocalProcesses(1)):
-        with pytest.raises(KeyError):
-            engine.check_death(KeyError())
-        engine.close()
-    assert InThisProcess().check_death(WorkerDeath(3)).pid == 3
-
-
 def test_cells_of_one_shape_go_to_one_worker(tmp_path):
     cells = [
         msgspec.structs.replace(cell, shape=f"{index % 2}")
@@ -230,14 +215,16 @@ def test_cells_of_one_shape_go_to_one_worker(tmp_path):
     ]
     places = {}
 
-    class Watched(OfExecutor):
-        def submit(self, place, version, order):
-            cell = Cell.from_text(json.loads(order)["cell"])
-            places.setdefault(cell.shape, set()).add(place)
-            return super().submit(place, version, order)
+    class Two(Client):
+        def scheduler_info(self, **_):
+            return {"workers": {"one": {}, "other": {}}}
 
-    with ThreadPoolExecutor(2) as threads:
-        sweep(tmp_path, cells, Watched(threads, 2))
+        def submit(self, function, version, order, workers, **_):
+            cell = Cell.from_text(json.loads(order)["cell"])
+            places.setdefault(cell.shape, set()).update(workers)
+            return super().submit(function, version, order)
+
+    sweep(tmp_path, cells, lambda: contextlib.nullcontext(Cluster(Two(), "two")))
     assert sorted(map(len, places.values())) == [1, 1]
 
 
@@ -303,79 +290,3 @@ def test_cells_are_removed_and_nothing_else(tmp_path):
     (store.path / "mine" / "cell.toml").write_text("mine")
     store.remove()
     assert [path.name for path in store.path.iterdir()] == ["mine"]
-
-
-CLIENT = """
-import sys
-from pathlib import Path
-from tests.sweeps.test_sweep import LocalProcesses, cells_of, sweep
-cells = cells_of("square", int(sys.argv[2]), seconds=float(sys.argv[3]))
-sweep(Path(sys.argv[1]), cells, LocalProcesses(2))
-"""
-
-
-def start_client(run, count, seconds):
-    root = Path(__file__).parents[2]
-    words = [sys.executable, "-c", CLIENT, str(run), str(count), str(seconds)]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(root), *sys.path])}
-    return subprocess.Popen(words, env=environment, start_new_session=True)
-
-
-def workers_of(client):
-    """Processes below a client."""
-    command = ["ps", "--ppid", str(client), "-o", "pid=,args="]
-    lines = subprocess.run(command, capture_output=True, text=True).stdout.splitlines()
-    return [int(line.split()[0]) for line in lines if "pinav.sweeps.worker" in line]
-
-
-def works(pid):
-    """Whether a process runs; one that nobody waits for keeps its number."""
-    file = Path(f"/proc/{pid}/cmdline")
-    return file.exists() and file.read_bytes() != b""
-
-
-@pytest.mark.slow
-def test_a_client_that_was_killed_goes_on_where_it_was(tmp_path):
-    with start_client(tmp_path, 12, 0.3) as client:
-        store = CellStore.of_run(tmp_path)
-        while len([*store.path.glob("number-*")]) < 3:
-            time.sleep(0.05)
-        orphans = workers_of(client.pid)
-        os.kill(client.pid, signal.SIGKILL)
-    assert orphans
-    time.sleep(0.5)
-    assert not any(map(works, orphans))
-    cells = cells_of("square", 12, seconds=0.3)
-    done = [cell for cell in cells if store.outcome(cell) is not None]
-    seen = []
-    _, table = sweep(
-        tmp_path, cells, LocalProcesses(2), on_done=lambda cell, _: seen.append(cell)
-    )
-    assert not set(seen) & set(done)
-    assert table == [repr(float(value) ** 2 + 7) for value in range(12)]
-
-
-@pytest.mark.slow
-def test_a_hundred_kills_change_no_byte_of_the_table(tmp_path):
-    """Of workers, at random moments, also while they write."""
-    cells = cells_of("square", 300, seconds=0.05)
-    engine, kills, over = LocalProcesses(2), [], threading.Event()
-
-    def kill():
-        dice = random.Random(1)
-        while len(kills) < 100 and not over.is_set():
-            time.sleep(dice.uniform(0.0, 0.25))
-            if pids := workers_of(os.getpid()):
-                kills.append(dice.choice(pids))
-                with contextlib.suppress(ProcessLookupError):  # it has just ended
-                    os.kill(kills[-1], signal.SIGKILL)
-
-    killer = threading.Thread(target=kill)
-    killer.start()
-    outcomes, table = sweep(tmp_path, cells, engine)
-    over.set()
-    killer.join()
-    assert {outcome.failure for outcome in outcomes} == {""}
-    assert table == [repr(float(value) ** 2 + 7) for value in range(300)]
-    assert len(kills) >= 50
-    assert not [*CellStore.of_run(tmp_path).path.glob(".*")]

@@ -124,7 +124,7 @@ def _row(cell: Cell, outcome: Outcome, sweep: Sweep) -> dict[str, str | float | 
     if outcome.failure:
         return row | {"failure": outcome.failure}
     metrics = sweep.store.read_result(cell, METRICS_FILE, dict)
-    return row | {"failure": None} | dict(_numbers(metrics))
+    return row | {"failure": None} | dict(_numbers(metrics.get("value", metrics)))
 
 
 def _numbers(content: Any, names: Sequence[str] = ()) -> list[tuple[str, Any]]:

@@ -94,11 +94,11 @@ def task_of(
     settings state. The wall of a mobility must not be touched.
 
     Args:
-        settings: of the command line.
+        settings: settings of the command line.
         model: whose propulsion is steered.
         truth: the true swimmer.
         places: which the arena surrounds beside start and goal [L].
-        name: of the task.
+        name: name of the task.
     """
     start, goal = settings.places()
     actuator, limits, lag = _actuation(settings, model)

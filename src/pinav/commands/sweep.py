@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 from collections.abc import Iterator, Sequence
 
 import msgspec
@@ -14,17 +15,17 @@ from pinav.report import Table
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.sweeps import (
-    AbstractEngine,
     Cell,
     CellState,
     CellStore,
-    DaskCluster,
-    LocalProcesses,
+    OpenCluster,
     Outcome,
     SweepStatus,
     TlsFiles,
     claim,
-    run_sweep,
+    cluster_at,
+    local_cluster,
+    map_cells,
 )
 from pinav.sweeps.store import FOLDER, SWEEP_FILE
 
@@ -35,12 +36,12 @@ class Sweep:
 
     Attributes:
         folder: of the run.
-        engine: who does the cells.
+        open_cluster: gives the workers.
         timeout: seconds that a cell may take; none for no limit.
     """
 
     folder: RunFolder
-    engine: AbstractEngine
+    open_cluster: OpenCluster
     timeout: float | None = None
 
     @property
@@ -61,35 +62,27 @@ class Sweep:
             if name not in self.folder.manifest.entries():
                 self.folder.record(name)
 
-        return run_sweep(
+        return map_cells(
             cells,
             self.store,
-            self.engine,
+            self.open_cluster,
             timeout=self.timeout,
             title=title,
             on_done=record,
         )
 
 
-@contextlib.contextmanager
-def engine_of(settings: WorkerSettings) -> Iterator[AbstractEngine]:
-    """The engine that the options ask for, closed at the end.
+def workers_of(settings: WorkerSettings) -> OpenCluster:
+    """The workers that the options ask for.
 
-    Raises:
-        InputError: the scheduler cannot be reached.
+    One worker, too, is a process: its single thread gives the bytes of all others.
     """
+    if settings.scheduler is None:
+        return functools.partial(local_cluster, settings.workers)
     tls = None
     if settings.tls_ca and settings.tls_cert and settings.tls_key:
         tls = TlsFiles(settings.tls_ca, settings.tls_cert, settings.tls_key)
-    engine: AbstractEngine
-    if settings.scheduler is not None:
-        engine = DaskCluster(settings.scheduler, tls)
-    else:  # one worker, too, is a process: its thread gives the bytes of all others
-        engine = LocalProcesses(settings.workers)
-    try:
-        yield engine
-    finally:
-        engine.close()
+    return functools.partial(cluster_at, settings.scheduler, tls)
 
 
 @contextlib.contextmanager
@@ -110,12 +103,11 @@ def start_sweep(
         identity: what else tells this run from others.
 
     Raises:
-        InputError: the folder cannot be used or another process is at work on it, or
-            the scheduler cannot be reached.
+        InputError: the folder cannot be used, or another process is at work on it.
     """
-    with engine_of(workers) as engine, claim(options.out):
+    with claim(options.out):
         folder = start_run(command, options, *settings, **identity)
-        sweep = Sweep(folder, engine, workers.cell_timeout)
+        sweep = Sweep(folder, workers_of(workers), workers.cell_timeout)
         if options.overwrite:
             sweep.store.remove()
         yield sweep

@@ -15,7 +15,7 @@ class WorkerSettings(Settings, frozen=True):
     Attributes:
         workers: Processes of this machine that work side by side.
         scheduler: Address of a Dask scheduler that runs, such as tcp://host:8786; its
-            workers do the work and share --out (pip install 'pinav[cluster]').
+            workers do the work and share --out.
         tls_ca: Certificate of the authority that client and cluster trust.
         tls_cert: Certificate of this client.
         tls_key: Private key of this client.

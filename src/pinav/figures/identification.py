@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from pinav.evaluation import normal_interval, normal_quantile
 from pinav.figures.bands import band
+from pinav.figures.images import Picture
 from pinav.figures.palette import (
     BLACK,
     LEARNED,
@@ -25,12 +26,24 @@ from pinav.figures.style import (
     channel_label,
     label_axes,
     label_plane,
+    new_figure,
     prepare_axes,
     share_legend,
     style_of,
     title_panel,
     with_unit,
 )
+from pinav.identification import ErrorGrowth, Identification, Paths, SpeedLaw
+from pinav.identification.forecast import HORIZONS
+
+DRAWN = (
+    "drift only",
+    "scalar gain",
+    "gain matrix and drift",
+    "chosen",
+    "least squares",
+)
+"""Lines of the figure of errors by horizon."""
 
 HALF_WIDTH_90 = normal_quantile(0.9)
 """Of a band of 90 % along one axis, in standard deviations."""
@@ -265,3 +278,98 @@ def speed_law(
     band(places, fitted, normal_interval(fitted, sd, 0.9), **shown, ax=ax)
     add_legend(ax)
     return ax
+
+
+def horizons_figure(result: Identification) -> Picture:
+    """Errors by the length of rollouts, medians over tracks."""
+
+    def draw() -> Figure:
+        figure = new_figure(5.0, 3.4)
+        horizon_errors(HORIZONS, errors_by_horizon(result), ax=figure.subplots())
+        return figure
+
+    caption = "Error over horizon, medians over tracks."
+    alt = "Rollout error over the horizon for each model"
+    return Picture("horizons", draw, caption, alt)
+
+
+def errors_by_horizon(result: Identification) -> dict[str, list[float]]:
+    """Relative errors of the lines of the figure, at each horizon."""
+    return {
+        name: [errors.relative for errors in result.summary[name].errors.values()]
+        for name in DRAWN
+        if name in result.summary
+    }
+
+
+def rollouts_figure(paths: Paths, name: str, units: Mapping[str, str]) -> Picture:
+    """Rollouts one by one."""
+
+    def draw() -> Figure:
+        figure = new_figure(4.6, 2.1 * -(-len(paths.rollouts) // 3) + 0.7)
+        titles = [f"from {one.start:.0f} {units['t']}" for one in paths.rollouts]
+        panels = [(one.observed, one.predicted, one.sd) for one in paths.rollouts]
+        plane = {"x": units["x"], "y": units["x"]}
+        single_rollouts(panels, titles, units=plane, figure=figure)
+        return figure
+
+    caption = (
+        f"Held-out part: {len(paths.rollouts)} rollouts of 10 s, evenly spread over "
+        "it, each from an observed position (○) that is put at the origin. × is where "
+        "the robot was 10 s later, the ellipse where the model expects 90 % of each "
+        "coordinate."
+    )
+    return Picture(name, draw, caption, "Observed and predicted paths, one by one")
+
+
+def growth_figure(growth: ErrorGrowth, name: str, units: Mapping[str, str]) -> Picture:
+    """Errors over the length of rollouts."""
+
+    def draw() -> Figure:
+        figure = new_figure(4.2, 3.4)
+        curves = growth.lengths, growth.errors, growth.reference, growth.promised
+        error_growth(*curves, units=units, ax=figure.subplots())
+        return figure
+
+    caption = (
+        "Held-out part: end-point error of rollouts over their length, median and the "
+        "middle 80 %, with the median of least squares. Dotted: the distance within "
+        "which the model's own bands expect 90 % of the ends; it should run along the "
+        "upper edge."
+    )
+    return Picture(name, draw, caption, "End-point error over the length of rollouts")
+
+
+def speed_figure(law: SpeedLaw, name: str, units: Mapping[str, str]) -> Picture:
+    """Speed by frequency."""
+
+    def draw() -> Figure:
+        figure = new_figure(4.2, 3.4)
+        unit = f"{units['x']}/{units['t']}"
+        curve = law.places, law.fitted, law.sd
+        speed_law(law.frequency, law.speed, curve, unit=unit, ax=figure.subplots())
+        return figure
+
+    caption = "Speed along the command over blocks of the whole track, by frequency."
+    return Picture(name, draw, caption, "Speed along the command against frequency")
+
+
+def overlay_figure(paths: Paths, name: str) -> Picture:
+    """Rollouts as they lie on the recorded image."""
+
+    def draw() -> Figure:
+        figure = new_figure(4.2, 3.6)
+        ax = figure.subplots()
+        rollout_paths(
+            paths.whole,
+            [one.predicted for one in paths.rollouts],
+            [one.observed[-1] for one in paths.rollouts],
+            [one.sd for one in paths.rollouts],
+            units={"x": "px", "y": "px"},
+            ax=ax,
+        )
+        ax.invert_yaxis()
+        return figure
+
+    caption = "The same in the pixels of the image, y down: to lay over a frame."
+    return Picture(name, draw, caption, "Paths of a track in image coordinates")

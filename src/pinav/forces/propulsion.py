@@ -22,12 +22,15 @@ from pinav.arguments import Scalar, Vector, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractCommandedForce, AbstractForce
 
+Gain = Float[Array, "_ _"] | Float[Array, "_"] | Float[Array, ""]
+"""A matrix, which a file states; one number for each axis; one number."""
 
-def _as_gain(value: ArrayLike) -> Float[Array, "2 2"]:
-    if np.shape(value) != (2, 2):
+
+def _as_gain(value: ArrayLike) -> Gain:
+    if np.shape(value) not in ((), (2,), (2, 2)):
         raise InputError(
-            "RollingPropulsion.gain: expected a matrix of 2 rows and 2 columns, got "
-            f"shape {np.shape(value)}"
+            "RollingPropulsion.gain: expected a matrix of 2 rows and 2 columns, or one "
+            f"number, or one for each axis, got shape {np.shape(value)}"
         )
     return value if isinstance(value, jax.Array) else jnp.asarray(value, float)
 
@@ -95,7 +98,8 @@ class RollingPropulsion(AbstractCommandedForce):
     drive it, see `pinav.dynamics.commanded`.
 
     Attributes:
-        gain: $G$ [L per cycle], a matrix: coils are unequal, and a heading may be off.
+        gain: $G$ [L per cycle], a matrix: coils are unequal, and a heading may be off;
+            one number, or one for each axis, where they are not.
         response: $s(f)$, the effective frequency [Hz].
         programme: what was commanded, $f$ [Hz] and $\theta$ [rad]; None where each
             trajectory says so.
@@ -110,7 +114,7 @@ class RollingPropulsion(AbstractCommandedForce):
         Sokolich et al., arXiv:2406.02722, eq. (1), with scalar gain and no delay.
     """
 
-    gain: Float[Array, "_ _"] = eqx.field(converter=_as_gain)
+    gain: Gain = eqx.field(converter=_as_gain)
     response: AbstractResponse = LinearResponse()
     programme: AbstractProgramme | None = None
     delay: Scalar = 0.0
@@ -142,8 +146,15 @@ class RollingPropulsion(AbstractCommandedForce):
         )
 
     @property
+    def matrix(self) -> Float[Array, "2 2"]:
+        """The gain as a matrix [L per cycle]."""
+        if self.gain.ndim == 2:
+            return self.gain
+        return jnp.diag(jnp.broadcast_to(self.gain, 2))
+
+    @property
     def actuator(self) -> RollingActuator:
-        return RollingActuator(self.gain, self.response)
+        return RollingActuator(self.matrix, self.response)
 
     @property
     def lateness(self) -> float:
@@ -155,7 +166,7 @@ class RollingPropulsion(AbstractCommandedForce):
         return float(self.delay) + float(self.lag)
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return self.gain.astype(x.dtype) @ self.command(t).astype(x.dtype)
+        return self.matrix.astype(x.dtype) @ self.command(t).astype(x.dtype)
 
     def command(self, t: Scalar) -> Float[Array, "2"]:
         r"""$s(f)\, n(\theta)$ at the delayed time [Hz].
@@ -188,7 +199,7 @@ class RollingPropulsion(AbstractCommandedForce):
         programme = HeldProgramme(times, commands["frequency"], commands["heading"])
         wanted = programme.commands(self.response)
         reached = wanted if _is_zero(self.lag) else _follow(times, wanted, self.lag)
-        turned = self.gain.astype(wanted.dtype).T
+        turned = self.matrix.astype(wanted.dtype).T
         return ScheduledThrust(
             times, wanted @ turned, reached @ turned, self.delay, self.lag
         )

@@ -1,6 +1,5 @@
 """The filter on the blocks of a track: the noise that moves with the drive."""
 
-import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -15,14 +14,22 @@ from pinav.identification.kalman import (
     innovations,
     transitions,
 )
-from pinav.identification.models import NAMES
+from pinav.identification.parameters import BLOCK_NOISE, PLACES
 
 
 def disturbance_of(theta: Float[Array, " parameter"]) -> Disturbance:
-    """The noise that the parameters describe."""
-    names = [field.name for field in dataclasses.fields(Disturbance)]
-    values = [jnp.exp(theta[NAMES.index(f"log_{name}")]) for name in names]
-    return Disturbance(*values)
+    """The noise at these coordinates."""
+    number = {path: jnp.exp(theta[place]) for path, place in PLACES.items()}
+    return Disturbance(
+        still=number["wandering.still"],
+        driven=number["wandering.driven"],
+        memory=number["wandering.memory"],
+        slow=number["wandering.slow"],
+        slow_memory=number["wandering.slow_memory"],
+        gain_wander=number["wander of the gain"],
+        gain_memory=number["memory of the gain"],
+        noise=number[BLOCK_NOISE],
+    )
 
 
 def in_plane(vectors: Float[Array, "*shape 2"]) -> Complex[Array, "*shape"]:

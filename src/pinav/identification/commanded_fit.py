@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import FitError, InputError
 from pinav.fitting import (
     EvidenceFit,
@@ -48,20 +49,22 @@ from pinav.identification.displacement_field import (
     displacements_by,
     with_environment,
 )
+from pinav.identification.estimates import (
+    constants_of,
+    learned_numbers,
+    posterior_over,
+)
 from pinav.identification.fit import Search
 from pinav.identification.likelihood import (
     Design,
     whiten,
 )
-from pinav.identification.numbers import (
+from pinav.identification.parameters import (
     GAIN,
-    estimates_of,
-    noise_of,
-    numbers_of,
-    posterior_over,
+    Prior,
+    learned_parameters,
+    stated_coordinates,
 )
-from pinav.identification.priors import Prior
-from pinav.identification.systems import candidate_of, prior_about
 from pinav.identification.tracks import Blocks, Track, one_track
 from pinav.systems import System
 from pinav.trajectories import Trajectories
@@ -120,6 +123,14 @@ def fit_commanded(
             environment = finer
 
 
+def _check_order(system: System) -> None:
+    if not isinstance(system.swimmer, OverdampedSwimmer):
+        raise InputError(
+            f"system {system.name!r}: expected a swimmer without inertia (order 1) for "
+            "a fit with commands or a wandering velocity, got order 2"
+        )
+
+
 class _Problem:
     """The linear problem at given noise, and the search for the noise."""
 
@@ -129,25 +140,27 @@ class _Problem:
         track: Track,
         environment: AbstractLearnedForce | None,
     ) -> None:
-        self.candidate, stated = candidate_of(system)
-        wide = Prior.of(track)
-        prior = prior_about(stated, wide)
+        _check_order(system)
+        design = Design.of(system, Blocks.of(track))
+        stated = stated_coordinates(system)
+        prior = Prior.of(track).about(stated)
         swimmer = with_environment(system.swimmer, environment)
-        design = Design.of(self.candidate, Blocks.of(track))
         # The propulsion is a force: what the gain moves passes through the mobility.
         mobility = tensor_matrix(swimmer.mobility, jnp.zeros(2))
         gains = jnp.einsum("ab,gbc->gac", mobility, design.still.gains)
         self.design = eqx.tree_at(lambda d: d.still.gains, design, gains)
         self.swimmer, self.environment = swimmer, environment
         self.field = displacements_by(
-            swimmer, self.candidate, self.design.blocks, mobility
+            swimmer,
+            {number.path for number in system.learn},
+            self.design.blocks,
+            mobility,
         )
         self.weights: AbstractWeights = NoWeights()
         if environment is not None:
             self.weights = GaussianWeights(environment.prior())
-        self.search = Search(self.design, self.candidate, prior)
-        # What is stated and not open stays as it is stated, noise not stated does not.
-        self.search.base = np.where(np.isfinite(stated), stated, prior.mean)
+        learned = learned_parameters(system)
+        self.search = Search(self.design, learned, prior, stated)
 
     def quadratic(self, learned: np.ndarray) -> tuple[Quadratic, FlatBlock, float]:
         """Squares as a function of the weights, coefficients integrated out."""
@@ -158,7 +171,7 @@ class _Problem:
         columns = np.concatenate([rows[:, present], np.asarray(problem.field)], axis=1)
         target = np.asarray(problem.target)
         count, flat = int(problem.count), int(present.sum())
-        if flat < self.candidate.num_linear:
+        if flat < int(self.search.present.sum()):
             raise InputError(
                 "fit_commanded data: the commands ask for no motion, so that the gain "
                 "cannot be learned; give data that are driven, or drop "
@@ -259,9 +272,9 @@ def _result(
     cross = slopes @ spread
     unknown = np.concatenate([learned, mean])
     covariance = np.block([[spread, cross.T], [cross, alone + cross @ slopes.T]])
-    numbers = numbers_of(problem.candidate, unknown)
+    search = problem.search
+    numbers = learned_numbers(search.learned, search.linear, unknown)
     posterior = posterior_over(problem.swimmer, numbers, covariance)
-    constants = [*numbers, *noise_of(problem.candidate, unknown)]
     quadratic, _, information = problem.quadratic(learned)
     log_prior = _log_prior(problem.search, learned)
     linear = LinearFit(
@@ -277,7 +290,7 @@ def _result(
         iterations=rounds,
         hyperparameters=chosen,
         posterior=posterior,
-        constants=estimates_of(constants, covariance),
+        constants=constants_of(numbers, covariance),
         states=None,
         goodness=None,
         linear=linear,

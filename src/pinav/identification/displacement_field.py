@@ -1,6 +1,6 @@
 """Displacements along an observed path by a field of position, for each weight."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import equinox as eqx
@@ -20,7 +20,7 @@ from pinav.forces import (
     as_learned_force,
 )
 from pinav.identification.likelihood import Field, block_means
-from pinav.identification.models import CandidateModel
+from pinav.identification.parameters import DRIFT, GAIN
 from pinav.identification.tracks import Blocks, round_up_to
 
 
@@ -57,18 +57,25 @@ def with_environment(
 
 def displacements_by(
     swimmer: OverdampedSwimmer,
-    candidate: CandidateModel,
+    learned: Collection[str],
     blocks: Blocks,
     mobility: Float[Array, "2 2"],
 ) -> Field:
-    """Displacements by the weights of the environment and by what is known."""
+    """Displacements by the weights of the environment and by what is known.
+
+    Args:
+        swimmer: its environment has weights, or is none.
+        learned: paths of the numbers that are open.
+        blocks: the observed path.
+        mobility: tensor through which a propulsion moves the swimmer.
+    """
     nothing = Field.nothing(blocks)
     gain, drift = nothing.gain, nothing.drift
     propulsion, flow = swimmer.propulsion, swimmer.flow
-    if isinstance(propulsion, RollingPropulsion) and not candidate.gains:
-        gain = mobility @ propulsion.gain
+    if isinstance(propulsion, RollingPropulsion) and GAIN not in learned:
+        gain = mobility @ propulsion.matrix
     if isinstance(flow, UniformFlow):
-        drift = drift if candidate.drifts else flow.velocity
+        drift = drift if DRIFT in learned else flow.velocity
         flow = ZeroFlow()
     passive = eqx.tree_at(
         lambda s: (s.propulsion, s.environment, s.flow),

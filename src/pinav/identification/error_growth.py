@@ -6,12 +6,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import (
     STRIDE,
     Displacement,
     Forecast,
-    FrameJitter,
+    Predictor,
 )
 from pinav.identification.tracks import Track
 
@@ -42,19 +41,18 @@ class ErrorGrowth(eqx.Module):
 
     @classmethod
     def of(
-        cls, track: Track, fit: TrackFit, jitter: FrameJitter, reference: Displacement
+        cls, track: Track, predictor: Predictor, reference: Displacement
     ) -> "ErrorGrowth":
         """Errors on a track; rollouts start every `STRIDE` seconds of each segment.
 
         Args:
-            track: that the fit has not seen.
-            fit: of the model.
-            jitter: scatter of single frames.
+            track: track that the fit has not seen.
+            predictor: fitted swimmer with its bands.
             reference: displacements of another model.
         """
         rows = [np.zeros((0, 3, len(LENGTHS)))]
         for piece in track.pieces:
-            forecast, other = Forecast.of(piece, fit, jitter), reference(piece)
+            forecast, other = predictor.forecast(piece), reference(piece)
             starts = np.arange(piece.times[0], piece.times[-1] - LENGTHS[0], STRIDE)
             for first in np.searchsorted(piece.times, starts - 1e-9):
                 rows.append(_growth(forecast, other, int(first))[None])

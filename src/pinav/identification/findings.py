@@ -7,25 +7,26 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
-from pinav.fitting import Estimate
+from pinav.fitting import Estimate, EvidenceFit
 from pinav.fitting.evidence.model_evidence import DECISIVE
-from pinav.identification.fit import TrackFit, fit_track
-from pinav.identification.models import (
-    BOTH,
-    COMMAND_RESPONSE,
-    DIAGONAL,
-    DRIFT_ONLY,
-    MATRIX,
+from pinav.identification.candidates import (
     RESPONSES,
-    SCALAR,
-    CandidateModel,
+    axis_gains,
+    drift_only,
+    gain_matrix,
     like,
-    with_free,
+    response_name,
+    scalar_gain,
+    with_learned,
     with_response,
 )
+from pinav.identification.estimates import estimates as estimates_of
+from pinav.identification.fit import fit_track
+from pinav.identification.parameters import DELAY
 from pinav.identification.restoring import restoring_force
 from pinav.identification.selection import LEAST_SQUARES, Row, Selection
 from pinav.identification.tracks import Track
+from pinav.systems import System
 
 TURNING_WINDOW = 2.0
 """Turning rates are taken over this time [s]."""
@@ -97,24 +98,29 @@ class DelayFindings(eqx.Module):
     confounded: bool
 
 
-def delay_findings(track: Track, fit: TrackFit) -> DelayFindings:
+def delay_findings(track: Track, system: System, fit: EvidenceFit) -> DelayFindings:
     """The delay with the heading offset fixed at zero, and with both free.
 
     Args:
-        track: all of it.
-        fit: of all of it, a candidate with a gain; its response is kept.
+        track: all of a track.
+        system: candidate with a gain, whose response is kept.
+        fit: its fit to all of the track.
     """
-    candidate = with_response(MATRIX, fit.candidate.response)
-    without = _like(fit, candidate, track).estimates()["heading offset"]
-    both = _like(fit, with_free(candidate, "delay", "delay"), track).estimates()
+    response = response_name(system.swimmer)
+
+    def refit(candidate: System) -> dict[str, Estimate]:
+        """Estimates of a candidate: of the fit at hand where it is the same one."""
+        same = candidate.name == system.name
+        return estimates_of(fit if same else fit_track(track, candidate, start=fit))
+
+    matrix = with_response(gain_matrix(), response)
+    without = refit(matrix)["heading offset"]
+    both = refit(with_learned(matrix, "delay", DELAY))
     rate, spread = turning_rate(track)
     zero_offset = None
     if abs(without.value) < ALIGNED:
-        plain = with_response(
-            CandidateModel("gains", DIAGONAL, BOTH), fit.candidate.response
-        )
-        aligned = fit_track(track, with_free(plain, "delay", "delay"), start=fit)
-        zero_offset = aligned.estimates()["delay"]
+        aligned = with_learned(with_response(axis_gains(), response), "delay", DELAY)
+        zero_offset = refit(aligned)["delay"]
     return DelayFindings(
         free=both["delay"],
         offset=both["heading offset"],
@@ -123,13 +129,6 @@ def delay_findings(track: Track, fit: TrackFit) -> DelayFindings:
         turning_rate=rate,
         confounded=spread < CONSTANT_TURNING,
     )
-
-
-def _like(fit: TrackFit, candidate: CandidateModel, track: Track) -> TrackFit:
-    """The fit of a candidate: the one at hand where it is of the same candidate."""
-    if candidate.name == fit.candidate.name:
-        return fit
-    return fit_track(track, candidate, start=fit)
 
 
 def finding_sentences(
@@ -169,12 +168,12 @@ def finding_sentences(
 
 
 def _choice(selection: Selection) -> str:
-    responses = RESPONSES if selection.train.commanded else ()
     evidence = {
-        response: selection.row(with_response(MATRIX, response).name).log_evidence
-        for response in responses
+        response: selection.row(with_response(gain_matrix(), response).name)
+        for response in (RESPONSES if selection.train.commanded else ())
     }
-    return choice(selection.chosen, selection.best.candidate.response, evidence)
+    nats = {response: row.log_evidence for response, row in evidence.items()}
+    return choice(selection.chosen, response_name(selection.system.swimmer), nats)
 
 
 def choice(chosen: str, response: str, evidence: dict[str, float]) -> str:
@@ -224,7 +223,7 @@ def shortcomings(row: Row, baseline: Row) -> list[str]:
             f"held-out velocity's variance (R² {row.velocity_r2:.2f}): it predicts "
             "little of the motion."
         )
-    ours, theirs = row.errors.get(HORIZON), baseline.errors.get(HORIZON)
+    ours, theirs = row.over(HORIZON), baseline.over(HORIZON)
     if ours is None or theirs is None or not ours.rollouts:
         sentences.append(
             f"No held-out rollout of {HORIZON:g} s: the prediction is not judged."
@@ -280,11 +279,11 @@ def _difference(selection: Selection, name: str) -> float:
 
 def _propulsion(selection: Selection) -> str:
     """The chosen model against the same without gain, and with one number for it."""
-    chosen = selection.best.candidate
-    evidence = selection.row(chosen.name).log_evidence
-    idle = like(DRIFT_ONLY, chosen, without=COMMAND_RESPONSE)
-    gain = evidence - selection.row(idle.name).log_evidence
-    matrix = evidence - selection.row(like(SCALAR, chosen).name).log_evidence
+    evidence = selection.row(selection.chosen).log_evidence
+    gain, matrix = (
+        evidence - selection.row(like(base, selection.system).name).log_evidence
+        for base in (drift_only(), scalar_gain())
+    )
     return (
         f"Propulsion by the command: {_words(gain)}. A gain matrix with drift, over "
         f"one number and the heading as recorded: {_words(matrix)}."
@@ -292,11 +291,11 @@ def _propulsion(selection: Selection) -> str:
 
 
 def _response(selection: Selection, estimates: dict[str, Estimate]) -> str:
-    linear = selection.row(MATRIX.name).log_evidence
-    chosen = selection.best.candidate.response
+    linear = selection.row(gain_matrix().name).log_evidence
+    chosen = response_name(selection.system.swimmer)
     if chosen == "linear":
         return "Saturation in frequency: not supported; the speed is linear in it."
-    row = selection.row(with_response(MATRIX, chosen).name)
+    row = selection.row(with_response(gain_matrix(), chosen).name)
     text = (
         f"Loss of gain with frequency ({chosen}): {_words(row.log_evidence - linear)}"
     )
@@ -367,10 +366,9 @@ def _gain(selection: Selection, label: str, meaning: str) -> str:
 def _wandering(selection: Selection) -> str:
     """Whether the gain wanders, and by how much where the bands allow for it."""
     text = _gain(selection, "wandering gain", "a gain that wanders")
-    fit = selection.best.wandering
-    if fit is None:
+    if selection.wandering is None:
         return text
-    estimates = fit.estimates()
+    estimates = estimates_of(selection.wandering)
     part = estimates["gain wander"].value / max(estimates["gain"].value, 1e-30)
     return (
         f"{text[:-1]}: by {100 * part:.2g} % of the gain with a memory of "

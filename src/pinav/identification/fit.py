@@ -1,27 +1,23 @@
 """`fit_track`: one candidate on one track, with evidence and intervals."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
-from pinav.actuation import HeldProgramme
-from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import FitError
-from pinav.fitting import Estimate
-from pinav.forces import (
-    RollingPropulsion,
-    UniformFlow,
-    ZeroForce,
+from pinav.fitting import EvidenceFit, Hyperparameters, LinearFit, Outcome
+from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.weights import NoWeights
+from pinav.identification.estimates import (
+    constants_of,
+    learned_numbers,
+    posterior_over,
 )
-from pinav.identification.blocks_filter import disturbance_of
-from pinav.identification.kalman import Disturbance
 from pinav.identification.likelihood import (
     CommandedPath,
     Design,
@@ -29,115 +25,56 @@ from pinav.identification.likelihood import (
     commanded_path,
     value_and_slope,
 )
-from pinav.identification.models import (
-    ABSENT,
-    COMMAND_RESPONSE,
-    NAMES,
-    CandidateModel,
-    response_of,
+from pinav.identification.parameters import (
+    BLOCK_NOISE,
+    CORNER,
+    DELAY,
+    DRIFT,
+    DRIVE,
+    GAIN,
+    LAG,
+    PLACES,
+    RESIDUAL,
+    Coordinates,
+    Parameter,
+    Prior,
+    fitted_coordinates,
+    learned_parameters,
+    stated_coordinates,
 )
-from pinav.identification.priors import Prior
-from pinav.identification.quantities import estimates_about, speed_about
 from pinav.identification.tracks import Blocks, Track
-
-
-class TrackFit(eqx.Module):
-    r"""A candidate fitted to a track.
-
-    Attributes:
-        candidate: what was free.
-        theta: all nonlinear parameters, in the order of `NAMES`.
-        coefficients: of the candidate's gain matrices and drifts; absent ones are 0.
-        covariance: joint, of `candidate.learned` and then of all coefficients.
-        log_evidence: the nonlinear parameters integrated out by Laplace's method.
-        evaluations: of the likelihood.
-        fastest: highest frequency that was commanded while it was fitted [Hz].
-        wandering: the same beside a gain that wanders, where the evidence prefers
-            that; bands are those of this fit about the path of the constant gain.
-    """
-
-    candidate: CandidateModel
-    theta: Float[np.ndarray, " parameter"]
-    coefficients: Float[np.ndarray, " coefficient"]
-    covariance: Float[np.ndarray, "unknown unknown"]
-    log_evidence: float
-    evaluations: int
-    fastest: float
-    wandering: "TrackFit | None" = None
-
-    @property
-    def gain(self) -> Float[np.ndarray, "2 2"]:
-        """Gain matrix [L per cycle]."""
-        return np.einsum("g,gab->ab", self.coefficients[:4], self.candidate.matrices())
-
-    @property
-    def drift(self) -> Float[np.ndarray, "2"]:
-        """Drift [L T⁻¹]."""
-        return self.coefficients[4:] @ self.candidate.velocities()
-
-    @property
-    def disturbance(self) -> Disturbance:
-        """The noise."""
-        return disturbance_of(jnp.asarray(self.theta))
-
-    def parameter(self, name: str) -> float:
-        """A nonlinear parameter by its name."""
-        return float(self.theta[NAMES.index(name)])
-
-    def swimmer(self, programme: HeldProgramme) -> OverdampedSwimmer:
-        """The first-order swimmer under a programme; a lag is not part of it."""
-        corner, residual = map(self.parameter, ("log_corner", "logit_residual"))
-        propulsion = RollingPropulsion(
-            gain=jnp.asarray(self.gain),
-            response=response_of(self.candidate.response, corner, residual),
-            programme=programme,
-            delay=self.parameter("delay"),
-        )
-        return OverdampedSwimmer(
-            propulsion, ZeroForce(), 1.0, UniformFlow(jnp.asarray(self.drift))
-        )
-
-    def speed(
-        self, frequency: Float[np.ndarray, " place"]
-    ) -> tuple[Float[np.ndarray, " place"], Float[np.ndarray, " place"]]:
-        """Speed along the command by frequency [Hz], with its standard deviation."""
-        names = ("log_corner", "logit_residual")
-        held = np.array([self.parameter(name) for name in names])
-        return speed_about(
-            self.candidate, self._unknown(), self.covariance, held, frequency
-        )
-
-    def estimates(self) -> dict[str, Estimate]:
-        """Quantities with a meaning, by name, with their standard deviations."""
-        return estimates_about(self.candidate, self._unknown(), self.covariance)
-
-    def _unknown(self) -> Float[np.ndarray, " unknown"]:
-        """What was learned, then all coefficients."""
-        learned = [self.parameter(name) for name in self.candidate.learned]
-        return np.concatenate([learned, self.coefficients])
+from pinav.systems import System
 
 
 def fit_track(
     track: Track,
-    candidate: CandidateModel,
+    system: System,
     *,
     prior: Prior | None = None,
-    start: TrackFit | None = None,
-) -> TrackFit:
+    start: EvidenceFit | None = None,
+    wandering_gain: bool = False,
+) -> EvidenceFit:
     """Maximise the posterior of a candidate and integrate it.
 
     Args:
-        track: what is fitted.
-        candidate: what is free.
-        prior: of the nonlinear parameters; `Prior.of(track)` unless given.
-        start: a simpler candidate of the same track; the search begins there too.
+        track: positions and commands that are fitted.
+        system: candidate, whose `learn` says what is open.
+        prior: prior of all coordinates; `Prior.of(track)` unless given.
+        start: fit of a simpler candidate to the same track, where the search begins.
+        wandering_gain: learn a gain that wanders, too.
+
+    Returns:
+        The swimmer, its posterior and the log evidence, the nonlinear parameters
+        integrated out by Laplace's method; those of the noise are constants.
 
     Raises:
         FitError: the likelihood is not finite at any start.
     """
     prior = Prior.of(track) if prior is None else prior
     with jax.enable_x64(new_val=True):
-        search = Search(Design.of(candidate, Blocks.of(track)), candidate, prior)
+        learned = learned_parameters(system, wandering_gain=wandering_gain)
+        design = Design.of(system, Blocks.of(track))
+        search = Search(design, learned, prior, stated_coordinates(system))
         # Starts that coincide are searched once.
         begins = np.unique(search.begins(start), axis=0)
         sizes = search.sizes(start)
@@ -145,10 +82,10 @@ def fit_track(
         best = min(ends, key=lambda pair: pair[1])
         if not math.isfinite(best[1]):
             raise FitError(
-                f"track {track.name}: the likelihood of {candidate.name} is not "
+                f"track {track.name}: the likelihood of {system.name} is not "
                 "finite; check the times and units of the recording"
             )
-        return search.result(*best)
+        return search.result(*best, system)
 
 
 ENOUGH = 1e-7
@@ -158,17 +95,18 @@ STARTS = (0.1, 0.4)
 """Delays from which a search begins where no simpler candidate had one [s]."""
 
 
-WHITE = ("log_memory", "log_noise")
+WHITE = ("wandering.memory", BLOCK_NOISE)
 """What is small where the velocity of a track is nearly white."""
 
 
 class Search:
-    """The posterior of the nonlinear parameters of a candidate, by Laplace's method.
+    """The posterior of the nonlinear parameters of a system, by Laplace's method.
 
     Attributes:
-        design: the track, as the candidate sees it.
-        candidate: what is free.
-        prior: of the nonlinear parameters.
+        design: the track, as the system sees it.
+        learned: parameters that are open.
+        prior: prior of all coordinates.
+        base: coordinates of those that are not open.
         field: displacements by a field whose weights have unit prior variances.
         evaluations: of the likelihood so far.
     """
@@ -176,20 +114,21 @@ class Search:
     def __init__(
         self,
         design: Design,
-        candidate: CandidateModel,
+        learned: Sequence[Parameter],
         prior: Prior,
+        stated: Coordinates,
         field: Field | None = None,
     ) -> None:
-        self.design, self.candidate, self.prior = design, candidate, prior
+        self.design, self.learned, self.prior = design, learned, prior
         self.field = field
-        self.places = np.array([NAMES.index(name) for name in candidate.learned])
-        fixed = {**ABSENT, **candidate.fixed}
-        self.base = np.array([fixed.get(name, 0.0) for name in NAMES])
+        self.places = np.array([PLACES[parameter.path] for parameter in learned])
+        # What is stated and not open stays as it is stated, noise not stated does not.
+        self.base = np.where(np.isfinite(stated), stated, prior.mean)
         self.evaluations = 0
         self.known, self.known_field = {}, field
         self.latest: tuple[bytes, CommandedPath] | None = None
 
-    def begins(self, start: TrackFit | None) -> list[np.ndarray]:
+    def begins(self, start: EvidenceFit | None) -> list[np.ndarray]:
         """Where searches begin: at the prior, or where a simpler candidate ended.
 
         Without one two kinds of noise are tried, a velocity that is remembered beside
@@ -197,37 +136,53 @@ class Search:
         has a maximum at either, and they can be 150 nats apart.
         """
         theta = self.theta(self.prior.mean[self.places])
+        known = set() if start is None else {p.path for p in self._shared(start)}
         if start is not None:
-            shared = [i for i in self.places if NAMES[i] in start.candidate.learned]
-            theta[shared] = start.theta[shared]
+            shared = [PLACES[path] for path in known]
+            theta[shared] = fitted_coordinates(start)[shared]
         several = [theta]
         if start is None:
-            white, noise = theta.copy(), [NAMES.index(name) for name in WHITE]
+            white, noise = theta.copy(), [PLACES[path] for path in WHITE]
             white[noise] -= 2 * self.prior.sd[noise]
             several.append(white)
-        if "delay" in self.candidate.free and (
-            start is None or "delay" not in start.candidate.free
-        ):
-            place = NAMES.index("delay")
+        delay = PLACES[DELAY]
+        if delay in self.places and DELAY not in known:
             several = [
-                np.where(np.arange(len(one)) == place, delay, one)
+                np.where(np.arange(len(one)) == delay, late, one)
                 for one in several
-                for delay in STARTS
+                for late in STARTS
             ]
         return [one[self.places] for one in several]
 
-    def sizes(self, start: TrackFit | None) -> Float[np.ndarray, " learned"]:
+    def _shared(self, start: EvidenceFit) -> list[Parameter]:
+        """The parameters that a simpler candidate has learned, too."""
+        return [p for p in self.learned if p.path in start.constants]
+
+    def sizes(self, start: EvidenceFit | None) -> Float[np.ndarray, " learned"]:
         """Over what each parameter matters: its deviation in a simpler candidate.
 
         It is that of the prior where no simpler candidate has the parameter.
         """
-        sizes = self.prior.sd[self.places]
-        if start is None:
-            return sizes
-        learned = start.candidate.learned
-        known = dict(zip(learned, np.sqrt(start.covariance.diagonal()), strict=False))
-        places = zip(self.places, sizes, strict=True)
-        return np.array([known.get(NAMES[place], size) for place, size in places])
+        sizes = self.prior.sd.copy()
+        if start is not None:
+            coordinates = fitted_coordinates(start)
+            for parameter in self._shared(start):
+                place = PLACES[parameter.path]
+                slope = parameter.scale.slope(coordinates[place])
+                sizes[place] = start.constants[parameter.path].sd / slope
+        return sizes[self.places]
+
+    @property
+    def present(self) -> Bool[np.ndarray, " coefficient"]:
+        """True for each of the four gains and two drifts that is open."""
+        gains, drifts = self.design.still.gains, self.design.still.drifts
+        several = [np.any(gains, axis=(1, 2)), np.any(drifts, axis=1)]
+        return np.concatenate(several)
+
+    @property
+    def linear(self) -> dict[str, int]:
+        """How many numbers of gain and drift are open, by their paths."""
+        return {GAIN: int(self.present[:4].sum()), DRIFT: int(self.present[4:].sum())}
 
     def theta(self, learned: Float[np.ndarray, " learned"]) -> np.ndarray:
         """All nonlinear parameters."""
@@ -262,7 +217,7 @@ class Search:
         if key not in self.known:
             self.evaluations += 1
             theta = self.theta(learned)
-            path = self._commanded_path(theta[: len(COMMAND_RESPONSE)])
+            path = self._commanded_path(theta[: len(DRIVE)])
             self.known[key] = value_and_slope(
                 theta, path, self.design.still, self.field
             )
@@ -315,8 +270,8 @@ class Search:
         neither evidence nor width.
         """
         rows = np.array([self._curvature(learned, step) for step in self.steps()])
-        for index, place in enumerate(self.places):
-            if NAMES[place] in RESPONSE_PARAMETERS:
+        for index, parameter in enumerate(self.learned):
+            if parameter.path in (CORNER, RESIDUAL):
                 rows[index] = self._curvature_of_interval(learned, index, rows[index])
         sd = self.prior.sd[self.places]
         # Differences are symmetric only to their own error, and eigh reads one
@@ -360,23 +315,40 @@ class Search:
             row = self._curvature(learned, step)
         return row
 
-    def result(self, learned: Float[np.ndarray, " learned"], value: float) -> TrackFit:
+    def result(
+        self, learned: Float[np.ndarray, " learned"], value: float, system: System
+    ) -> EvidenceFit:
         """Evidence and posterior about the maximum."""
         spread, volume = self.laplace(learned)
         coefficients, covariance = self._joint(learned, spread)
-        return TrackFit(
-            candidate=self.candidate,
-            theta=self.theta(learned),
-            coefficients=coefficients,
-            covariance=covariance,
-            log_evidence=volume - value,
-            evaluations=self.evaluations,
-            fastest=float(np.max(self.design.blocks.frequency)),
+        unknown = np.concatenate([learned, coefficients])
+        numbers = learned_numbers(self.learned, self.linear, unknown)
+        posterior = posterior_over(system.swimmer, numbers, covariance)
+        constants = constants_of(numbers, covariance)
+        noise = constants[BLOCK_NOISE].value
+        hyperparameters = Hyperparameters(np.zeros(0), 0.0, noise, volume - value)
+        nothing = Quadratic(
+            point=np.zeros(0),
+            hessian=np.zeros((0, 0)),
+            gradient=np.zeros(0),
+            squares=0.0,
+            num_free=len(posterior.mean),
+            log_determinant=0.0,
+        )
+        return EvidenceFit(
+            model=posterior.model,
+            outcome=Outcome.CONVERGED,
+            iterations=self.evaluations,
+            hyperparameters=hyperparameters,
+            posterior=posterior,
+            constants=constants,
+            states=None,
+            linear=LinearFit(nothing, NoWeights(), noise, nothing.num_free, 0.0),
         )
 
     def steps(self) -> Float[np.ndarray, "learned learned"]:
         """Differences, a fraction of the prior; held commands make kinks in delays."""
-        wide = np.array([NAMES[i] in ("delay", "log_lag") for i in self.places])
+        wide = np.array([parameter.path in (DELAY, LAG) for parameter in self.learned])
         fraction = np.where(wide, ACROSS_KINKS, DIFFERENCE)
         return np.diag(fraction * self.prior.sd[self.places])
 
@@ -401,11 +373,12 @@ class Search:
         """Coefficients, and the joint covariance with what is learned."""
         best, information = self._coefficients(learned)
         slopes = self.slopes(learned, lambda place: self._coefficients(place)[0])
-        gains = np.any(self.candidate.matrices(), axis=(1, 2))
-        present = np.concatenate([gains, self.candidate.velocities().any(1)])
-        alone = np.linalg.inv(information) * np.outer(present, present)
+        present = np.flatnonzero(self.present)
+        alone = np.linalg.inv(information)[np.ix_(present, present)]
+        slopes = slopes[present]
         cross = slopes @ spread
-        return best, np.block([[spread, cross.T], [cross, alone + cross @ slopes.T]])
+        joint = np.block([[spread, cross.T], [cross, alone + cross @ slopes.T]])
+        return best[present], joint
 
 
 DIFFERENCE, ACROSS_KINKS, WIDEST = 0.02, 0.25, 0.5
@@ -414,6 +387,3 @@ that across kinks, and the widest for a parameter of the response."""
 
 STEPS_OF_INTERVAL = 4
 """Lengths that are tried at most."""
-
-RESPONSE_PARAMETERS = ("log_corner", "logit_residual")
-"""Parameters whose curvature is taken over their own interval."""

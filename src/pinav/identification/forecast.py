@@ -9,10 +9,25 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
 from pinav.actuation import HeldProgramme
+from pinav.dynamics import OverdampedSwimmer
 from pinav.evaluation import normal_quantile
-from pinav.identification.fit import TrackFit
+from pinav.fitting import EvidenceFit
+from pinav.identification.blocks_filter import disturbance_of
+from pinav.identification.candidates import (
+    SwitchedResponse,
+    gain_basis,
+    response_place,
+)
+from pinav.identification.estimates import drift_of, entries, gain_of
 from pinav.identification.kalman import Disturbance, transitions
-from pinav.identification.models import NAMES, RESPONSES, SwitchedResponse
+from pinav.identification.parameters import (
+    DRIFT,
+    DRIVE,
+    GAIN,
+    PLACES,
+    drive_coordinates,
+    fitted_coordinates,
+)
 from pinav.identification.tracks import Track, commands_of, round_up_to
 from pinav.trajectories import Trajectory
 
@@ -75,31 +90,35 @@ def changes_along(
 
 
 class Errors(eqx.Module):
-    """End-point errors of rollouts.
+    """End-point errors of rollouts of one length.
 
     Attributes:
-        distance: between predicted and observed end [L].
-        path: length of the observed path [L].
+        relative: median of the distance between predicted and observed end over the
+            length of the observed path; NaN without rollouts.
+        median: median of that distance [L]; NaN without rollouts.
+        rollouts: number of rollouts.
     """
 
-    distance: Float[np.ndarray, " rollout"]
-    path: Float[np.ndarray, " rollout"]
+    relative: float
+    median: float
+    rollouts: int
 
-    @property
-    def relative(self) -> float:
-        """Median distance over path length; NaN without rollouts."""
-        ratio = self.distance / np.maximum(self.path, 1e-12)
-        return float(np.median(ratio)) if len(ratio) else float("nan")
+    @classmethod
+    def of(
+        cls,
+        distance: Float[np.ndarray, " rollout"],
+        path: Float[np.ndarray, " rollout"],
+    ) -> "Errors":
+        """The errors of rollouts.
 
-    @property
-    def rollouts(self) -> int:
-        """Number of rollouts."""
-        return len(self.distance)
-
-    @property
-    def median(self) -> float:
-        """Median distance [L]; NaN without rollouts."""
-        return float(np.median(self.distance)) if len(self.distance) else float("nan")
+        Args:
+            distance: between predicted and observed end [L].
+            path: length of the observed path [L].
+        """
+        if not len(distance):
+            return cls(float("nan"), float("nan"), 0)
+        relative = float(np.median(distance / np.maximum(path, 1e-12)))
+        return cls(relative, float(np.median(distance)), len(distance))
 
 
 def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Errors:
@@ -109,7 +128,7 @@ def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Erro
     """
     observed = changes_along(track, rollouts, lambda piece: piece.states)
     miss = observed - changes_along(track, rollouts, displacement)
-    return Errors(np.hypot(*miss.T), rollouts.lengths(track))
+    return Errors.of(np.hypot(*miss.T), rollouts.lengths(track))
 
 
 def _cumulated_length(piece: Trajectory) -> Float[np.ndarray, "time 1"]:
@@ -140,13 +159,21 @@ LEAST_SIZE = 2048
 on, since a program takes longer to compile than to run on twice the samples."""
 
 
-def cycles(fit: TrackFit, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+def cycles(
+    swimmer: OverdampedSwimmer, piece: Trajectory
+) -> Float[np.ndarray, "time 2"]:
     """Integral of the delayed response along the heading."""
-    index = RESPONSES.index(fit.candidate.response)
+    return _cycles_at(drive_coordinates(swimmer), swimmer, piece)
+
+
+def _cycles_at(
+    drive: Float[np.ndarray, "4"], swimmer: OverdampedSwimmer, piece: Trajectory
+) -> Float[np.ndarray, "time 2"]:
+    """The same with the drive at other coordinates."""
     with jax.enable_x64(new_val=True):
-        programme, drive = programme_of(piece), jnp.asarray(fit.theta[:4])
         # The response is chosen by its place, in one compiled program for all of them.
-        integral = _cycles(programme, jnp.asarray(index), drive)
+        index = jnp.asarray(response_place(swimmer))
+        integral = _cycles(programme_of(piece), index, jnp.asarray(drive))
     return np.asarray(integral)[: len(piece.times)]
 
 
@@ -158,12 +185,12 @@ def _cycles(programme: HeldProgramme, index: Array, drive: Array) -> Array:
     return programme.lagged_integral(response, times, jnp.exp(lag))
 
 
-def path_of(fit: TrackFit) -> Displacement:
+def path_of(swimmer: OverdampedSwimmer) -> Displacement:
     """Displacements by gain and drift alone."""
 
     def displacement(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
-        along = cycles(fit, piece) @ fit.gain.T
-        return along + np.outer(piece.times - piece.times[0], fit.drift)
+        along = cycles(swimmer, piece) @ gain_of(swimmer).T
+        return along + np.outer(piece.times - piece.times[0], drift_of(swimmer))
 
     return displacement
 
@@ -238,7 +265,7 @@ class Forecast(eqx.Module):
     """A model's path through a segment, with what is uncertain about it.
 
     Attributes:
-        piece: the segment.
+        piece: segment that is predicted.
         path: displacement from its first sample [L].
         slopes: of the displacement, by the unknowns of gain, drift and drive.
         covariance: of those unknowns.
@@ -257,17 +284,6 @@ class Forecast(eqx.Module):
     frame: Float[np.ndarray, "time 2"]
     disturbance: Disturbance
     turned: Complex[np.ndarray, " time"]
-
-    @classmethod
-    def of(cls, piece: Trajectory, fit: TrackFit, jitter: FrameJitter) -> "Forecast":
-        """The forecast of a fit, computed once for all rollouts of a segment."""
-        path = path_of(fit)(piece)
-        slopes, covariance = _slopes(piece, fit, path)
-        frame = jitter.variance(piece)
-        beyond = _beyond(piece, fit)
-        noise = (fit.wandering or fit).disturbance
-        turned = cycles(fit, piece) @ np.array([1.0, 1.0j])
-        return cls(piece, path, slopes, covariance, beyond, frame, noise, turned)
 
     def rollout(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
         """Positions from the observed one at sample `first` on [L]."""
@@ -320,49 +336,98 @@ def _wandering_variances(
     return jax.lax.scan(step, unknown, (steps.matrix, steps.noise))[1]
 
 
-def _slopes(
-    piece: Trajectory, fit: TrackFit, path: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of a displacement by each unknown, and the covariance of the unknowns."""
-    known = fit.wandering or fit
-    learned = known.candidate.learned
-    drive = [name for name in NAMES[:4] if name in learned]
-    elapsed = piece.times - piece.times[0]
-    gains = np.einsum("gab,tb->tag", fit.candidate.matrices(), cycles(fit, piece))
-    drifts = np.einsum("ga,t->tag", fit.candidate.velocities(), elapsed)
-    columns = [_drive_slope(piece, fit, path, name)[:, :, None] for name in drive]
-    places = [learned.index(name) for name in drive]
-    places += list(range(len(learned), len(known.covariance)))
-    slopes = np.concatenate([*columns, gains, drifts], axis=2)
-    return slopes, known.covariance[np.ix_(places, places)]
+class Predictor(eqx.Module):
+    """A fitted swimmer, and all else from the training part that its bands need.
+
+    Attributes:
+        fit: swimmer with its posterior and its noise.
+        jitter: scatter of single frames.
+        fastest: highest frequency that was commanded while it was fitted [Hz].
+        wandering: the same swimmer fitted beside a gain that wanders, where the
+            evidence prefers that; bands are those of this fit about the path of the
+            constant gain.
+    """
+
+    fit: EvidenceFit
+    jitter: FrameJitter
+    fastest: float
+    wandering: EvidenceFit | None = None
+
+    @classmethod
+    def of(
+        cls, track: Track, fit: EvidenceFit, wandering: EvidenceFit | None = None
+    ) -> "Predictor":
+        """The predictor of a fit, by the track that was fitted."""
+        jitter = FrameJitter.of(track, path_of(fit.model))
+        fastest = max(float(np.max(commands_of(piece)[0])) for piece in track.pieces)
+        return cls(fit, jitter, fastest, wandering)
+
+    def forecast(self, piece: Trajectory) -> Forecast:
+        """The forecast of a segment, computed once for all of its rollouts."""
+        slopes, covariance = self._slopes(piece)
+        swimmer, known = self.fit.model, self.wandering or self.fit
+        return Forecast(
+            piece=piece,
+            path=path_of(swimmer)(piece),
+            slopes=slopes,
+            covariance=covariance,
+            beyond=self._beyond(piece),
+            frame=self.jitter.variance(piece),
+            disturbance=disturbance_of(jnp.asarray(fitted_coordinates(known))),
+            turned=cycles(swimmer, piece) @ np.array([1.0, 1.0j]),
+        )
+
+    def _slopes(self, piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+        """Of a displacement by each unknown, and the covariance of the unknowns."""
+        known, swimmer = self.wandering or self.fit, self.fit.model
+        columns, places = [], []
+        drive = drive_coordinates(swimmer)
+        turned = cycles(swimmer, piece)
+        for parameter in DRIVE:
+            if parameter.path in known.constants:
+                place = PLACES[parameter.path]
+                # A forward difference is enough: a band needs its slope to per milles.
+                moved = drive + STEP * (np.arange(len(drive)) == place)
+                slope = (_cycles_at(moved, swimmer, piece) - turned) / STEP
+                slope = slope @ gain_of(swimmer).T
+                slope = slope / parameter.scale.slope(drive[place])
+                columns.append(slope[:, :, None])
+                places.append(entries(known, parameter.path))
+        if GAIN in _roots(known):
+            basis = gain_basis(np.ndim(swimmer.propulsion.gain))
+            columns.append(np.einsum("gab,tb->tag", basis, turned))
+            places.append(entries(known, GAIN))
+        if DRIFT in _roots(known):
+            elapsed = piece.times - piece.times[0]
+            columns.append(np.einsum("ga,t->tag", np.eye(2), elapsed))
+            places.append(entries(known, DRIFT))
+        several = np.concatenate(places)
+        covariance = known.posterior.covariance[np.ix_(several, several)]
+        return np.concatenate(columns, axis=2), covariance
+
+    def _beyond(self, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+        """Displacement by the excess of the frequency over all that was fitted [L]."""
+        frequency, heading = commands_of(piece)
+        # Beyond the fastest command of the fit the response is extrapolated.
+        excess = np.maximum(frequency - self.fastest, 0.0)
+        drive = excess[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        steps = drive[:-1] * np.diff(piece.times)[:, None]
+        along = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+        return DISCREPANCY * along @ gain_of(self.fit.model).T
 
 
-def _drive_slope(
-    piece: Trajectory, fit: TrackFit, path: np.ndarray, name: str
-) -> np.ndarray:
-    step = 1e-3
-    theta = np.array(fit.theta)
-    theta[NAMES.index(name)] += step
-    # A forward difference is enough: a band needs its slope to some per mille.
-    moved = path_of(eqx.tree_at(lambda f: f.theta, fit, theta))(piece)
-    return (moved - path) / step
+def _roots(fit: EvidenceFit) -> set[str]:
+    """Paths of the learned constants, without places in a matrix or a vector."""
+    return {name.partition("[")[0] for name in fit.constants}
 
+
+STEP = 1e-3
+"""Difference of a coordinate by which slopes of a path are taken."""
 
 DISCREPANCY = 0.25
 """Standard deviation of the slope of the response above the fitted frequencies, in
 slopes at rest: between none and the whole of it, all are seen. Chosen on five sessions
 and half of the other recordings, judged on the rest (docs/identification.md)."""
-
-
-def _beyond(piece: Trajectory, fit: TrackFit) -> Float[np.ndarray, "time 2"]:
-    """Displacement by the excess of the frequency over all that was fitted [L]."""
-    frequency, heading = commands_of(piece)
-    # Beyond the fastest command of the fit the response is extrapolated.
-    excess = np.maximum(frequency - fit.fastest, 0.0)
-    drive = excess[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    steps = drive[:-1] * np.diff(piece.times)[:, None]
-    along = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    return DISCREPANCY * along @ fit.gain.T
 
 
 class Coverage(eqx.Module):
@@ -379,11 +444,9 @@ class Coverage(eqx.Module):
     rollouts: int
 
 
-def coverage(
-    track: Track, rollouts: Rollouts, fit: TrackFit, jitter: FrameJitter
-) -> Coverage:
+def coverage(track: Track, rollouts: Rollouts, predictor: Predictor) -> Coverage:
     """Coverage of nominal bands of 90 % along each axis."""
-    forecasts = [Forecast.of(piece, fit, jitter) for piece in track.pieces]
+    forecasts = [predictor.forecast(piece) for piece in track.pieces]
     inside, ends = [], []
     for index, a, b in zip(rollouts.piece, rollouts.first, rollouts.last, strict=True):
         forecast = forecasts[index]

@@ -23,13 +23,14 @@ from pinav.identification.blocks_filter import (
     innovations_of_columns,
     steps_within,
 )
-from pinav.identification.models import (
-    COMMAND_RESPONSE,
-    RESPONSES,
-    CandidateModel,
+from pinav.identification.candidates import (
     SwitchedResponse,
+    linear_basis,
+    response_place,
 )
+from pinav.identification.parameters import DRIVE
 from pinav.identification.tracks import Blocks
+from pinav.systems import System
 
 
 class Regressors(NamedTuple):
@@ -44,8 +45,8 @@ class Regressors(NamedTuple):
         cycles: integral of the response along the heading, delayed and lagged.
         counts: samples in each block.
         begins: 1 where a segment begins with the block.
-        gains: gain matrices, zero where absent.
-        drifts: drift velocities, zero where absent.
+        gains: gain matrix by each number of an open gain, zero where absent.
+        drifts: drift by each number of an open drift, zero where absent.
     """
 
     times: Float[Array, " block"]
@@ -77,7 +78,7 @@ class CommandedPath(NamedTuple):
 
     Attributes:
         cycles: mean of each block.
-        slopes: of it, by each parameter of `COMMAND_RESPONSE`.
+        slopes: derivatives by the coordinates of `DRIVE`.
     """
 
     cycles: Float[Array, "block 2"]
@@ -98,8 +99,9 @@ class Design(eqx.Module):
     response: Int[Array, ""]
 
     @classmethod
-    def of(cls, candidate: CandidateModel, blocks: Blocks) -> "Design":
-        """The design of a candidate."""
+    def of(cls, system: System, blocks: Blocks) -> "Design":
+        """The design of the gain and drift that a system leaves open."""
+        gains, drifts = linear_basis(system)
         elapsed = (blocks.times - blocks.times[0])[:, None]
         samples = [elapsed, blocks.positions, blocks.frequency[:, None]]
         means = jnp.asarray(blocks.means(np.concatenate(samples, axis=1)))
@@ -110,15 +112,15 @@ class Design(eqx.Module):
             cycles=jnp.zeros_like(means[:, 1:3]),
             counts=jnp.asarray(blocks.counts),
             begins=jnp.asarray(blocks.begins),
-            gains=jnp.asarray(candidate.matrices()),
-            drifts=jnp.asarray(candidate.velocities()),
+            gains=jnp.asarray(gains),
+            drifts=jnp.asarray(drifts),
         )
-        index = jnp.asarray(RESPONSES.index(candidate.response))
+        index = jnp.asarray(response_place(system.swimmer))
         return cls(jax.tree.map(jnp.asarray, blocks), still, index)
 
     def regressors(self, theta: Float[Array, " parameter"]) -> Regressors:
         """All regressors at these parameters of the response."""
-        drive = theta[: len(COMMAND_RESPONSE)]
+        drive = theta[: len(DRIVE)]
         path = commanded_path(drive, self.blocks, self.response)
         return self.still._replace(cycles=path.cycles)
 
@@ -127,7 +129,7 @@ class Design(eqx.Module):
 def commanded_path(
     drive: Float[Array | np.ndarray, "4"], blocks: Blocks, response: Int[Array, ""]
 ) -> CommandedPath:
-    """The path at these values of `COMMAND_RESPONSE`."""
+    """The path at these coordinates of `DRIVE`."""
 
     def cycles(drive: Array) -> Float[Array, "block 2"]:
         return block_means(displacements(drive, blocks, response), blocks)

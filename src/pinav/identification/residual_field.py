@@ -11,8 +11,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
+from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting import EvidenceFit, model_evidence
 from pinav.fitting.engine.evidence_fit import evidence_fit
 from pinav.fitting.engine.iterate import iterate
@@ -26,13 +27,11 @@ from pinav.identification.blocks_filter import (
     innovations_of_columns,
 )
 from pinav.identification.displacement_field import path_displacement
-from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import Errors, Rollouts, path_of
-from pinav.identification.likelihood import (
-    Design,
-    whiten,
-)
+from pinav.identification.likelihood import Design, whiten
+from pinav.identification.parameters import fitted_coordinates
 from pinav.identification.tracks import Blocks, Track
+from pinav.systems import System
 from pinav.trajectories import Trajectories, Trajectory
 
 NETWORK_STEPS = 5
@@ -43,26 +42,13 @@ class ResidualFit(eqx.Module):
     """A candidate with a position-dependent residual.
 
     Attributes:
-        base: the candidate without it.
-        field: the fit of the residual velocity field, a force under mobility 1.
-        base_coefficients: gain and drift given the residual.
-        log_evidence: of both together.
+        swimmer: the candidate in the residual velocity field, a force under mobility 1,
+            with gain and drift as they are beside it.
+        log_evidence: log evidence of both together.
     """
 
-    base: TrackFit
-    field: EvidenceFit
-    base_coefficients: Float[np.ndarray, " coefficient"]
+    swimmer: OverdampedSwimmer
     log_evidence: float
-
-    @property
-    def environment(self) -> Any:
-        """The residual velocity field."""
-        return self.field.model
-
-    @property
-    def corrected(self) -> TrackFit:
-        """The candidate with gain and drift as they are beside the residual."""
-        return eqx.tree_at(lambda f: f.coefficients, self.base, self.base_coefficients)
 
 
 def positions_of(track: Track) -> Trajectories:
@@ -74,16 +60,19 @@ def positions_of(track: Track) -> Trajectories:
     )
 
 
-def fit_residual(track: Track, base: TrackFit, environment: Any) -> ResidualFit:
+def fit_residual(
+    track: Track, system: System, base: EvidenceFit, environment: Any
+) -> ResidualFit:
     """Fit the weights of an environment to what a candidate leaves.
 
     Args:
-        track: what is fitted.
-        base: a candidate of the same track.
+        track: positions and commands that are fitted.
+        system: candidate that the residual is added to.
+        base: its fit to the same track.
         environment: from `kernel_environment` or `neural_environment`, untrained.
     """
     with jax.enable_x64(new_val=True):
-        design = _BaseDesign.of(track, base)
+        design = _BaseDesign.of(track, system, base)
         linear = environment.is_linear
         problem = Regression.of(
             environment,
@@ -103,10 +92,8 @@ def fit_residual(track: Track, base: TrackFit, environment: Any) -> ResidualFit:
         normalisation = design.num_free * np.log(2 * np.pi)
         nothing = -0.5 * (normalisation + design.squares_without())
         return ResidualFit(
-            base=base,
-            field=field,
-            base_coefficients=design.coefficients(field.model),
-            log_evidence=base.log_evidence + float(gain - nothing),
+            swimmer=design.swimmer(base.model, field.model),
+            log_evidence=base.hyperparameters.log_evidence + float(gain - nothing),
         )
 
 
@@ -150,20 +137,20 @@ class _BaseDesign(eqx.Module):
 
     Attributes:
         rows: whitened regressors that occur.
-        present: which regressors these are.
         residuals: of the residual field.
         num_free: whitened displacements less regressors.
+        num_gains: regressors that belong to the gain.
     """
 
     rows: Float[np.ndarray, "row regressor"]
-    present: Bool[np.ndarray, " coefficient"]
     residuals: FilteredDisplacement
     num_free: int
+    num_gains: int
 
     @classmethod
-    def of(cls, track: Track, base: TrackFit) -> "_BaseDesign":
-        blocks, theta = Blocks.of(track), jnp.asarray(base.theta)
-        design = Design.of(base.candidate, blocks)
+    def of(cls, track: Track, system: System, base: EvidenceFit) -> "_BaseDesign":
+        blocks, theta = Blocks.of(track), jnp.asarray(fitted_coordinates(base))
+        design = Design.of(system, blocks)
         regressors = design.regressors(theta)
         whitened = whiten(theta, regressors)
         rows = np.asarray(whitened.rows)
@@ -176,24 +163,33 @@ class _BaseDesign(eqx.Module):
             basis=jnp.asarray(np.linalg.qr(rows[:, present])[0]),
         )
         num_free = 2 * int(whitened.count) - int(present.sum())
-        return cls(rows[:, present], present, residuals, num_free)
+        return cls(rows[:, present], residuals, num_free, int(present[:4].sum()))
 
     def squares_without(self) -> float:
         """The sum of squares without an environment."""
         return float(jnp.sum(self.residuals.project(self.residuals.target) ** 2))
 
-    def coefficients(self, environment: Any) -> Float[np.ndarray, " coefficient"]:
-        """Gain and drift given the environment."""
+    def swimmer(
+        self, swimmer: OverdampedSwimmer, environment: Any
+    ) -> OverdampedSwimmer:
+        """The swimmer in the environment, gain and drift given it."""
         moved = eqx.filter_jit(self.residuals.displacement)(environment)
-        coefficients = np.zeros(len(self.present))
         left = np.asarray(self.residuals.target - moved)
-        coefficients[self.present] = np.linalg.lstsq(self.rows, left, rcond=None)[0]
-        return coefficients
+        numbers = np.linalg.lstsq(self.rows, left, rcond=None)[0]
+        if self.num_gains:
+            gain = jnp.asarray(numbers[: self.num_gains])
+            propulsion: Any = swimmer.propulsion
+            gain = gain.reshape(propulsion.gain.shape)
+            swimmer = eqx.tree_at(lambda s: s.propulsion.gain, swimmer, gain)
+        if len(numbers) > self.num_gains:
+            drift = jnp.asarray(numbers[self.num_gains :])
+            swimmer = eqx.tree_at(lambda s: s.flow.velocity, swimmer, drift)
+        return swimmer.with_environment(environment)
 
 
 def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Errors:
     """End-point errors of rollouts in which the residual acts along the way."""
-    displacement = path_of(fit.corrected)
+    displacement = path_of(fit.swimmer)
     paths = [displacement(piece) for piece in track.pieces]
     distance, length = [], []
     for index in range(len(track.pieces)):
@@ -202,12 +198,12 @@ def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Error
             continue
         piece = track.pieces[index]
         first, last = rollouts.first[chosen], rollouts.last[chosen]
-        ends = _roll_out(fit.environment, piece, paths[index], (first, last))
+        ends = _roll_out(fit.swimmer.environment, piece, paths[index], (first, last))
         distance.append(np.hypot(*(ends - piece.states[last]).T))
         steps = np.hypot(*np.diff(piece.states, axis=0).T)
         total = np.concatenate([[0.0], np.cumsum(steps)])
         length.append(total[last] - total[first])
-    return Errors(
+    return Errors.of(
         np.concatenate(distance) if distance else np.zeros(0),
         np.concatenate(length) if length else np.zeros(0),
     )

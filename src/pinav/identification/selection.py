@@ -1,6 +1,5 @@
 """Model selection: all candidates on one track, scored on data that none has seen."""
 
-import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,34 +10,37 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import FitError, InputError
-from pinav.fitting import KernelGrid, kernel_environment, neural_environment
+from pinav.fitting import (
+    EvidenceFit,
+    KernelGrid,
+    kernel_environment,
+    neural_environment,
+)
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.forces import KernelForce, KernelPotential, NeuralForce
 from pinav.identification.baselines import least_squares
-from pinav.identification.fit import TrackFit, fit_track
+from pinav.identification.candidates import (
+    RESPONSES,
+    drift_only,
+    gain_matrix,
+    like,
+    scalar_gain,
+    with_learned,
+    with_response,
+    with_slow_drift,
+)
+from pinav.identification.fit import fit_track
 from pinav.identification.forecast import (
     HORIZONS,
     Displacement,
     Errors,
+    Predictor,
     Rollouts,
     cache_by_segment,
     errors,
     path_of,
 )
-from pinav.identification.models import (
-    COMMAND_RESPONSE,
-    DRIFT_ONLY,
-    MATRIX,
-    RESPONSES,
-    SCALAR,
-    SLOW_DRIFT,
-    WANDERING_GAIN,
-    CandidateModel,
-    like,
-    with_free,
-    with_response,
-)
-from pinav.identification.priors import Prior
+from pinav.identification.parameters import DELAY, LAG, Prior
 from pinav.identification.residual_field import (
     ResidualFit,
     fit_residual,
@@ -47,6 +49,7 @@ from pinav.identification.residual_field import (
 )
 from pinav.identification.stacking import stack, stacking_weight
 from pinav.identification.tracks import Track, after, before
+from pinav.systems import System
 from pinav.trajectories import Trajectory
 
 LEAST_SQUARES = "least squares"
@@ -64,19 +67,31 @@ class Row(eqx.Module):
 
     Attributes:
         name: candidate or baseline.
-        log_evidence: of the training part; NaN for baselines.
-        seconds: that the fit took, compilation included.
-        errors: by horizon, on the held-out part.
+        log_evidence: log evidence of the training part; NaN for baselines [nats].
+        seconds: duration of the fit, compilation included [s].
+        errors: errors of held-out rollouts by their length in seconds.
         velocity_r2: share of the held-out velocity's variance that is explained.
-        reason: why there are no results, where there are none.
+        reason: cause where there are no results; empty where there are.
+        tracks: number of tracks of which these are medians.
     """
 
     name: str = eqx.field(static=True)
     log_evidence: float
     seconds: float
-    errors: dict[float, Errors]
+    errors: dict[str, Errors]
     velocity_r2: float
     reason: str = eqx.field(static=True, default="")
+    tracks: int = 1
+
+    def over(self, horizon: float) -> Errors | None:
+        """Errors of rollouts of a length [s]; none where there are no results."""
+        return self.errors.get(f"{horizon:g}")
+
+    @property
+    def label(self) -> str:
+        """The name without the candidates that this one extends."""
+        first, *others = self.name.split(" + ")
+        return f"+ {others[-1]}" if others else first
 
 
 class Selection(eqx.Module):
@@ -87,21 +102,36 @@ class Selection(eqx.Module):
         train: its training part.
         held_out: its test part.
         rows: the table.
-        fits: candidates by name, without residuals.
-        chosen: name of the candidate that the evidence chose among `fits`.
+        candidates: systems that were fitted, by name.
+        fits: their fits to the training part.
+        chosen: name of the candidate that the evidence chose.
+        wandering: fit of the chosen candidate beside a gain that wanders, where the
+            evidence prefers that.
     """
 
     track: Track
     train: Track
     held_out: Track
     rows: list[Row]
-    fits: dict[str, TrackFit]
+    candidates: dict[str, System]
+    fits: dict[str, EvidenceFit]
     chosen: str = eqx.field(static=True)
+    wandering: EvidenceFit | None = None
 
     @property
-    def best(self) -> TrackFit:
+    def system(self) -> System:
+        """The chosen candidate."""
+        return self.candidates[self.chosen]
+
+    @property
+    def best(self) -> EvidenceFit:
         """The chosen candidate, fitted to the training part."""
         return self.fits[self.chosen]
+
+    @property
+    def predictor(self) -> Predictor:
+        """The same with its bands."""
+        return Predictor.of(self.train, self.best, self.wandering)
 
     def row(self, name: str) -> Row:
         """A line of the table by its name."""
@@ -146,7 +176,14 @@ def select_model(
         selection.residual(name)
     selection.add_least_squares()
     return Selection(
-        track, train, held_out, selection.rows, selection.fits, selection.chosen
+        track,
+        train,
+        held_out,
+        selection.rows,
+        selection.candidates,
+        selection.fits,
+        selection.chosen,
+        selection.wandering,
     )
 
 
@@ -159,50 +196,62 @@ class _Comparison:
         self.train, self.held_out, self.on_row = train, held_out, on_row
         self.prior = Prior.of(train)
         self.rows: list[Row] = []
-        self.fits: dict[str, TrackFit] = {}
+        self.candidates: dict[str, System] = {}
+        self.fits: dict[str, EvidenceFit] = {}
         self.chosen = ""
+        self.wandering: EvidenceFit | None = None
 
     def select_model(self) -> None:
         """All candidates that are lines and slopes."""
-        self._fit(DRIFT_ONLY, None)
-        self.chosen = DRIFT_ONLY.name
+        self.chosen = self._fit(drift_only(), None)
         if self.train.commanded:
-            self._fit(SCALAR, DRIFT_ONLY.name)
-            self._fit(MATRIX, None)
-            for response in RESPONSES[1:]:
-                self._fit(with_response(MATRIX, response), MATRIX.name)
+            self._fit(scalar_gain(), self.chosen)
+            matrix = self._fit(gain_matrix(), None)
+            for response in list(RESPONSES)[1:]:
+                self._fit(with_response(gain_matrix(), response), matrix)
             self.chosen = self._response()
-            self._extend("delay", "delay")
-            self._extend("lag", "log_lag")
-        self._extend("time-dependent drift", *SLOW_DRIFT)
+            self._extend(with_learned(self._best_so_far, "delay", DELAY), needed=0.0)
+            self._extend(with_learned(self._best_so_far, "lag", LAG))
+        self._extend(with_slow_drift(self._best_so_far))
         if self.train.commanded:
             self._compare_with_simpler()
             self._allow_for_wandering_gain()
 
-    def _fit(self, candidate: CandidateModel, start: str | None) -> TrackFit:
-        begin = time.perf_counter()
+    @property
+    def _best_so_far(self) -> System:
+        return self.candidates[self.chosen]
+
+    def _evidence(self, name: str) -> float:
+        return self.fits[name].hyperparameters.log_evidence
+
+    def _fit(self, system: System, start: str | None) -> str:
+        """Fit a candidate and score it; its name."""
         earlier = self.fits[start] if start else None
-        fit = fit_track(self.train, candidate, prior=self.prior, start=earlier)
+        self.candidates[system.name] = system
+        self.fits[system.name] = self._fit_and_score(system.name, system, earlier)
+        return system.name
+
+    def _fit_and_score(
+        self, name: str, system: System, start: EvidenceFit | None, **options: bool
+    ) -> EvidenceFit:
+        begin = time.perf_counter()
+        fit = fit_track(self.train, system, prior=self.prior, start=start, **options)
         seconds = time.perf_counter() - begin
-        self.fits[candidate.name] = fit
-        self._add(candidate.name, fit.log_evidence, seconds, path_of(fit))
+        self._add(name, fit.hyperparameters.log_evidence, seconds, path_of(fit.model))
         return fit
 
     def _response(self) -> str:
         """The response of highest evidence, if decisive; else the enclosing one."""
-        names = [MATRIX.name] + [with_response(MATRIX, r).name for r in RESPONSES[1:]]
-        values = {name: self.fits[name].log_evidence for name in names}
-        kept = with_response(MATRIX, ENCLOSING).name
-        best = max(values, key=lambda name: values[name])
-        return best if values[best] > values[kept] + DECISIVE else kept
+        names = [with_response(gain_matrix(), response).name for response in RESPONSES]
+        kept = with_response(gain_matrix(), ENCLOSING).name
+        best = max(names, key=self._evidence)
+        return best if self._evidence(best) > self._evidence(kept) + DECISIVE else kept
 
-    def _extend(self, label: str, *names: str) -> None:
-        """A further candidate on the chosen one; chosen itself if it is decisive."""
-        before = self.fits[self.chosen]
-        fit = self._fit(with_free(before.candidate, label, *names), self.chosen)
-        needed = 0.0 if label == "delay" else DECISIVE
-        if fit.log_evidence > before.log_evidence + needed:
-            self.chosen = fit.candidate.name
+    def _extend(self, system: System, needed: float = DECISIVE) -> None:
+        """A further candidate on the chosen one; chosen itself if it gains enough."""
+        name = self._fit(system, self.chosen)
+        if self._evidence(name) > self._evidence(self.chosen) + needed:
+            self.chosen = name
 
     def _compare_with_simpler(self) -> None:
         """The chosen candidate with one number for its gain, and without propulsion.
@@ -210,12 +259,11 @@ class _Comparison:
         They have the same response, delay and noise, so that a verdict on gain or
         propulsion compares nothing else; neither is chosen.
         """
-        chosen = self.fits[self.chosen].candidate
-        idle = like(DRIFT_ONLY, chosen, without=COMMAND_RESPONSE)
-        simpler = ((like(SCALAR, chosen), self.chosen), (idle, DRIFT_ONLY.name))
-        for candidate, start in simpler:
-            if candidate.name not in self.fits:
-                self._fit(candidate, start)
+        simpler = ((scalar_gain(), self.chosen), (drift_only(), drift_only().name))
+        for base, start in simpler:
+            system = like(base, self._best_so_far)
+            if system.name not in self.fits:
+                self._fit(system, start)
 
     def _allow_for_wandering_gain(self) -> None:
         """The chosen candidate beside a gain that wanders, for the bands alone.
@@ -223,11 +271,11 @@ class _Comparison:
         Its path is no better than that of a constant gain, and far worse where the
         wander is a large part of the gain.
         """
+        name = f"{self.chosen} + wandering gain"
         best = self.fits[self.chosen]
-        wandering = with_free(best.candidate, "wandering gain", *WANDERING_GAIN)
-        fit = self._fit(wandering, self.chosen)
-        if fit.log_evidence > best.log_evidence:
-            self.fits[self.chosen] = dataclasses.replace(best, wandering=fit)
+        fit = self._fit_and_score(name, self._best_so_far, best, wandering_gain=True)
+        if fit.hyperparameters.log_evidence > self._evidence(self.chosen):
+            self.wandering = fit
 
     def residual(self, name: str) -> None:
         """A position-dependent residual on the chosen candidate."""
@@ -235,23 +283,24 @@ class _Comparison:
         label = f"{self.chosen} + {name}"
         try:
             environment = RESIDUALS[name](self.train)
-            fit = fit_residual(self.train, self.fits[self.chosen], environment)
+            best = self.fits[self.chosen]
+            fit = fit_residual(self.train, self._best_so_far, best, environment)
         except (FitError, InputError) as error:
             self._refuse(label, str(error))
             return
         seconds = time.perf_counter() - begin
         by_horizon = {
-            horizon: residual_errors(self.held_out, self._rollouts(horizon), fit)
+            f"{horizon:g}": residual_errors(self.held_out, self._rollouts(horizon), fit)
             for horizon in HORIZONS
         }
         r2 = self._r2_of_residual(fit)
         self._append(Row(label, fit.log_evidence, seconds, by_horizon, r2))
 
     def _r2_of_residual(self, fit: ResidualFit) -> float:
-        path = path_of(fit.corrected)
+        path = path_of(fit.swimmer)
 
         def displacement(piece: Trajectory) -> np.ndarray:
-            at = jax.vmap(lambda x: fit.environment(0.0, x, 0 * x))
+            at = jax.vmap(lambda x: fit.swimmer.environment(0.0, x, 0 * x))
             velocity = np.asarray(at(jax.numpy.asarray(piece.states)))[:-1]
             steps = velocity * np.diff(piece.times)[:, None]
             return path(piece) + np.concatenate(
@@ -274,7 +323,7 @@ class _Comparison:
         It is no system that could be steered with, but loses to least squares less.
         """
         begin = time.perf_counter()
-        chosen = path_of(self.fits[self.chosen])
+        chosen = path_of(self.fits[self.chosen].model)
         weight = stacking_weight(self.train, chosen, other)
         seconds = time.perf_counter() - begin
         self._add(STACKED, float("nan"), seconds, stack(chosen, other, weight))
@@ -287,7 +336,7 @@ class _Comparison:
     ) -> None:
         displacement = cache_by_segment(displacement)
         by_horizon = {
-            horizon: errors(self.held_out, self._rollouts(horizon), displacement)
+            f"{horizon:g}": errors(self.held_out, self._rollouts(horizon), displacement)
             for horizon in HORIZONS
         }
         r2 = velocity_r2(self.held_out, displacement)

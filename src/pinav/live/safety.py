@@ -17,16 +17,13 @@ from jaxtyping import Float
 from scipy.special import log_ndtr
 
 from pinav.identification.running import RunningFit, forecast
-from pinav.navigation.control.escapes import choose_command
+from pinav.navigation.control.escapes import DEVIATIONS, choose_command
 
 AHEAD = 2.0
 """Time for which a way out is followed by the tube [s]."""
 
 CHECKS = 8
 """Pieces of the path in that time."""
-
-TUBE = 3.0
-"""Standard deviations of the tube."""
 
 HEADINGS = 8
 """Headings of commands in place of the one asked for, and of ways out."""
@@ -147,7 +144,7 @@ class Outlook(eqx.Module):
             ahead: how long [s].
         """
         distance, sd = self._approaches(firsts, escapes, ahead)
-        return distance - TUBE * sd
+        return distance - DEVIATIONS * sd
 
     def _approaches(
         self, firsts: np.ndarray, escapes: np.ndarray, ahead: float

@@ -26,7 +26,6 @@ from pinav.navigation.control.prediction import GradientGuide as GradientGuide
 from pinav.navigation.control.prediction import (
     TrajectoryPrediction as TrajectoryPrediction,
 )
-from pinav.navigation.control.simple import LineOfSight as LineOfSight
 from pinav.navigation.control.simple import StraightLine as StraightLine
 from pinav.navigation.control.simple import physics_only as physics_only
 from pinav.navigation.control.simple import steered_swimmer as steered_swimmer
@@ -34,12 +33,10 @@ from pinav.navigation.design.candidates import (
     CandidateTrajectories as CandidateTrajectories,
 )
 from pinav.navigation.design.candidates import Experiment as Experiment
-from pinav.navigation.design.information import InformationGain as InformationGain
-from pinav.navigation.design.information import Ranking as Ranking
-from pinav.navigation.design.information import VarianceReduction as VarianceReduction
-from pinav.navigation.design.information import expected_posterior as expected_posterior
-from pinav.navigation.design.information import rank as rank
-from pinav.navigation.design.information import suggest as suggest
+from pinav.navigation.design.information import (
+    PosteriorInformation as PosteriorInformation,
+)
+from pinav.navigation.design.information import best_candidate as best_candidate
 from pinav.navigation.design.prior import PriorField as PriorField
 from pinav.navigation.design.prior import prior_uncertainty as prior_uncertainty
 from pinav.navigation.maps import ArenaGrid as ArenaGrid

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.dynamics import FixedStep
+from pinav.errors import InputError
 from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
-from pinav.navigation.design.information import rank, suggest
+from pinav.navigation.design.information import PosteriorInformation, best_candidate
 from pinav.navigation.design.prior import PriorField, prior_uncertainty
 from pinav.navigation.problem import Evidence, NavigationProblem
 from pinav.navigation.task.zones import Rectangle
@@ -68,6 +69,9 @@ def suggest_trajectory(
 
     Returns:
         The trajectory; none where the fit has no evidence that one could improve.
+
+    Raises:
+        InputError: every candidate leaves the arena.
     """
     evidence = problem.evidence
     if evidence is None:
@@ -81,25 +85,29 @@ def suggest_trajectory(
         prior=PriorField(task.arena, STRENGTH * problem.thrust),
     )
     design = _experiment(problem, evidence)
+    expected_sd = PosteriorInformation.of(uncertainty, route, design, task.arena)
     key = jax.random.fold_in(jax.random.key(seed), 2)
     drawn = design.draw(CANDIDATES, key=key)
-    random = rank(uncertainty, route, design, drawn, arena=task.arena)
-    ranking = suggest(
-        uncertainty,
-        route,
+    random = np.array([expected_sd(drawn[k]) for k in range(CANDIDATES)])
+    _, first, *later = jax.random.split(key, ROUNDS + 1)
+    best, sd_after = best_candidate(
+        expected_sd,
         design,
-        arena=task.arena,
-        key=key,
-        num_candidates=CANDIDATES,
-        rounds=ROUNDS,
+        design.draw(CANDIDATES, key=first),
+        variations=CANDIDATES - 1,
+        keys=later,
     )
-    best = ranking.candidates[ranking.best]
-    inside = np.isfinite(random.worth)
-    x, y = best.starts[:2].tolist()
+    if not np.isfinite(sd_after):
+        raise InputError(
+            "suggest: each of the candidates leaves the arena; expected one that "
+            "stays inside, so make trajectories shorter or the arena larger"
+        )
+    inside = np.isfinite(random)
+    x, y = np.asarray(best.starts[:2], float).tolist()
     return Suggestion(
-        sd=ranking.sd_now,
-        sd_after=float(ranking.sd[ranking.best]),
-        sd_after_random=float(np.median(random.sd[inside])) if inside.any() else None,
+        sd=expected_sd.sd_now,
+        sd_after=sd_after,
+        sd_after_random=float(np.median(random[inside])) if inside.any() else None,
         start=(x, y),
         duration=design.duration,
         times=np.asarray(design.knots, float),

@@ -1,32 +1,19 @@
-"""Many pieces of work: a table of cells, done once each, by any engine.
+"""Many pieces of work: a table of cells, done once each by the workers of Dask.
 
-A cell is text; its result is a folder that is written whole. Workers in this process,
-in processes of this machine or on a Dask cluster leave the same files.
+A cell is text; its result is a folder that is written whole. Workers that are processes
+of this machine or of any other leave the same files.
 """
 
-from pinav.sweeps.cell import Cell, Outcome
-from pinav.sweeps.cluster import DaskCluster, TlsFiles
-from pinav.sweeps.engines import AbstractEngine, InThisProcess, WorkerDeath
-from pinav.sweeps.engines import OfExecutor as OfExecutor
-from pinav.sweeps.processes import LocalProcesses
-from pinav.sweeps.status import CellState, SweepStatus, sweep_status
-from pinav.sweeps.store import CellStore, claim
-from pinav.sweeps.sweep import run_sweep
-
-__all__ = [
-    "AbstractEngine",
-    "Cell",
-    "CellState",
-    "CellStore",
-    "DaskCluster",
-    "InThisProcess",
-    "LocalProcesses",
-    "OfExecutor",
-    "Outcome",
-    "SweepStatus",
-    "TlsFiles",
-    "WorkerDeath",
-    "claim",
-    "run_sweep",
-    "sweep_status",
-]
+from pinav.sweeps.cell import Cell as Cell
+from pinav.sweeps.cell import Outcome as Outcome
+from pinav.sweeps.cluster import Cluster as Cluster
+from pinav.sweeps.cluster import TlsFiles as TlsFiles
+from pinav.sweeps.cluster import cluster_at as cluster_at
+from pinav.sweeps.cluster import local_cluster as local_cluster
+from pinav.sweeps.status import CellState as CellState
+from pinav.sweeps.status import SweepStatus as SweepStatus
+from pinav.sweeps.status import sweep_status as sweep_status
+from pinav.sweeps.store import CellStore as CellStore
+from pinav.sweeps.store import claim as claim
+from pinav.sweeps.sweep import OpenCluster as OpenCluster
+from pinav.sweeps.sweep import map_cells as map_cells

@@ -19,10 +19,17 @@ from pinav import __version__
 from pinav.errors import FitError, InputError
 from pinav.numerics import free_programs
 from pinav.sweeps.cell import Cell, Outcome
-from pinav.sweeps.store import HANG_FILE, RESULT, CellStore
+from pinav.sweeps.store import RESULT, TRACE_FILE, CellStore
 
-ATTEMPTS = 3
-"""Workers that a cell may cost before it counts as failed."""
+CRASHES = 3
+"""Workers that a cell may crash before it counts as failed."""
+
+KILLS = 20
+"""Workers that may end without a word, as by a kill from outside, while they do a cell.
+
+A cell that takes more memory than there is ends so, too. Twice as many would cost its
+time twice; half of them fail cells where many workers are killed.
+"""
 
 REFUSALS_OF_THE_SYSTEM = (
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),
@@ -111,7 +118,7 @@ def _carry_out(order: Order) -> None:
     try:
         reason = _past_failure(before, order.timeout)
         again = bool(reason)
-        reason = reason or _do(cell, here, order.timeout)
+        reason = reason or _do(cell, here, order)
         seconds = round(time.monotonic() - begin, 3)
         store.publish(cell, here, Outcome(seconds, reason, again, __version__))
     except (OSError, InputError):
@@ -142,27 +149,41 @@ def _check_folder(store: CellStore, order: Order) -> None:
 
 def _past_failure(before: list[Path], timeout: float | None) -> str:
     """Why a cell is not tried again; empty where it is."""
-    for folder in before:
-        hung = folder / HANG_FILE
-        if hung.exists() and hung.stat().st_size:
-            limit = "its time" if timeout is None else f"{timeout:g} s"
-            return f"took longer than {limit}"
-    if len(before) >= ATTEMPTS:
-        return f"its worker died {len(before)} times"
+    ends = [_last_words(folder) for folder in before]
+    if any(words.startswith("Timeout") for words in ends):
+        limit = "its time" if timeout is None else f"{timeout:g} s"
+        return f"took longer than {limit}"
+    crashes = sum(words.startswith("Fatal") for words in ends)
+    if crashes >= CRASHES:
+        return f"its worker died {crashes} times"
+    if len(before) - crashes >= KILLS:
+        return f"its worker was killed {len(before) - crashes} times"
     return ""
 
 
-def _do(cell: Cell, here: Path, timeout: float | None) -> str:
+def _last_words(folder: Path) -> str:
+    """What Python wrote of how an attempt ended; nothing after a kill from outside."""
+    try:
+        return (folder / TRACE_FILE).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
+def _do(cell: Cell, here: Path, order: Order) -> str:
     """Call the cell's function; the reason where it fails.
+
+    A process that crashes, or whose time is over, writes where it was before it ends.
 
     Raises:
         OSError: the system refused to write.
         InputError: the same, from a function that has made it a line.
     """
     module, _, name = cell.command.partition(":")
-    with open(here / HANG_FILE, "w") as traceback:
-        if timeout is not None:  # from a thread that needs no lock of Python's
-            faulthandler.dump_traceback_later(timeout, exit=True, file=traceback)
+    with open(here / TRACE_FILE, "w") as trace:
+        if order.client != process_name():
+            faulthandler.enable(trace)
+        if order.timeout is not None:  # from a thread that needs no lock of Python's
+            faulthandler.dump_traceback_later(order.timeout, exit=True, file=trace)
         try:
             getattr(importlib.import_module(module), name)(cell, here / RESULT)
         except (FitError, InputError) as error:
@@ -175,6 +196,8 @@ def _do(cell: Cell, here: Path, timeout: float | None) -> str:
             return " ".join(f"{type(error).__name__}: {error}".split())[:300]
         finally:
             faulthandler.cancel_dump_traceback_later()
+            if order.client != process_name():
+                faulthandler.disable()
     return ""
 
 

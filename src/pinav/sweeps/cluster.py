@@ -1,29 +1,21 @@
-"""Workers of a Dask cluster that runs already."""
+"""Workers of Dask: processes of this machine, or those of a scheduler that runs."""
 
+import contextlib
 import importlib
-import importlib.util
-import os
-import sys
-from collections.abc import Sequence
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+import logging
+import signal
+from collections.abc import Iterator, Sequence
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from pinav.errors import InputError
-from pinav.numerics import ONE_CORE, prepare_process
-from pinav.sweeps.attempt import attempt
-from pinav.sweeps.engines import AbstractEngine, WorkerDeath
+from pinav.sweeps import worker
 
 CONNECTION_TIME = 10.0
 """How long a scheduler may take to answer [s]."""
-
-PAUSE = 2.0
-"""How often it is asked whether an answer is lost [s]."""
-
-MOST_WORKERS = 1000
-"""Cells at once."""
 
 
 class TlsFiles(msgspec.Struct, frozen=True):
@@ -40,103 +32,144 @@ class TlsFiles(msgspec.Struct, frozen=True):
     key: Path
 
 
-class DaskCluster(AbstractEngine):
-    """The workers of the Dask scheduler at an address, as they come and go.
+class Cluster:
+    """The workers of a Dask scheduler, as they come and go; each does one cell.
 
     Attributes:
-        address: such as tcp://host:8786, or tls://host:8786.
-
-    Raises:
-        InputError: Dask is not installed, nobody answers, or not in time.
+        client: the client of the scheduler.
+        description: what does the work, for people.
     """
 
-    def __init__(self, address: str, tls: TlsFiles | None = None) -> None:
-        if importlib.util.find_spec("distributed") is None:
-            raise InputError(
-                "--scheduler: Dask is not installed; pip install 'pinav[cluster]'"
-            )
-        self.address = address
-        distributed: Any = importlib.import_module("distributed")
-        security = {} if tls is None else {"security": _security(distributed, tls)}
-        try:
-            self._client = distributed.Client(
-                address, timeout=CONNECTION_TIME, set_as_default=False, **security
-            )
-        except (OSError, ValueError, TypeError) as error:
-            reason = str(error) or "nobody answers"
-            raise InputError(f"--scheduler {address}: {reason}") from error
-        self._threads = ThreadPoolExecutor(MOST_WORKERS)
+    def __init__(self, client: Any, description: str) -> None:
+        self.client, self.description = client, description
 
-    @property
-    def description(self) -> str:
-        page = self._client.dashboard_link
-        return f"the Dask cluster at {self.address} ({page})"
-
-    def places(self) -> Sequence[str]:
-        if self._client.status not in ("running", "connecting"):
-            raise InputError(self._gone)
-        return list(self._client.scheduler_info(n_workers=-1).get("workers", ()))
-
-    @property
-    def _gone(self) -> str:
-        return (
-            f"the scheduler at {self.address} is gone; what is done is kept: continue "
-            "with --resume and a scheduler that runs"
-        )
-
-    def submit(self, place: str, version: str, order: str) -> Future[str]:
-        del place
-        return self._threads.submit(self._ask, version, order)
-
-    def _ask(self, version: str, order: str) -> str:
-        """Send an order and wait for the answer.
-
-        Dask's own executor waits for ever for an answer that is lost with its worker.
+    def workers(self) -> Sequence[str]:
+        """Addresses of the workers that there are now.
 
         Raises:
-            WorkerDeath: the answer is lost.
+            InputError: the scheduler is gone.
         """
-        # Dask chooses the worker: with one that it should prefer, a cell whose worker
-        # died was never given to the next.
-        future = self._client.submit(attempt_elsewhere, version, order, pure=False)
-        while True:
-            try:
-                return future.result(timeout=PAUSE)
-            except TimeoutError:
-                if self._client.status != "running":
-                    raise ConnectionError("the connection is closed") from None
-                if future.status != "pending":
-                    raise WorkerDeath from None
+        with contextlib.suppress(OSError):  # of a connection that breaks just now
+            if self.client.status in ("running", "connecting"):
+                return list(self.client.scheduler_info(n_workers=-1)["workers"])
+        raise InputError(
+            f"the scheduler of {self.description} is gone; what is done is kept: "
+            "continue with --resume and a scheduler that runs"
+        )
 
-    def close(self) -> None:
-        self._client.close()
-        self._threads.shutdown()
+    def submit(self, place: str, version: str, order: str) -> Any:
+        """Hand an order to a worker; the future of its answer.
 
-    def check_death(self, error: BaseException) -> WorkerDeath:
-        name = type(error).__name__
-        if name == "KilledWorker":
-            return WorkerDeath()
-        if (
-            isinstance(error, CancelledError | OSError)
-            or name == "FutureCancelledError"
-        ):
-            raise InputError(self._gone) from error
+        Args:
+            place: address of the worker.
+            version: of the program of this client.
+            order: an `Order` as JSON.
+        """
+        return self.client.submit(
+            worker.attempt_here,
+            version,
+            order,
+            workers=[place],
+            allow_other_workers=False,
+            pure=False,
+        )
+
+    def wait(self, futures: Sequence[Any], seconds: float) -> None:
+        """Wait until one of the futures has its answer, or for some seconds."""
+        if any(future.status != "pending" for future in futures):
+            return
+        distributed: Any = importlib.import_module("distributed")
+        lost = distributed.client.FutureCancelledError  # which its status tells
+        with contextlib.suppress(TimeoutError, lost), self.client.as_current():
+            distributed.wait(futures, timeout=seconds, return_when="FIRST_COMPLETED")
+
+    def answer(self, future: Any) -> str | None:
+        """The answer of a worker that is through; none where it was lost.
+
+        Raises:
+            InputError: the scheduler is gone, or a worker cannot load pinav.
+        """
+        if future.status == "finished":
+            return future.result()
+        error = future.exception() if future.status == "error" else None
         if isinstance(error, ImportError | AttributeError):
             raise InputError(
-                f"a worker of {self.address} cannot load pinav ({error}); install the "
-                "version of the client there"
+                f"a worker of {self.description} cannot load pinav ({error}); install "
+                "the version of the client there"
             ) from error
+        if error is None or type(error).__name__ == "KilledWorker":
+            return None
         raise error
 
 
-def attempt_elsewhere(version: str, order: str) -> str:
-    """`attempt` in a process that Dask started: prepared as those of pinav are."""
-    prepare_process()
-    os.environ.update(ONE_CORE)
-    os.environ["JAX_ENABLE_X64"] = "true"
-    if "jax" in sys.modules:  # imported before, by someone else
-        importlib.import_module("jax").config.update("jax_enable_x64", val=True)
-    return attempt(version, order)
+@contextlib.contextmanager
+def local_cluster(count: int) -> Iterator[Cluster]:
+    """Fresh processes of this machine, each with one core; one that dies is replaced.
+
+    Args:
+        count: Number of processes.
+
+    Raises:
+        InputError: the processes cannot be started.
+    """
+    distributed: Any = importlib.import_module("distributed")
+    try:
+        with _without_interrupts():
+            cluster = distributed.LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
+                memory_limit=None,  # the system ends what takes too much
+                dashboard_address="127.0.0.1:0",  # any free port
+                silence_logs=logging.CRITICAL,
+                env=worker.SETTINGS,
+                preload=worker.__name__,
+            )
+    except (OSError, RuntimeError) as error:
+        raise InputError(
+            f"--workers: a process cannot be started: {error.__cause__ or error}"
+        ) from error
+    with cluster, distributed.Client(cluster, set_as_default=False) as client:
+        yield Cluster(client, f"{count} processes of this machine")
+
+
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Leave interrupts to this thread: what starts within gets none.
+
+    Workers then end when the client says so, and not with complaints of their own.
+    """
+    resource_tracker.ensure_running()  # which lets interrupts through when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def cluster_at(address: str, tls: TlsFiles | None = None) -> Iterator[Cluster]:
+    """The workers of the scheduler at an address.
+
+    Args:
+        address: Such as tcp://host:8786, or tls://host:8786.
+        tls: Certificates, where the scheduler asks for them.
+
+    Raises:
+        InputError: nobody answers, or not in time.
+    """
+    distributed: Any = importlib.import_module("distributed")
+    try:
+        security = {} if tls is None else {"security": _security(distributed, tls)}
+        client = distributed.Client(
+            address, timeout=CONNECTION_TIME, set_as_default=False, **security
+        )
+    except (OSError, ValueError, TypeError) as error:
+        reason = str(error) or "nobody answers"
+        raise InputError(f"--scheduler {address}: {reason}") from error
+    with client:
+        page = client.dashboard_link
+        yield Cluster(client, f"the Dask cluster at {address} ({page})")
 
 
 def _security(distributed: Any, tls: TlsFiles) -> Any:

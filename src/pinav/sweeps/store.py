@@ -31,7 +31,7 @@ Result = TypeVar("Result")
 
 FOLDER, SWEEP_FILE, LOCK_FILE = "cells", "sweep.json", ".lock"
 CELL_FILE, OUTCOME_FILE = "cell.toml", "outcome.json"
-START_FILE, HANG_FILE, RESULT = "started.json", "hang.txt", "result"
+START_FILE, TRACE_FILE, RESULT = "started.json", "trace.txt", "result"
 
 PATIENCE = 10.0
 """How long a file of another machine may take to be seen here [s]."""
@@ -220,12 +220,10 @@ class CellStore:
         except (OSError, msgspec.DecodeError):
             return None
 
-    def forget(self, cell: Cell, pid: int | None = None) -> None:
-        """Drop the attempts at a cell: all of them, or those of one process."""
+    def forget(self, cell: Cell) -> None:
+        """Drop the attempts at a cell."""
         for attempt in self.attempts(cell.name):
-            start = self.start_of(attempt)
-            if pid is None or start is None or start.pid == pid:
-                shutil.rmtree(attempt, ignore_errors=True)
+            shutil.rmtree(attempt, ignore_errors=True)
 
     def discard(self, cell: Cell) -> None:
         """Delete what became of a cell, so that it is done again."""

@@ -1,8 +1,9 @@
 """The client of a sweep: hands out what is not done, and once more what is lost."""
 
-from collections import Counter
+import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import AbstractContextManager
+from typing import Any
 
 import msgspec
 from tqdm import tqdm
@@ -11,20 +12,21 @@ from pinav import __version__
 from pinav.errors import InputError
 from pinav.sweeps.attempt import Answer, Order, process_name
 from pinav.sweeps.cell import Cell, Outcome
-from pinav.sweeps.engines import AbstractEngine
+from pinav.sweeps.cluster import Cluster
 from pinav.sweeps.store import CellStore
-
-KILLS = 10
-"""Workers that may be killed from outside while they do one cell."""
 
 PAUSE = 0.5
 """How often a client looks for new workers [s]."""
 
 
-def run_sweep(
+OpenCluster = Callable[[], AbstractContextManager[Cluster]]
+"""Starts workers, or finds them, and lets them go at the end."""
+
+
+def map_cells(
     cells: Sequence[Cell],
     store: CellStore,
-    engine: AbstractEngine,
+    open_cluster: OpenCluster,
     *,
     timeout: float | None = None,
     title: str = "cells",
@@ -32,12 +34,12 @@ def run_sweep(
 ) -> list[Outcome]:
     """Do every cell once; those that the store holds are done.
 
-    The caller holds the folder (`claim`), and closes the engine.
+    The caller holds the folder (`claim`). Without a cell to do, no worker is started.
 
     Args:
         cells: the table.
         store: where their folders are.
-        engine: who does them.
+        open_cluster: gives the workers.
         timeout: seconds that a cell may take.
         title: of the progress bar.
         on_done: told of each cell when it is done now.
@@ -49,22 +51,35 @@ def run_sweep(
         InputError: workers cannot do anything, such as for want of disk.
         OSError: the folder cannot be written.
     """
-    sweep = _Sweep(cells, store, engine, timeout)
+    waiting = [cell for cell in dict.fromkeys(cells) if _is_undone(cell, store)]
     with tqdm(
         total=len(cells),
-        initial=len(cells) - len(sweep.waiting),
+        initial=len(cells) - len(waiting),
         desc=title,
         unit="cell",
         dynamic_ncols=True,
     ) as bar:
-        while sweep.waiting or sweep.running:
-            sweep.hand_out()
-            for cell, outcome in sweep.collect():
-                bar.set_postfix_str(cell.label, refresh=False)
-                bar.update()
-                on_done(cell, outcome)
+        if waiting:
+            with open_cluster() as cluster:
+                token = store.write_plan(cells, cluster.description).token
+                sweep = _Sweep(waiting, store, cluster, token, timeout)
+                while sweep.waiting or sweep.running:
+                    sweep.hand_out()
+                    for cell, outcome in sweep.collect():
+                        bar.set_postfix_str(cell.label, refresh=False)
+                        bar.update()
+                        on_done(cell, outcome)
     outcomes = [store.outcome(cell) for cell in cells]
     return [outcome for outcome in outcomes if outcome is not None]
+
+
+def _is_undone(cell: Cell, store: CellStore) -> bool:
+    """True if a cell is to be done; attempts of a client that died do not count."""
+    outcome = store.outcome(cell)
+    store.forget(cell)
+    if outcome is not None and outcome.again:
+        store.discard(cell)
+    return outcome is None or outcome.again
 
 
 class _Sweep:
@@ -72,35 +87,32 @@ class _Sweep:
 
     def __init__(
         self,
-        cells: Sequence[Cell],
+        waiting: list[Cell],
         store: CellStore,
-        engine: AbstractEngine,
+        cluster: Cluster,
+        token: str,
         timeout: float | None,
     ) -> None:
-        self.store, self.engine, self.timeout = store, engine, timeout
-        self.token = store.write_plan(cells, engine.description).token
-        self.waiting = [cell for cell in dict.fromkeys(cells) if self._is_undone(cell)]
-        self.running: dict[Future[str], tuple[str, Cell]] = {}
+        self.waiting, self.store, self.cluster = waiting, store, cluster
+        self.token, self.timeout = token, timeout
+        self.running: dict[str, tuple[Any, Cell]] = {}
         self.shapes: dict[str, str] = {}
-        self.deaths: Counter[Cell] = Counter()
-
-    def _is_undone(self, cell: Cell) -> bool:
-        """Whether a cell is to be done; attempts of a client that died do not count."""
-        outcome = self.store.outcome(cell)
-        self.store.forget(cell)
-        if outcome is not None and outcome.again:
-            self.store.discard(cell)
-        return outcome is None or outcome.again
 
     def hand_out(self) -> None:
-        """Give each free worker a cell."""
-        busy = {place for place, _ in self.running.values()}
-        for place in self.engine.places():
-            if place not in busy and self.waiting:
+        """Give each free worker a cell; take back what a worker had that is gone."""
+        places = self.cluster.workers()
+        for place in self.running.keys() - set(places):
+            future, cell = self.running[place]
+            if future.status == "pending":
+                del self.running[place]
+                future.cancel()
+                self.waiting.append(cell)  # last: others need not wait for its crashes
+        for place in places:
+            if place not in self.running and self.waiting:
                 cell = self.waiting.pop(self._choose(place))
                 self.shapes[place] = cell.shape
-                future = self.engine.submit(place, __version__, self._order(cell))
-                self.running[future] = place, cell
+                future = self.cluster.submit(place, __version__, self._order(cell))
+                self.running[place] = future, cell
 
     def _choose(self, place: str) -> int:
         """A cell of the shape that the worker has compiled, else of one nobody has."""
@@ -123,44 +135,32 @@ class _Sweep:
         return msgspec.json.encode(order).decode()
 
     def collect(self) -> list[tuple[Cell, Outcome]]:
-        """Wait a little; the cells that are done since."""
-        if not self.running:
-            wait([Future()], timeout=PAUSE)  # for a worker to come
-        done, _ = wait(self.running, timeout=PAUSE, return_when=FIRST_COMPLETED)
-        results = []
-        for future in done:
-            _, cell = self.running.pop(future)
-            outcome = self._settle(future, cell)
-            if outcome is None:
-                self.waiting.append(cell)  # last: others need not wait for its crashes
-            else:
-                results.append((cell, outcome))
-        return results
-
-    def _settle(self, future: Future[str], cell: Cell) -> Outcome | None:
-        """What became of a cell; none where its worker was lost.
+        """Wait a little; the cells that are done since.
 
         Raises:
             InputError: the workers cannot do anything.
         """
-        try:
-            answer = msgspec.json.decode(future.result(), type=Answer)
-        except Exception as error:
-            death = self.engine.check_death(error)
-        else:
-            if answer.refusal:
-                raise InputError(f"{answer.refusal}; then continue with --resume")
-            return self.store.wait_for(cell)
-        self.deaths[cell] += 1
-        if self.deaths[cell] >= KILLS:
-            return self._give_up(cell)
-        if death.killed:
-            self.store.forget(cell, death.pid)
-        return None
+        if not self.running:
+            time.sleep(PAUSE)  # for a worker to come
+            return []
+        self.cluster.wait([future for future, _ in self.running.values()], PAUSE)
+        results = []
+        for place, (future, cell) in list(self.running.items()):
+            if future.status != "pending":
+                del self.running[place]
+                outcome = self._settle(future, cell)
+                if outcome is None:
+                    self.waiting.append(cell)
+                else:
+                    results.append((cell, outcome))
+        return results
 
-    def _give_up(self, cell: Cell) -> Outcome:
-        outcome = Outcome(0.0, f"its worker was killed {KILLS} times", again=True)
-        attempt = self.store.begin(cell)
-        self.store.publish(cell, attempt, outcome)
-        self.store.forget(cell)
-        return outcome
+    def _settle(self, future: Any, cell: Cell) -> Outcome | None:
+        """What became of a cell; none where its worker was lost."""
+        words = self.cluster.answer(future)
+        if words is None:
+            return None
+        answer = msgspec.json.decode(words, type=Answer)
+        if answer.refusal:
+            raise InputError(f"{answer.refusal}; then continue with --resume")
+        return self.store.wait_for(cell)

@@ -1,38 +1,34 @@
-"""A worker process: reads orders from its input, one line each, and answers in turn.
+"""What a worker of Dask does: it prepares its process, and attempts cells.
 
-Started as `python -m pinav.sweeps.worker`; it ends when its input does, which
-is when its client ends, however that ends.
+Dask imports this module by its name: when a worker of this machine starts, and where a
+cell is handed to any other worker.
 """
 
-import json
+import importlib
 import os
-import signal
 import sys
-import threading
-from queue import SimpleQueue
+
+from pinav.numerics import ONE_CORE, prepare_process
+from pinav.sweeps.attempt import attempt
+
+SETTINGS = {"JAX_ENABLE_X64": "true", "TQDM_DISABLE": "1", **ONE_CORE}
+"""Variables of the environment of a worker."""
 
 
-def main() -> None:
-    """Work until the input ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the client says when to stop
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a cell prints is no answer
-    orders: SimpleQueue[str] = SimpleQueue()
-    threading.Thread(target=_read, args=(orders,), daemon=True).start()
-    from pinav.sweeps.attempt import attempt
+def dask_setup(worker: object) -> None:
+    """Prepare a worker of this machine, whose output is that of the command.
 
-    while True:
-        version, order = json.loads(orders.get())
-        answers.write(json.dumps(attempt(version, order)) + "\n")
-        answers.flush()
+    Args:
+        worker: The worker, as Dask hands it over.
+    """
+    del worker
+    os.dup2(2, 1)  # what a cell prints is no result of the command
 
 
-def _read(orders: "SimpleQueue[str]") -> None:
-    """Take orders while a cell is worked on, so that the client's end is noticed."""
-    for line in sys.stdin:
-        orders.put(line)
-    os._exit(0)
-
-
-if __name__ == "__main__":
-    main()
+def attempt_here(version: str, order: str) -> str:
+    """`attempt` in a process that Dask started: prepared as that of a command is."""
+    prepare_process()
+    os.environ.update(SETTINGS)
+    if "jax" in sys.modules:  # imported before, by someone else
+        importlib.import_module("jax").config.update("jax_enable_x64", val=True)
+    return attempt(version, order)

@@ -10,15 +10,8 @@ from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Posterior, ravel_model
 from pinav.forces import KernelPotential, LinearDrag, ZeroForce
-from pinav.navigation.design.candidates import Experiment, begins, in_sequence
-from pinav.navigation.design.information import (
-    InformationGain,
-    VarianceReduction,
-    expected_posterior,
-    inside,
-    rank,
-    suggest,
-)
+from pinav.navigation.design.candidates import Experiment
+from pinav.navigation.design.information import PosteriorInformation, best_candidate
 from pinav.navigation.design.prior import PriorField, prior_uncertainty
 from pinav.navigation.task.steering import CommandLimits, HelicalActuator
 from pinav.navigation.task.zones import Rectangle
@@ -67,8 +60,12 @@ def differences(known, candidate, design, points):
     return (up - down).T / 2e-5
 
 
+def judge(known, design, arena=ARENA, way=ROUTE):
+    return PosteriorInformation.of(known, way, design, arena)
+
+
 @pytest.mark.parametrize("order", ["inertia", "overdamped"])
-def test_the_expected_covariance_is_that_of_least_squares_with_a_free_start(order):
+def test_what_is_expected_is_that_of_least_squares_with_a_free_start(order):
     model, states = Swimmer(ZeroForce(), LinearDrag(0.36), kernels()), 4
     if order == "overdamped":
         model, states = OverdampedSwimmer(ZeroForce(), kernels(), 1.0), 2
@@ -78,97 +75,66 @@ def test_the_expected_covariance_is_that_of_least_squares_with_a_free_start(orde
     jacobian = np.asarray(differences(known, candidate, design, point)) / 0.02
     normal = jacobian.T @ jacobian
     normal[:9, :9] += np.linalg.inv(known.covariance)
-    expected = np.linalg.inv(normal)[:9, :9]
-    found = expected_posterior(known, design, candidate)
-    np.testing.assert_allclose(found.covariance, expected, rtol=1e-5, atol=1e-8)
-    np.testing.assert_array_equal(found.mean, known.mean)
-
-
-def test_the_ranking_is_that_of_the_expected_posteriors():
-    known, design = posterior(), experiment()
-    candidates = design.draw(4, key=jax.random.key(3))
-    found = rank(known, ROUTE, design, candidates, arena=ARENA)
-    for index in range(2):
-        after = expected_posterior(known, design, candidates[index]).force_sd(ROUTE)
-        assert found.sd[index] == pytest.approx(np.sqrt(np.mean(after**2)), rel=1e-6)
+    covariance = np.linalg.inv(normal)[:9, :9]
+    expected = Posterior(known.free, known.mean, covariance).force_sd(ROUTE)
+    found = judge(known, design)
+    rms = np.sqrt(np.mean(expected**2))
+    assert found(candidate) == pytest.approx(rms, rel=1e-5)
     now = known.force_sd(ROUTE)
     assert found.sd_now == pytest.approx(np.sqrt(np.mean(now**2)), rel=1e-9)
-    worth = found.sd_now**2 - found.sd**2
-    np.testing.assert_allclose(found.worth, worth, rtol=1e-6)
 
 
 def test_less_noise_tells_more():
-    known, key = posterior(), jax.random.key(4)
-    candidates = experiment().draw(4, key=key)
-    clean, plain, noisy, blind = (
-        rank(known, ROUTE, experiment(noise), candidates, arena=ARENA).worth
-        for noise in (0.002, 0.02, 0.2, np.inf)
-    )
-    assert np.all((clean > plain) & (plain > noisy) & (noisy > 0))
-    np.testing.assert_allclose(blind, 0.0, atol=1e-12)
+    known = posterior()
+    drawn = experiment().draw(2, key=jax.random.key(4))
+    for candidate in (drawn[0], drawn[1]):
+        clean, plain, noisy, blind = (
+            judge(known, experiment(noise))(candidate)
+            for noise in (0.002, 0.02, 0.2, np.inf)
+        )
+        assert clean < plain < noisy < blind
+        assert blind == pytest.approx(judge(known, experiment()).sd_now, rel=1e-12)
 
 
 def test_a_trajectory_far_away_tells_nothing():
     known, design = posterior(), experiment()
-    candidate = design.draw(4, key=jax.random.key(5))
-    away = eqx.tree_at(
-        lambda s: s.starts, candidate, candidate.starts.at[:, :2].add(40.0)
-    )
-    everywhere = Rectangle([-90.0, -90.0], [90.0, 90.0])
-    found = rank(known, ROUTE, design, away, arena=everywhere)
-    np.testing.assert_allclose(found.worth, 0.0, atol=1e-12)
+    candidate = design.draw(1, key=jax.random.key(5))[0]
+    away = eqx.tree_at(lambda s: s.starts, candidate, candidate.starts.at[:2].add(40.0))
+    found = judge(known, design, Rectangle([-90.0, -90.0], [90.0, 90.0]))
+    assert found(away) == pytest.approx(found.sd_now, rel=1e-12)
 
 
-def test_information_is_the_gain_of_normal_distributions():
-    before = np.diag([4.0, 9.0])
-    after = np.array([[1.0, 0.0], [0.0, 9.0]])
-    gain = InformationGain(1e-6)(jnp.asarray(before), jnp.asarray(after))
-    assert float(gain) == pytest.approx(np.log(2.0))
-    coarse = InformationGain(100.0)(jnp.asarray(before), jnp.asarray(after))
-    assert float(coarse) == pytest.approx(1.5e-4, rel=0.01)
-    fall = VarianceReduction()(jnp.asarray(before), jnp.asarray(after))
-    assert float(fall) == pytest.approx(1.5)
-
-
-def test_suggestions_only_improve_from_round_to_round():
+def test_a_search_only_improves_from_round_to_round():
     known, design = posterior(), experiment()
-    options = {"arena": ARENA, "key": jax.random.key(6), "num_candidates": 4}
-    worths = []
-    for rounds in (1, 2, 3):
-        found = suggest(known, ROUTE, design, rounds=rounds, **options)
-        worths.append(found.worth[found.best])
-    assert worths[1] >= worths[0]
-    assert worths[2] >= worths[1]
-    assert worths[2] > worths[0]
+    first = design.draw(4, key=jax.random.key(6))
+    keys, found = jax.random.split(jax.random.key(16), 2), judge(known, design)
+    sds = [
+        best_candidate(found, design, first, variations=3, keys=keys[:rounds])[1]
+        for rounds in (0, 1, 2)
+    ]
+    assert sds[0] == min(found(first[k]) for k in range(4))
+    assert sds[0] >= sds[1] >= sds[2]
+    assert sds[0] > sds[2]
 
 
-def test_the_worth_is_averaged_over_draws_of_the_model():
-    known, design = posterior(), experiment()
-    candidates = design.draw(4, key=jax.random.key(7))
-    options = {"arena": ARENA, "key": jax.random.key(8)}
-    mean = rank(known, ROUTE, design, candidates, arena=ARENA).worth
-    several = rank(known, ROUTE, design, candidates, draws=2, **options).worth
-    assert np.all(several != mean)
-    certain = Posterior(known.free, known.mean, 1e-14 * known.covariance)
-    few = rank(certain, ROUTE, design, candidates, draws=2, **options).worth
-    same = rank(certain, ROUTE, design, candidates, arena=ARENA).worth
-    np.testing.assert_allclose(few, same, rtol=1e-4)
-
-
-def test_a_candidate_that_leaves_the_arena_is_not_suggested():
+def test_a_candidate_that_leaves_the_arena_is_not_chosen():
     known, design = posterior(), experiment()
     candidates = design.draw(4, key=jax.random.key(9))
     narrow = Rectangle([-0.1, -0.1], [1.2, 1.2])
-    stays = np.asarray(inside(known.model, design, candidates, narrow))
-    assert 0 < stays.sum() < 4
-    found = rank(known, ROUTE, design, candidates, arena=narrow)
-    np.testing.assert_array_equal(np.isfinite(found.worth), stays)
-    assert stays[found.best]
-    nowhere = rank(
-        known, ROUTE, design, candidates, arena=Rectangle([50.0, 50.0], [51.0, 51.0])
-    )
-    with pytest.raises(InputError, match="each of the candidates leaves the arena"):
-        _ = nowhere.best
+    stays = []
+    for k in range(4):
+        thrust = design.thrust(candidates[k])
+        driven = eqx.tree_at(lambda m: m.propulsion, known.model, thrust)
+        states, _ = FixedStep().solve(driven, candidates[k].starts, design.times)
+        stays.append(bool(np.all((states[:, :2] >= -0.1) & (states[:, :2] <= 1.2))))
+    assert 0 < sum(stays) < 4
+    found = judge(known, design, narrow)
+    assert [np.isfinite(found(candidates[k])) for k in range(4)] == stays
+    best, sd = best_candidate(found, design, candidates, variations=1, keys=())
+    assert np.isfinite(sd)
+    nowhere = judge(known, design, Rectangle([50.0, 50.0], [51.0, 51.0]))
+    _, sd = best_candidate(nowhere, design, candidates, variations=1, keys=())
+    assert sd == np.inf
 
 
 def test_random_shots_obey_limits_and_region():
@@ -186,48 +152,27 @@ def test_random_shots_obey_limits_and_region():
     )
 
 
-def test_each_shot_has_its_own_span_of_the_clock():
-    design = experiment()
-    candidates = design.draw(3, key=jax.random.key(12))
-    together, at_rest = in_sequence(design, candidates), jnp.zeros(2)
-    for index, begin in enumerate(begins(design, 3)):
-        for t in (0.0, 0.7, 1.95):
-            own = design.thrust(candidates[index])(t, at_rest, at_rest)
-            found = together(begin + t, at_rest, at_rest)
-            np.testing.assert_allclose(found, own, atol=1e-12)
-
-
 def test_bad_input_is_refused():
     known, design = posterior(), experiment()
-    candidates = design.draw(1, key=jax.random.key(13))
     with pytest.raises(InputError, match="Experiment.duration: expected > 0"):
         experiment(duration=0.0)
     with pytest.raises(InputError, match=r"Experiment\.noise: expected numbers > 0"):
         experiment(noise=0.0)
-    with pytest.raises(InputError, match="InformationGain.resolution: expected > 0"):
-        InformationGain(0.0)
     with pytest.raises(InputError, match="route: expected points in the plane"):
-        rank(known, np.zeros(3), design, candidates, arena=ARENA)
-    with pytest.raises(InputError, match="2 draws need key"):
-        rank(known, ROUTE, design, candidates, arena=ARENA, draws=2)
-    with pytest.raises(InputError, match="1 or more rounds and candidates"):
-        suggest(known, ROUTE, design, arena=ARENA, key=jax.random.key(0), rounds=0)
+        judge(known, design, way=np.zeros(3))
 
 
-def recorded(design, model, count=2):
-    """Noisy observations of a few candidates, and the swimmer as a fit knows it."""
-    candidates = design.draw(count, key=jax.random.key(20))
-    propulsion = in_sequence(design, candidates)
-    driven = eqx.tree_at(lambda m: m.propulsion, model, propulsion)
-    times = [np.asarray(design.times) + begin for begin in begins(design, count)]
-    states = [
-        FixedStep().solve(driven, candidates.starts[i], jnp.asarray(ts))[0]
-        for i, ts in enumerate(times)
-    ]
+def recorded(design, model):
+    """Noisy observations of a candidate, and the swimmer as a fit knows it."""
+    candidate = design.draw(1, key=jax.random.key(20))[0]
+    driven = eqx.tree_at(lambda m: m.propulsion, model, design.thrust(candidate))
+    states, _ = FixedStep().solve(driven, candidate.starts, design.times)
     data = Trajectories.from_arrays(
-        times, [np.asarray(s) for s in states], channels=("x", "y", "vx", "vy")
+        [np.asarray(design.times)],
+        [np.asarray(states)],
+        channels=("x", "y", "vx", "vy"),
     )
-    return driven, data, jnp.stack(states)
+    return driven, data, states[None]
 
 
 def test_doubt_is_the_prior_far_from_the_data_and_little_near_them():

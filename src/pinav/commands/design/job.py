@@ -104,7 +104,7 @@ def _compare(
 def _suggest(
     options: DesignOptions, settings: DesignSettings, system: System
 ) -> tuple[RunFolder, DesignResult]:
-    """What recordings leave open, and what to record next."""
+    """The knowledge of recordings, and the trajectory to record next."""
     parts = [read_data(path, RecordingSettings()) for path in options.data]
     data = concatenate(parts) if len(parts) > 1 else parts[0]
     task = known_task(settings, system, data)
@@ -148,7 +148,7 @@ def _adaptive(task: Task, settings: DesignSettings) -> AdaptiveController:
 
 
 def _experiment(settings: DesignSettings, adaptive: AdaptiveController) -> Experiment:
-    """How trajectories are recorded, and where they may be released.
+    """The recording of trajectories, and the region of release.
 
     Raises:
         InputError: the place of release is outside of the arena.

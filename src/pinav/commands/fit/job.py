@@ -73,7 +73,7 @@ from pinav.fitting.environments.choice import MIXTURE, KnownSwimmer
 from pinav.fitting.evidence.model_evidence import model_evidence
 from pinav.forces import AbstractForce, as_learned_force
 from pinav.identification import fit_commanded, needs_kalman_filter
-from pinav.identification.numbers import BLOCK_NOISE
+from pinav.identification.parameters import BLOCK_NOISE
 from pinav.recordings.conventions import remarks
 from pinav.runs import RunFolder
 

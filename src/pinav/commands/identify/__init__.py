@@ -8,6 +8,8 @@ IDENTIFY = Command(
     options="pinav.commands.identify.settings:IdentifyOptions",
     run="pinav.commands.identify.job:run",
     title="The response of a recorded swimmer",
-    report="pinav.commands.identify.report:identification_sections",
+    result="pinav.identification:Identification",
+    file="metrics",
+    sections="pinav.commands.identify.sections:sections",
     resumable=True,
 )

@@ -55,11 +55,11 @@ class Loops:
 
 
 class LoopsCell(msgspec.Struct, frozen=True):
-    """What decides some closed loops with one model.
+    """The settings of some closed loops with one model.
 
     Attributes:
-        settings: of the command, as JSON.
-        digest: of the files of the fit.
+        settings: settings of the command, as JSON.
+        digest: digest of the files of the fit.
         model: name of the model.
         first: number of the first seed.
         last: number of the last one.
@@ -73,13 +73,13 @@ class LoopsCell(msgspec.Struct, frozen=True):
 
 
 class FlightsCell(msgspec.Struct, frozen=True):
-    """What decides the flights of one swimmer that learns on the way.
+    """The settings of the flights of one swimmer that learns on the way.
 
     Attributes:
-        settings: of the command, as JSON.
-        online: of learning, as JSON.
+        settings: settings of the command, as JSON.
+        online: settings of learning, as JSON.
         prior: folder of the fit to begin with; empty for none.
-        digest: of its files, and of that of the system.
+        digest: digest of its files, and of that of the system.
     """
 
     settings: str
@@ -94,8 +94,8 @@ def sweep_loops(
     """Closed loops with several models, by the workers of a sweep.
 
     Args:
-        sweep: of the run.
-        settings: of the command.
+        sweep: sweep of the run.
+        settings: settings of the command.
         run: folder of the fit.
         models: their names.
 
@@ -178,9 +178,9 @@ def sweep_flights(
     """The flights of every swimmer, by the workers of a sweep.
 
     Args:
-        sweep: of the run.
-        settings: of the command.
-        online: of learning.
+        sweep: sweep of the run.
+        settings: settings of the command.
+        online: settings of learning.
         prior: folder of the fit to begin with; none to know nothing.
 
     Raises:
@@ -237,7 +237,7 @@ def _json(settings: msgspec.Struct) -> str:
 
 
 def _digest(*paths: Path | None) -> str:
-    """Of files, and of everything that fits are made of."""
+    """Digest of files, and of everything that fits are made of."""
     digest = hashlib.sha256()
     for path in paths:
         for name in ("", "model.eqx", "posterior.npz", "data.npz", "system.toml"):

@@ -30,7 +30,7 @@ def online_task(name: str, *, position_noise: float, delay: float | None) -> Tas
     """A task of the package as `observe_positions` has it.
 
     Args:
-        name: of the task.
+        name: name of the task.
         position_noise: standard deviation of each coordinate [L].
         delay: from command to thrust [T]; that of the task for None.
 
@@ -79,7 +79,7 @@ def with_prior(
     Args:
         adaptive: the controller.
         run: the fit.
-        units: of the controller's task.
+        units: units of the controller's task.
 
     Raises:
         InputError: the run holds no fitted swimmer, no posterior, one in other units,
@@ -129,8 +129,8 @@ def online_problem(
     """The problem that the options ask for.
 
     Args:
-        settings: of the command.
-        online: of learning.
+        settings: settings of the command.
+        online: settings of learning.
         prior: folder of the fit to begin with; none to know nothing.
 
     Raises:
@@ -156,7 +156,7 @@ def judge_swimmers(
 
     Args:
         problem: the task.
-        online: of learning.
+        online: settings of learning.
         swimmers: the first one with what is shown.
         prior: True where the first visit began with a fit.
     """

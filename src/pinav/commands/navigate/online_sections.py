@@ -78,7 +78,7 @@ def online_table(
 
     Args:
         controllers: outcomes by their names.
-        units: of each channel; "1" means dimensionless.
+        units: unit of each channel; "1" means dimensionless.
     """
     length, time = units.get("x", "1"), units.get("t", "1")
     columns: dict[str, Callable[[Outcome], Cell]] = {

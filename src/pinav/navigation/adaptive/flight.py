@@ -19,7 +19,7 @@ class Visit(NamedTuple):
 
     Attributes:
         flight: its record.
-        belief: at the end.
+        belief: belief at the end.
         moments: beliefs on the way, to be shown.
     """
 

@@ -1,4 +1,4 @@
-"""What is known of a swimmer's motion, as a belief takes it."""
+"""The known motion of a swimmer, as a belief takes it."""
 
 import dataclasses
 
@@ -50,7 +50,7 @@ def with_known(frame: Frame, belief: Belief, physics: TabulatedModel) -> Frame:
 def known_rate(
     before: KernelFilter, thrust: Vector, elapsed: float, physics: TabulatedModel
 ) -> Vector:
-    r"""What is known of the rate of the velocity, or of the position without inertia.
+    r"""Known rate of the velocity, or of the position without inertia.
 
     A table of the known physics holds the rate at rest a and a matrix D or M at each
     place. With the thrust u and the drag $\gamma$ of the motion, the known rate is

@@ -32,10 +32,10 @@ DISTRUST = 0.05
 
 
 def environment_rate(task: Task, model: SteeredSwimmer) -> GivenForce:
-    """What the environment of a model adds to the rate of a swimmer at rest.
+    """The environment of a model, as a contribution to the rate of a swimmer at rest.
 
     Args:
-        task: the arena.
+        task: task with the arena.
         model: the swimmer.
 
     Raises:
@@ -67,7 +67,7 @@ def with_prior_of(
     Args:
         adaptive: the controller.
         swimmer: the fit.
-        posterior: of its parameters.
+        posterior: posterior of its parameters.
         places: where the data were [L].
 
     Raises:

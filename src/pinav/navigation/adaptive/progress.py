@@ -1,4 +1,4 @@
-"""Whether a swimmer gets anywhere, and how bold it has to become if not."""
+"""Progress of a swimmer, and the boldness that it needs where there is none."""
 
 import dataclasses
 from collections.abc import Callable
@@ -12,7 +12,7 @@ CLOCK = 1e-6
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Progress:
-    """Where a swimmer was, and since when it has come nowhere new.
+    """Places where a swimmer was, and the time since it came to a new one.
 
     A place is new if it is far from all places where the swimmer was. Who hovers comes
     nowhere new, and neither does who goes to and fro, however fast. Who goes back out
@@ -46,8 +46,8 @@ class Progress:
         """The progress a frame later.
 
         Args:
-            time: of the frame [T].
-            state: of the swimmer, its position first.
+            time: time of the frame [T].
+            state: state of the swimmer, its position first.
             time_to_go: from a state, as the last plan has it [T]. Old and new state are
                 compared by one plan, because what is learned changes all of them.
         """

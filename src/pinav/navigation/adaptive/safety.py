@@ -24,14 +24,11 @@ from pinav.arguments import Planar, State
 from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.controller import Observation
-from pinav.navigation.control.escapes import choose_command
+from pinav.navigation.control.escapes import DEVIATIONS, choose_command
 from pinav.navigation.control.prediction import TrajectoryPrediction
 from pinav.navigation.model.tabulated import TabulatedModel
 from pinav.navigation.model.time_cost import TimeCost
 from pinav.navigation.task.steering import AbstractActuator, Command
-
-DEVIATIONS = 3.0
-"""Half width of the tube at first, in standard deviations."""
 
 ESCAPES = 16
 """Headings of the sequences in reserve."""
@@ -52,7 +49,7 @@ CLOCK = 1e-6
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Verdict:
-    """What the filter says of a command.
+    """The decision of the filter on a command.
 
     Attributes:
         command: the one to give.
@@ -80,7 +77,7 @@ def check_command(
     Args:
         command: what the controller wants.
         observation: the state when it comes into force.
-        belief: of the last frame.
+        belief: belief after the last frame.
         prediction: of sequences of controls; the force is taken from the belief.
         physics: tables without the environment.
         time_cost: what is forbidden.

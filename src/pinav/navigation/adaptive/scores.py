@@ -29,7 +29,7 @@ NOMINAL = 1.96
 def true_force(
     task: Task, positions: Float[np.ndarray, "point 2"]
 ) -> Float[np.ndarray, "point 2"]:
-    """What the environment adds to the rate of a swimmer at rest, at positions [L]."""
+    """True contribution of the environment to the rate of a swimmer at rest."""
     physics, rest = physics_only(task.truth), jnp.zeros(len(task.start) - 2)
 
     def at(x: Float[Array, "2"]) -> Float[Array, "2"]:
@@ -144,7 +144,7 @@ def judge_flights(
     """The outcome of some flights.
 
     Args:
-        flights: of one controller.
+        flights: flights of one controller.
         own_limit: time limit of the task itself [T].
         oracle: flights with the truth, of the same keys; none for the oracle itself.
             A pair whose oracle did not arrive has no regret.

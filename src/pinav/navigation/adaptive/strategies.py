@@ -35,7 +35,7 @@ class AbstractStrategy(eqx.Module):
         """Tables of the mean force, with a price where it is not known.
 
         Args:
-            belief: of the moment.
+            belief: belief at the moment.
             physics: tables without the environment.
             thrust: greatest rate that the thrust gives.
         """

@@ -26,7 +26,7 @@ MOMENTS_KEPT = 40
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ShownFlight:
-    """What a flight has learned, as figures show it.
+    """The knowledge of a flight, as figures show it.
 
     Attributes:
         maps: true force, and learned one at the end.

@@ -1,1 +1,1 @@
-"""What is known of state and force while a swimmer is observed, frame by frame."""
+"""Knowledge of state and force while a swimmer is observed, frame by frame."""

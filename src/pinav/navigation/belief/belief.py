@@ -1,4 +1,4 @@
-"""What is believed of a swimmer and its surroundings, and how a frame changes it."""
+"""Belief on a swimmer and its surroundings, and its change by a frame."""
 
 import dataclasses
 import functools
@@ -52,7 +52,7 @@ CLOCK = 1e-9
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Frame:
-    """What a frame tells.
+    """The content of a frame.
 
     Attributes:
         time: when it was taken [T].
@@ -75,7 +75,7 @@ class StateEstimate:
 
     Attributes:
         mean: (x, v) or x.
-        covariance: of it.
+        covariance: covariance of the mean.
     """
 
     mean: Float[np.ndarray, " state"]
@@ -91,7 +91,7 @@ class Belief:
     leader is the most probable one, but for a nat.
 
     Attributes:
-        time: of the last frame [T].
+        time: time of the last frame [T].
         filters: the bank.
         leader: which of them leads.
         count: frames so far.
@@ -118,7 +118,7 @@ class Belief:
         scales: Sequence[float] = SCALES,
         kinds: Sequence[type[PotentialKernels | FreeKernels]] = KINDS,
     ) -> "Belief":
-        """What is believed after the first frame: a position, and nothing of the force.
+        """The belief after the first frame: a position, and nothing of the force.
 
         Args:
             frame: the first one; its thrust does not matter.
@@ -129,7 +129,7 @@ class Belief:
             speed_sd: standard deviation of each component of the first velocity.
             longest: longest step of a prediction [T].
             scales: longer side of the arena over the length scales.
-            kinds: of force.
+            kinds: kinds of force.
 
         Raises:
             InputError: the first frame has no position, or there is no filter.
@@ -152,7 +152,7 @@ class Belief:
         return cls(float(frame.time), tuple(bank), 0, 1, longest)
 
     def after(self, frame: Frame) -> "Belief":
-        """What is believed after another frame; a lost one only moves the state on.
+        """The belief after another frame; a lost one only moves the state on.
 
         Raises:
             InputError: the frame is not later than the last one.
@@ -228,7 +228,7 @@ class Belief:
 
     @property
     def length_scale(self) -> float:
-        """Of the leader's force [L]."""
+        """Length scale of the leader's force [L]."""
         return float(np.sqrt(2) * self.best.kernels.grid.width)
 
     def force(
@@ -260,8 +260,8 @@ class Belief:
 
         Args:
             axes: coordinates along each axis [L].
-            count: of draws.
-            seed: of the random numbers.
+            count: number of draws.
+            seed: seed of the random numbers.
         """
         draws = self._draw_weights(count, seed)
         parts = [one.kernels.on_axes(axes, weights) for one, weights in draws]
@@ -273,9 +273,9 @@ class Belief:
         """Draws of the force at positions [L], in no order.
 
         Args:
-            positions: of any number.
-            count: of draws.
-            seed: of the random numbers.
+            positions: any number of positions [L].
+            count: number of draws.
+            seed: seed of the random numbers.
         """
         draws = self._draw_weights(count, seed)
         parts = [

@@ -42,7 +42,7 @@ class WeightPosterior:
         prior_sd: a, of every weight.
         members: which weights they are, in the order of their coming.
         slots: the place of each weight of the grid among them; -1 for none.
-        mean: of the members.
+        mean: means of the members.
         base: P_0, of the first members.
         factors: G.
         cross: $P_{yw}$.
@@ -63,7 +63,7 @@ class WeightPosterior:
         Args:
             size: number of weights of the grid.
             states: components of the state.
-            prior_sd: of every weight.
+            prior_sd: prior standard deviation of every weight.
         """
         none = np.zeros(0, int)
         return cls(
@@ -182,7 +182,7 @@ class KernelFilter:
 
         Args:
             thrust: known acceleration, or velocity where there is no inertia.
-            duration: of the step [T].
+            duration: duration of the step [T].
         """
         surroundings = ExpectedForce(self.kernels, self.weights)
         move = self.motion.step(self.state, surroundings, thrust, duration)
@@ -285,8 +285,8 @@ class KernelFilter:
         """Draws of every weight of the grid.
 
         Args:
-            count: of draws.
-            seed: of the random numbers.
+            count: number of draws.
+            seed: seed of the random numbers.
         """
         random, weights = np.random.default_rng(seed), self.weights
         numbers = random.standard_normal((count, self.kernels.size))

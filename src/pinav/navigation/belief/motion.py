@@ -36,7 +36,7 @@ class Transition:
 
 
 class AbstractMotion(abc.ABC):
-    """What is known of the dynamics: all but the force."""
+    """The known part of the dynamics: all but the force."""
 
     @abc.abstractmethod
     def dim_of(self, state: Float[np.ndarray, " state"]) -> int:

@@ -91,7 +91,7 @@ class ForcePrior:
         are no longer those of the fit, their evidence will be better.
 
         Args:
-            belief: of one frame.
+            belief: belief after one frame.
         """
         densities = [self._log_density(one) for one in belief.filters]
         likely = belief.filters[int(np.argmax(densities))]
@@ -101,7 +101,7 @@ class ForcePrior:
         return dataclasses.replace(belief, filters=filters, leader=0)
 
     def _log_density(self, before: KernelFilter) -> float:
-        """Of the fitted force at the places, by the prior of a filter; a constant off.
+        """Log density of the fitted force at the places, by a filter; a constant off.
 
         Args:
             before: a filter that knows nothing.
@@ -117,7 +117,7 @@ class ForcePrior:
         return one.weights.prior_sd * basis.reshape(-1, one.kernels.size)
 
     def _variance(self, columns: Float[np.ndarray, "component weight"]) -> Square:
-        """Of what the fit tells of kernels at the places."""
+        """Variance of the fit's observation of kernels at the places."""
         return columns @ columns.T + self.covariance
 
     def _correct(self, before: KernelFilter) -> KernelFilter:

@@ -21,7 +21,7 @@ Inner = TypeVar("Inner", bound=PyTree)
 
 
 class Timing(eqx.Module):
-    """When commands come into force.
+    """Times at which commands come into force.
 
     Attributes:
         step: how long a command holds [T].
@@ -33,14 +33,14 @@ class Timing(eqx.Module):
 
     @property
     def remainder(self) -> float:
-        """How long the oldest pending command stays in force [T]."""
+        """Time for which the oldest pending command stays in force [T]."""
         # Less a little, so that rounding does not add a step to a delay of whole ones.
         whole = max(math.ceil(self.delay / self.step - 1e-9), 1)
         return max(self.delay - (whole - 1) * self.step, 0.0)
 
     @property
     def rest(self) -> float:
-        """What is left of a control step when the oldest one has passed [T]."""
+        """Rest of a control step when the oldest one has passed [T]."""
         rest = self.step - self.remainder
         return rest if rest > 1e-9 * self.step else 0.0
 
@@ -92,13 +92,13 @@ class DelayCompensation(AbstractController[Inner], Generic[Inner]):
 
 
 class FilterState(eqx.Module, Generic[Inner]):
-    """What a filter remembers.
+    """Memory of a filter.
 
     Attributes:
-        mean: of state and drift after the last observation.
-        covariance: of both.
+        mean: mean of state and drift after the last observation.
+        covariance: covariance of both.
         command: the one in force when they were observed.
-        time: of the last observation [T].
+        time: time of the last observation [T].
         inner: memory of the controller inside.
     """
 
@@ -200,7 +200,7 @@ class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
         return mean, slope @ memory.covariance @ slope.T + self._process_noise(mean)
 
     def _process_noise(self, mean: Float[Array, " all"]) -> Float[Array, "all all"]:
-        """What a step adds to the covariance."""
+        """Contribution of a step to the covariance."""
         size, step = mean.shape[0], self.timing.step
         variances = jnp.zeros(size, mean.dtype)
         variances = variances.at[-2 * self.dim : -self.dim].add(self.noise**2 * step)

@@ -1,4 +1,4 @@
-"""What a controller is: from what is known to the next command."""
+"""Controllers: from an observation and a memory to the next command."""
 
 import abc
 from typing import Generic, TypeVar
@@ -16,7 +16,7 @@ Memory = TypeVar("Memory", bound=PyTree)
 
 
 class Observation(eqx.Module):
-    """What a controller is told at a control step.
+    """The information that a controller gets at a control step.
 
     Attributes:
         time: now [T].

@@ -1,4 +1,4 @@
-"""What a predicted course costs."""
+"""Costs of a predicted course."""
 
 import abc
 

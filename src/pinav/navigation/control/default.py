@@ -77,7 +77,7 @@ def _undelayed_controller(
     tables: TabulatedModel,
     predictor: AbstractPredictor,
 ) -> AbstractController:
-    """What decides, without delay and with a good sensor."""
+    """The controller without delay and with a good sensor."""
     if isinstance(task.objective, ReachGoal):
         plan = time_to_go(task, model, tables=tables)
         prediction = TrajectoryPrediction(

@@ -1,7 +1,13 @@
-"""Which command to give when each must have a way out."""
+"""The choice among commands of which each must have a way out.
+
+A tube is the predicted path, and what is not known of state and surroundings about it.
+"""
 
 import numpy as np
 from jaxtyping import Float
+
+DEVIATIONS = 3.0
+"""Half width of a tube, in standard deviations."""
 
 
 def choose_command(

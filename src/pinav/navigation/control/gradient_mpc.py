@@ -107,7 +107,7 @@ class GradientMPC(AbstractController[Controls]):
         return jnp.where(final < least, last, best), jnp.minimum(final, least)
 
     def _lengths(self, controls: Controls) -> Float[Array, " iteration"]:
-        """Of the steps of descent: half a period of a cosine, from the rate to zero."""
+        """Lengths of the steps of descent: half a cosine, from the rate to zero."""
         done = jnp.arange(self.iterations, dtype=controls.dtype) / self.iterations
         return self.rate * (1 + jnp.cos(jnp.pi * done)) / 2
 

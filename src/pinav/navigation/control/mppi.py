@@ -34,7 +34,7 @@ class PathIntegral(AbstractController[Controls]):
 
     Attributes:
         prediction: what follows from a sequence, and the steps it has.
-        cost: of a course.
+        cost: cost of a course.
         guide: proposes a further sequence in each step, or None.
         samples: random sequences in each round, at least 2.
         rounds: of improvement in a step, positive.

@@ -44,7 +44,7 @@ Way = Float[np.ndarray, "point 2"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Decision:
-    """What is known of the way after some trajectories.
+    """Knowledge of the way after some trajectories.
 
     Attributes:
         way: the planned one [L]; the straight line where no plan arrives.
@@ -60,19 +60,19 @@ class Decision:
     true_error: float | None = None
 
     def certain(self, accuracy: float) -> bool:
-        """Whether nothing further need be recorded."""
+        """True where nothing further need be recorded."""
         return self.arrives and self.error <= accuracy
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Campaign:
-    """What was recorded, and what was known after each trajectory.
+    """Recorded trajectories, and the knowledge after each of them.
 
     Attributes:
         accuracy: relative error of the force that was asked for.
         paths: true positions of each trajectory [L].
         decisions: before the first trajectory and after each.
-        belief: at the end.
+        belief: belief at the end.
     """
 
     accuracy: float
@@ -82,12 +82,12 @@ class Campaign:
 
     @property
     def finished(self) -> bool:
-        """Whether the way is known well enough, by the belief."""
+        """True where the way is known well enough, by the belief."""
         return self.decisions[-1].certain(self.accuracy)
 
     @property
     def right(self) -> bool | None:
-        """Whether the true error is then below the accuracy; none if not finished."""
+        """True where the true error is then small enough; none if not finished."""
         error = self.decisions[-1].true_error
         if not self.finished or error is None:
             return None
@@ -107,8 +107,8 @@ def run_campaign(
 
     Args:
         adaptive: the task, what is known of it, and its planner.
-        design: how trajectories are chosen.
-        experiment: how they are recorded.
+        design: choice of the trajectories.
+        experiment: recording of the trajectories.
         accuracy: relative error of the force along the way that is small enough.
         most: trajectories after which the campaign is given up.
         key: random key of noise and choices.
@@ -140,12 +140,12 @@ def run_campaign(
 
 
 def record_positions(task: Task, region: Rectangle, duration: float) -> Experiment:
-    """How trajectories of a task are recorded whose positions alone are observed.
+    """The experiment of a task whose positions alone are observed.
 
     Args:
         task: which states the error of a position.
-        region: where swimmers are released.
-        duration: of a trajectory [T].
+        region: region in which swimmers are released.
+        duration: duration of a trajectory [T].
     """
     knot = max(duration / KNOTS, task.step)
     noise = np.full(len(task.start), np.inf)
@@ -173,7 +173,7 @@ def record(
 
     Args:
         task: the truth, its noise, and what is forbidden.
-        experiment: how it is recorded.
+        experiment: its recording.
         candidate: a single one.
         key: random key of the noise.
 
@@ -252,7 +252,7 @@ def decide(adaptive: AdaptiveController, belief: Belief) -> Decision:
 
     Args:
         adaptive: the task and its planner.
-        belief: of the force.
+        belief: belief on the force.
     """
     task = adaptive.task
     tables = MeanForce().tables(belief, adaptive.physics, adaptive.thrust)

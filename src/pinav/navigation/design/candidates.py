@@ -1,4 +1,4 @@
-r"""What could be recorded next: starts and drive programmes within the limits."""
+r"""Candidates for the next recording: starts and programmes within the limits."""
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from pinav.navigation.task.zones import Rectangle
 
 
 class CommandedThrust(AbstractForce):
-    """What an actuator makes of a programme of commands.
+    """The thrust that an actuator makes of a programme of commands.
 
     Attributes:
         programme: frequency and heading over time.
@@ -50,7 +50,7 @@ class CandidateTrajectories(eqx.Module):
 
 
 class Experiment(eqx.Module):
-    r"""How trajectories are recorded, and within which limits.
+    r"""The recording of trajectories, and its limits.
 
     Commands are given at knots and go linearly from one to the next, so that the
     heading never jumps. Candidates are random: the first heading is uniform, later ones
@@ -59,7 +59,7 @@ class Experiment(eqx.Module):
     Attributes:
         actuator: what a command does.
         limits: what may be commanded.
-        region: where swimmers are released.
+        region: region in which swimmers are released.
         duration: of a trajectory [T], positive.
         interval: between two samples [T], positive.
         knot: between two commands [T], positive.
@@ -93,24 +93,20 @@ class Experiment(eqx.Module):
 
     @property
     def times(self) -> Float[Array, " time"]:
-        """When a trajectory is observed, from its start [T]."""
+        """Times of observation from the start of a trajectory [T]."""
         count = round(self.duration / self.interval)
         return jnp.linspace(0.0, self.duration, count + 1)
 
     @property
     def knots(self) -> Float[Array, " knot"]:
-        """When commands are given, from the start [T]."""
+        """Times of the commands from the start [T]."""
         count = max(round(self.duration / self.knot), 1)
         return jnp.linspace(0.0, self.duration, count + 1)
 
-    def thrust(
-        self, candidate: CandidateTrajectories, begin: float = 0.0
-    ) -> CommandedThrust:
-        """Propulsion of one candidate that begins at a time [T]."""
-        programme = LinearProgramme(
-            self.knots + begin, candidate.frequency, candidate.heading
-        )
-        return CommandedThrust(programme, self.actuator)
+    def thrust(self, candidate: CandidateTrajectories) -> CommandedThrust:
+        """Propulsion of a single candidate."""
+        series = candidate.frequency, candidate.heading
+        return CommandedThrust(LinearProgramme(self.knots, *series), self.actuator)
 
     @eqx.filter_jit
     def draw(self, count: int, *, key: PRNGKeyArray) -> CandidateTrajectories:
@@ -180,22 +176,3 @@ class Experiment(eqx.Module):
         """Changes of heading that the coils can follow, less than half a turn."""
         most = min(self.limits.max_turning_rate * self.knot, 0.99 * np.pi)
         return jnp.clip(turns, -most, most)
-
-
-def in_sequence(
-    experiment: Experiment, candidates: CandidateTrajectories
-) -> CommandedThrust:
-    """One propulsion for all candidates, each at its own time: see `begins`.
-
-    A fit knows a single propulsion for all trajectories, so that each has its own span
-    of the operator's clock.
-    """
-    count = candidates.starts.shape[0]
-    knots = experiment.knots[None] + jnp.asarray(begins(experiment, count))[:, None]
-    flat = (a.reshape(-1) for a in (knots, candidates.frequency, candidates.heading))
-    return CommandedThrust(LinearProgramme(*flat), experiment.actuator)
-
-
-def begins(experiment: Experiment, count: int) -> Float[np.ndarray, " candidate"]:
-    """When each of several candidates begins on the operator's clock [T]."""
-    return np.arange(count) * (experiment.duration + experiment.knot)

@@ -1,7 +1,8 @@
-"""How the next trajectory of a campaign is chosen."""
+"""Choices of the next trajectory of a campaign."""
 
 import abc
 import dataclasses
+import functools
 import math
 
 import equinox as eqx
@@ -15,6 +16,7 @@ from pinav.navigation.adaptive.known import known_rate
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.belief.belief import SETTLE_EVERY, Belief
 from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
+from pinav.navigation.design.information import best_candidate
 from pinav.navigation.task.steering import AbstractActuator
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import clearance
@@ -27,12 +29,12 @@ Way = Float[np.ndarray, "point 2"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Stage:
-    """Where a campaign stands.
+    """The state of a campaign.
 
     Attributes:
         adaptive: the task, and what is known of it.
-        experiment: how trajectories are recorded.
-        belief: of the force.
+        experiment: recording of the trajectories.
+        belief: belief on the force.
         way: along which the force matters [L].
         count: trajectories so far.
     """
@@ -52,7 +54,7 @@ class AbstractDesign(eqx.Module):
         """The next trajectory, a single one.
 
         Args:
-            stage: of the campaign.
+            stage: state of the campaign.
             key: random key.
         """
 
@@ -119,23 +121,14 @@ class InformedDesign(AbstractDesign):
         along = _along(stage.way, drawn, experiment, keys[1])
         half = self.candidates // 2
         others = _keep_allowed(stage.adaptive.task, drawn)
-        best, least = _best(stage, _join(along[:half], others[:half]))
-        for round_key in keys[2:]:
-            varied = experiment.vary(best, self.variations, key=round_key)
-            other, sd = _best(stage, varied)
-            if sd < least:
-                best, least = other, sd
+        best, _ = best_candidate(
+            functools.partial(expected_sd, stage),
+            experiment,
+            _join(along[:half], others[:half]),
+            variations=self.variations,
+            keys=list(keys[2:]),
+        )
         return best
-
-
-def _best(
-    stage: Stage, candidates: CandidateTrajectories
-) -> tuple[CandidateTrajectories, float]:
-    """The candidate of the smallest expected standard deviation, and that."""
-    count = len(candidates.starts)
-    sds = [expected_sd(stage, candidates[k]) for k in range(count)]
-    best = int(np.argmin(sds))
-    return candidates[best], sds[best]
 
 
 def expected_sd(stage: Stage, candidate: CandidateTrajectories) -> float:

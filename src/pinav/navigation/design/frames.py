@@ -26,7 +26,7 @@ def believe_data(
     data: Trajectories,
     position_noise: float,
 ) -> Belief:
-    """What is believed of the force after recorded trajectories.
+    """The belief on the force after recorded trajectories.
 
     Args:
         adaptive: the task, and what is known of the swimmer.

@@ -1,4 +1,4 @@
-r"""What the data of a fit leave open, on the whole arena.
+r"""The force that the data of a fit leave open, on the whole arena.
 
 A fit of few trajectories can be sure of more than it may be: its kernels end not far
 from the data, and its evidence may have found that forces fade away from there. Before
@@ -29,7 +29,7 @@ LENGTHS = 10
 
 
 class PriorField(eqx.Module):
-    """What forces there may be where nobody was.
+    """The prior of forces where nobody was.
 
     Attributes:
         arena: where.

@@ -89,7 +89,7 @@ class NextTrajectory:
         """The choice of the informed design; none where all leave the arena.
 
         Args:
-            stage: of the campaign.
+            stage: state of the campaign.
             key: random key of the candidates.
         """
         chosen = InformedDesign().choose(stage, key=key)
@@ -103,7 +103,7 @@ class NextTrajectory:
 
 @dataclasses.dataclass(frozen=True)
 class Recorded:
-    """What recordings of a lab leave open.
+    """The knowledge of recordings of a lab.
 
     Attributes:
         trajectories: number of recorded ones.

@@ -1,4 +1,4 @@
-r"""What controllers predict with: a model, its table, or either with a drift."""
+r"""Predictors of controllers: a model, its table, or either with a drift."""
 
 import abc
 import math
@@ -23,7 +23,7 @@ from pinav.navigation.task.steering import (
 
 
 class AbstractPredictor(eqx.Module):
-    """Where the swimmer will be."""
+    """The future state of a swimmer, by a model."""
 
     @abc.abstractmethod
     def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:

@@ -62,7 +62,7 @@ class Grid(eqx.Module):
 
     @property
     def dim(self) -> int:
-        """How many axes it has."""
+        """Number of axes."""
         return len(self.shape)
 
     @property
@@ -79,7 +79,7 @@ class Grid(eqx.Module):
         return self.points.reshape(-1, self.dim)
 
     def coordinates(self, x: Vector) -> Vector:
-        """Where a position [L] is, counted in cells from the first point."""
+        """A position [L], counted in cells from the first point."""
         return (x - self.lower) / self.spacing.astype(x.dtype)
 
 
@@ -321,7 +321,7 @@ def at_rest(model: SteeredSwimmer) -> SteeredSwimmer:
 
 
 def _flow(model: SteeredSwimmer) -> SteeredSwimmer:
-    """What the flow of a model does alone, where nothing else acts."""
+    """The flow of a model alone, where nothing else acts."""
     dynamics = model.dynamics
     assert isinstance(dynamics, OverdampedSwimmer)
     carried = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, flow=dynamics.flow)

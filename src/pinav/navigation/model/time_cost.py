@@ -1,4 +1,4 @@
-r"""Where a swimmer may be, and what it costs there: walls, margins, uncertainty."""
+r"""Cost of time at a place: walls, margins, uncertainty."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -42,12 +42,12 @@ class TimeCost(eqx.Module):
         return 1 + self.nearness(self.clearance(x)) + self.risk(t, x)
 
     def nearness(self, clearance: Float[Array, "*many"]) -> Float[Array, "*many"]:
-        """What time costs more at this distance from forbidden places [L]."""
+        """Additional cost of time at this distance from forbidden places [L]."""
         lack = jnp.maximum(0.0, 1 - clearance / self.margin)
         return self.steepness * lack**2
 
     def risk(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        """What time costs more where the model is uncertain."""
+        """Additional cost of time where the model is uncertain."""
         return self.risk_aversion * self.spread(t, x)[0] ** 2
 
 

@@ -40,7 +40,7 @@ def arrival_test(
     grid: Grid,
     headings: int,
 ) -> ArrivalTest:
-    """What a plan is about; its goal is not smaller than the grid can show.
+    """The purpose of a plan; its goal is not smaller than the grid can show.
 
     Args:
         objective: the place to reach.
@@ -63,7 +63,7 @@ def arrival_test(
 def position_step(
     table: FieldTable, arrival: ArrivalTest, grid: Grid
 ) -> Float[Array, ""]:
-    """How long a step is that crosses `CELLS` at the greatest speed [T]."""
+    """Time of a step that crosses `CELLS` at the greatest speed [T]."""
 
     def fastest(x: Vector) -> Float[Array, ""]:
         drift, mobility = split_rates(table(0.0, x))
@@ -155,7 +155,7 @@ def _refined(
 def sweep_times(
     task: Task, table: FieldTable, step: float
 ) -> Float[Array, " moment"] | None:
-    """When a plan is swept, as far apart as its steps; None for a steady model."""
+    """Times at which a plan is swept, a step apart; None for a steady model."""
     steady = table.values.shape[0] == 1
     return None if steady else jnp.arange(0.0, task.time_limit, step)
 
@@ -185,7 +185,7 @@ SLOWEST = 0.2
 def phase_step(
     arrival: ArrivalTest, velocities: Float[Array, " velocity"]
 ) -> Float[Array, ""]:
-    """How long a step is, for the thrust to cross less than a cell [T]."""
+    """Time of a step in which the thrust crosses less than a cell [T]."""
     width = velocities[1] - velocities[0]
     return 0.7 * width / jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1))
 

@@ -110,7 +110,7 @@ class TimeToGo(eqx.Module):
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "*lattice"]:
-        """Where the goal cannot be reached from rest within the time limit."""
+        """Places from which the goal cannot be reached from rest in time."""
         return self.map > self.horizon
 
     def control(
@@ -313,7 +313,7 @@ def assemble_plan(
     """The plan whose values stand on a lattice.
 
     Args:
-        task: theirs.
+        task: task of the episodes.
         tables: of the model.
         arrival: what the plan is about.
         values: of the lattice.

@@ -68,7 +68,7 @@ class Replanner(eqx.Module):
             task: what is to be done.
             objective: the place to reach.
             physics: tables of the model without its environment.
-            points: of the lattice, along the longer side.
+            points: number of points of the lattice along the longer side.
             speeds: the same along either axis of the velocity.
             window: the arena, or a part of it.
         """

@@ -41,7 +41,7 @@ Sweep = Callable[[Values], Values]
 
 
 class ArrivalTest(eqx.Module):
-    """What a plan is about.
+    """The purpose of a plan: a goal, and the steps that may lead there.
 
     Attributes:
         goal: middle of the goal [L].
@@ -81,7 +81,7 @@ class ArrivalTest(eqx.Module):
 
 
 class Corners(eqx.Module):
-    """Where places lie between the points of a lattice, for linear interpolation.
+    """Places between the points of a lattice, for linear interpolation.
 
     Attributes:
         cell: index of the lower corner, per axis.
@@ -135,7 +135,7 @@ class Legs(eqx.Module):
     corners: Corners
 
     def worth(self, values: Values) -> Float[Array, "*heading point"]:
-        """What each step is worth if the rest is worth `values`."""
+        """Worth of each step if the rest is worth `values`."""
         onward = jnp.where(self.arrives, 1.0, self.corners.interpolate(values))
         return self.discount * onward.astype(jnp.float32)
 

@@ -61,7 +61,7 @@ def rotating_barrier() -> Task:
 
 
 def keep_out() -> Task:
-    """As `barrier_weak`, with two discs on the quick ways around the barrier."""
+    """The barrier of `barrier_weak`, with two discs on the quick ways around it."""
     discs = Disc([8.0, -1.5], 1.2), Disc([-1.5, 8.0], 1.2)
     return _crossing("keep-out", 0.8, discs)
 
@@ -148,7 +148,7 @@ def training(name: str, key: PRNGKeyArray, *, count: int = 8) -> Trajectories:
     deviation of each observed state is 0.02.
 
     Args:
-        name: of the task.
+        name: name of the task.
         key: random key of starts and noise.
         count: number of trajectories.
 

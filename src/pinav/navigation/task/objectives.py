@@ -1,10 +1,9 @@
-"""What a swimmer is asked to do: reach a place, or follow a path."""
+"""Objectives of a swimmer: to reach a place, or to follow a path."""
 
 import abc
 import math
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -16,14 +15,14 @@ class AbstractPath(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, t: Scalar) -> Vector:
-        """Where the swimmer should be at time `t` [L]."""
+        """Position at which the swimmer should be at time `t` [L]."""
 
 
 class LinePath(AbstractPath):
     """Along a straight line, from end to end at constant speed; then at rest.
 
     Attributes:
-        start: [L].
+        start: position of the start [L].
         end: [L].
         duration: from start to end [T], positive.
     """
@@ -85,33 +84,19 @@ class FigureEightPath(AbstractPath):
         return self.center + self.radius * jnp.stack([jnp.sin(angle), across])
 
 
-CATCH_UP = 0.5
-"""Time in which guidance makes up for an offset from a path [T]."""
-
-
 class AbstractObjective(eqx.Module):
-    """What is to be done, and when it is done."""
+    """An objective, and the end of it."""
 
     @abc.abstractmethod
     def target(self, t: Scalar) -> Vector:
-        """Where the swimmer should be, or go to, at time `t` [L]."""
-
-    @abc.abstractmethod
-    def guidance(self, t: Scalar, x: Vector, speed: Scalar) -> Vector:
-        """Velocity that leads there along the line of sight [L T⁻¹].
-
-        Args:
-            t: now [T].
-            x: position [L].
-            speed: of a swimmer in a hurry [L T⁻¹].
-        """
+        """Position at which the swimmer should be, or to go to, at time `t` [L]."""
 
     @abc.abstractmethod
     def distance(self, x: Vector) -> Float[Array, ""]:
         """From position `x` to where the task ends [L]: not positive there."""
 
     def is_reached(self, x: Vector) -> Bool[Array, ""]:
-        """Whether the task ends at position `x` [L]."""
+        """True where the task ends at position `x` [L]."""
         return self.distance(x) <= 0
 
 
@@ -135,10 +120,6 @@ class ReachGoal(AbstractObjective):
     def target(self, t: Scalar) -> Vector:
         return self.goal
 
-    def guidance(self, t: Scalar, x: Vector, speed: Scalar) -> Vector:
-        offset = self.goal - x
-        return speed * offset / jnp.maximum(jnp.linalg.norm(offset), 1e-12)
-
     def distance(self, x: Vector) -> Float[Array, ""]:
         return jnp.linalg.norm(x - self.goal) - self.tolerance
 
@@ -154,11 +135,6 @@ class FollowPath(AbstractObjective):
 
     def target(self, t: Scalar) -> Vector:
         return self.path(t)
-
-    def guidance(self, t: Scalar, x: Vector, speed: Scalar) -> Vector:
-        t = jnp.asarray(t, x.dtype)
-        target, velocity = jax.jvp(self.path, (t,), (jnp.ones_like(t),))
-        return velocity + (target - x) / CATCH_UP
 
     def distance(self, x: Vector) -> Float[Array, ""]:
         return jnp.full((), math.inf, x.dtype)

@@ -187,7 +187,7 @@ def greatest_thrust(
 
 
 class CommandLimits(eqx.Module):
-    """What coils and robot allow.
+    """Limits of coils and robot.
 
     Attributes:
         max_frequency: greatest frequency [cycles T⁻¹], positive.

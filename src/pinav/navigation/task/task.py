@@ -1,4 +1,4 @@
-"""What a navigation task is."""
+"""A navigation task."""
 
 import equinox as eqx
 import numpy as np
@@ -67,5 +67,5 @@ class Task(eqx.Module):
 
     @property
     def inertial(self) -> bool:
-        """Whether the state holds a velocity."""
+        """True where the state holds a velocity."""
         return self.start.shape[0] > self.dim

@@ -90,7 +90,7 @@ class Rectangle(AbstractZone):
 
     @property
     def dim(self) -> int:
-        """How many dimensions it has."""
+        """Number of dimensions."""
         return self.lower.shape[0]
 
     def distance(self, x: Vector) -> Float[Array, ""]:
@@ -100,7 +100,7 @@ class Rectangle(AbstractZone):
 
 
 class Behind(AbstractZone):
-    """What lies behind a surface, or nearer to it than a distance.
+    """The region behind a surface, or nearer to it than a distance.
 
     Attributes:
         surface: such as a wall of the system.

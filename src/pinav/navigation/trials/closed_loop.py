@@ -39,7 +39,7 @@ _Carry = tuple[
 
 
 class Episodes(eqx.Module):
-    """What happened in one run, or in many: then runs are the first axis of all but ts.
+    """The course of one run, or of many: then runs are the first axis of all but ts.
 
     After the end of a run its last state stays.
 

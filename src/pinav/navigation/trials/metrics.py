@@ -1,4 +1,4 @@
-"""How well episodes went, with intervals."""
+"""Metrics of episodes, with intervals."""
 
 import math
 from typing import NamedTuple
@@ -176,8 +176,8 @@ def tracking_errors(
 
     Args:
         episodes: of a path that is followed.
-        task: theirs.
-        power: of the distance.
+        task: task of the episodes.
+        power: power of the distance.
     """
     targets = np.asarray(jax.vmap(task.objective.target)(jnp.asarray(episodes.ts)))
     distances = np.linalg.norm(
@@ -215,5 +215,5 @@ def _turnings(episodes: Episodes) -> Float[np.ndarray, " episode"]:
 def _within_episode(
     episodes: Episodes, count: int, offset: int = 0
 ) -> Bool[np.ndarray, "episode step"]:
-    """Which entries belong to the episode, before its end."""
+    """True for entries of the episode, before its end."""
     return np.arange(count)[None] < episodes.steps[:, None] + offset

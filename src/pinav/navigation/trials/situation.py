@@ -27,7 +27,7 @@ PARTS = 4
 
 
 class Situation(eqx.Module):
-    """Where an episode stands.
+    """The state of an episode.
 
     Attributes:
         step: control steps taken.
@@ -48,7 +48,7 @@ class Situation(eqx.Module):
     clearance: Float[Array, ""]
 
     def ended(self, task: Task) -> Bool[Array, ""]:
-        """Whether the episode is over."""
+        """True where the episode is over."""
         return self.reached | self.violated | (self.step >= control_steps(task))
 
 
@@ -91,7 +91,7 @@ def begin(task: Task) -> Situation:
 
 
 def observe(task: Task, situation: Situation, key: PRNGKeyArray) -> Observation:
-    """What the controller is told, with the error of the sensor."""
+    """The observation of a controller, with the error of the sensor."""
     state = situation.state
     error = task.sensor_noise * jax.random.normal(key, state.shape, state.dtype)
     now = task.step * situation.step.astype(state.dtype)
@@ -112,7 +112,7 @@ def advance(
         truth: the true swimmer.
         situation: before the step.
         command: what the controller wants, within the limits or not.
-        key: of the white noise.
+        key: random key of the white noise.
 
     Returns:
         The situation after it, and the command within the limits.

@@ -1,0 +1,204 @@
+"""Candidates: systems with open constants, among which the evidence chooses.
+
+Numbers that a candidate leaves open have placeholders; those of its noise are learned
+in every fit.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Int
+
+from pinav.actuation import (
+    AbstractResponse,
+    LinearResponse,
+    SaturatingResponse,
+    SlippingResponse,
+    StepOutResponse,
+)
+from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.errors import InputError
+from pinav.forces import RollingPropulsion, UniformFlow, ZeroFlow, ZeroForce
+from pinav.identification.parameters import CORNER, DRIFT, DRIVE, GAIN, RESIDUAL
+from pinav.systems import FreeNumber, System, WanderingVelocity
+
+RESPONSES: dict[str, AbstractResponse] = {
+    "linear": LinearResponse(),
+    "saturating": SaturatingResponse(1.0),
+    "slipping": SlippingResponse(1.0, 0.5),
+    "step-out": StepOutResponse(1.0),
+}
+"""Responses to high frequencies, with placeholders for their numbers."""
+
+CHANGING = WanderingVelocity(still=1.0, driven=1.0, memory=1.0, slow=1.0)
+"""Placeholder of a wandering velocity with a drift that changes."""
+
+
+def drift_only() -> System:
+    """The candidate without propulsion: a constant drift."""
+    return _candidate("drift only", None, drift=True)
+
+
+def scalar_gain() -> System:
+    """The candidate with one number for its gain, and no drift."""
+    return _candidate("scalar gain", 1.0, drift=False)
+
+
+def axis_gains() -> System:
+    """The candidate with a gain for each axis, which turns no heading, and drift."""
+    return _candidate("gains", np.ones(2), drift=True)
+
+
+def gain_matrix() -> System:
+    """The candidate with any gain matrix and a drift."""
+    return _candidate("gain matrix and drift", np.eye(2), drift=True)
+
+
+def _candidate(name: str, gain: ArrayLike | None, *, drift: bool) -> System:
+    with jax.enable_x64(new_val=True):
+        propulsion = ZeroForce() if gain is None else RollingPropulsion(gain=gain)
+        flow = UniformFlow(jnp.zeros(2)) if drift else ZeroFlow()
+        learn = (
+            *(() if gain is None else (FreeNumber(GAIN),)),
+            *((FreeNumber(DRIFT),) if drift else ()),
+        )
+        swimmer = OverdampedSwimmer(propulsion, ZeroForce(), 1.0, flow)
+        return System(name=name, swimmer=swimmer, dim=2, learn=learn)
+
+
+def with_response(system: System, response: str) -> System:
+    """A candidate of linear response with another one, whose numbers are learned."""
+    if response == "linear":
+        return system
+    made = RESPONSES[response]
+    paths = [f"propulsion.response.{f.name}" for f in dataclasses.fields(made)]
+    changed = eqx.tree_at(lambda s: s.swimmer.propulsion.response, system, made)
+    return with_learned(changed, response, *paths)
+
+
+def with_learned(system: System, label: str, *paths: str) -> System:
+    """A candidate with further numbers learned, such as `propulsion.delay`."""
+    learn = (*system.learn, *map(FreeNumber, paths))
+    return dataclasses.replace(system, name=f"{system.name} + {label}", learn=learn)
+
+
+def with_slow_drift(system: System) -> System:
+    """A candidate whose drift changes slowly."""
+    name = f"{system.name} + time-dependent drift"
+    return dataclasses.replace(system, name=name, wandering=CHANGING)
+
+
+def like(base: System, other: System) -> System:
+    """A candidate with the gain and drift of one and all else of another.
+
+    Args:
+        base: candidate whose gain and drift these are.
+        other: candidate with a propulsion, whose response, delay, lag and noise these
+            are; without a propulsion in the base only the noise.
+
+    Returns:
+        The base itself where nothing is added to it.
+    """
+    drive, propulsion = (), base.swimmer.propulsion
+    if isinstance(propulsion, RollingPropulsion):
+        paths = {parameter.path for parameter in DRIVE}
+        drive = tuple(number for number in other.learn if number.path in paths)
+        gain = propulsion.gain
+        propulsion = dataclasses.replace(other.swimmer.propulsion, gain=gain)
+    if not drive and other.wandering is None:
+        return base
+    return dataclasses.replace(
+        base,
+        name=f"{base.name}, else as chosen",
+        swimmer=dataclasses.replace(base.swimmer, propulsion=propulsion),
+        wandering=other.wandering,
+        learn=(*base.learn, *drive),
+    )
+
+
+def response_name(swimmer: Swimmer | OverdampedSwimmer) -> str:
+    """Name of the response of a swimmer among `RESPONSES`; linear without propulsion.
+
+    Raises:
+        InputError: its propulsion is of another kind.
+    """
+    propulsion = swimmer.propulsion
+    if isinstance(propulsion, ZeroForce):
+        return "linear"
+    if not isinstance(propulsion, RollingPropulsion):
+        raise InputError(
+            "system.propulsion: expected RollingPropulsion or no propulsion beside a "
+            f"wandering velocity, got {type(propulsion).__name__}"
+        )
+    names = {type(response): name for name, response in RESPONSES.items()}
+    return names[type(propulsion.response)]
+
+
+def response_place(swimmer: Swimmer | OverdampedSwimmer) -> int:
+    """Place of the response of a swimmer among `RESPONSES`."""
+    return list(RESPONSES).index(response_name(swimmer))
+
+
+def linear_basis(
+    system: System,
+) -> tuple[Float[np.ndarray, "4 2 2"], Float[np.ndarray, "2 2"]]:
+    """Gain matrix by each number of an open gain, and drift by each of an open drift.
+
+    Rows of zeros follow where there are fewer numbers.
+    """
+    paths = {number.path for number in system.learn}
+    gains, drifts = np.zeros((4, 2, 2)), np.zeros((2, 2))
+    if GAIN in paths:
+        propulsion: Any = system.swimmer.propulsion
+        basis = gain_basis(np.ndim(propulsion.gain))
+        gains[: len(basis)] = basis
+    if DRIFT in paths:
+        drifts = np.eye(2)
+    return gains, drifts
+
+
+def gain_basis(ndim: int) -> Float[np.ndarray, "number 2 2"]:
+    """Gain matrix by each number of a gain: one, one for each axis, or a matrix."""
+    if ndim == 2:
+        return np.eye(4).reshape(4, 2, 2)
+    axes = np.array([np.diag([1.0, 0.0]), np.diag([0.0, 1.0])])
+    return axes if ndim else axes.sum(axis=0, keepdims=True)
+
+
+class SwitchedResponse(AbstractResponse):
+    """Any of the responses, by a number that may be traced: one compilation for all.
+
+    Attributes:
+        index: place in `RESPONSES`.
+        log_corner: logarithm of the corner frequency [Hz].
+        logit_residual: logit of the part of the gain that remains above it.
+    """
+
+    index: Int[Array, ""]
+    log_corner: Float[Array, ""]
+    logit_residual: Float[Array, ""]
+
+    def __call__(self, frequency: Array) -> Array:
+        branches = [
+            lambda f, a, b, made=made: _with_numbers(made, a, b)(f)
+            for made in RESPONSES.values()
+        ]
+        return jax.lax.switch(
+            self.index, branches, frequency, self.log_corner, self.logit_residual
+        )
+
+
+def _with_numbers(
+    response: AbstractResponse, log_corner: Array, logit_residual: Array
+) -> AbstractResponse:
+    """A response with its numbers at these coordinates."""
+    numbers = {CORNER: jnp.exp(log_corner), RESIDUAL: jax.nn.sigmoid(logit_residual)}
+    values = {path.rpartition(".")[2]: number for path, number in numbers.items()}
+    names = {field.name for field in dataclasses.fields(response)}
+    return dataclasses.replace(
+        response, **{name: value for name, value in values.items() if name in names}
+    )

@@ -1,0 +1,453 @@
+"""`identify`: the response to commands that each track of a recording supports."""
+
+import dataclasses
+import itertools
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from pinav.errors import FitError, InputError
+from pinav.fitting import Estimate, EvidenceFit
+from pinav.forces import RollingPropulsion
+from pinav.identification.baselines import least_squares
+from pinav.identification.error_growth import ErrorGrowth
+from pinav.identification.estimates import drift_of, estimates, gain_of
+from pinav.identification.estimates import speed as speed_of
+from pinav.identification.findings import (
+    DelayFindings,
+    delay_findings,
+    finding_sentences,
+)
+from pinav.identification.fit import fit_track
+from pinav.identification.forecast import (
+    HORIZONS,
+    Coverage,
+    Errors,
+    Predictor,
+    Rollouts,
+    coverage,
+    cycles,
+)
+from pinav.identification.selection import RESIDUALS, Row, select_model
+from pinav.identification.systems import system_of
+from pinav.identification.tracks import Track, commands_of, tracks
+from pinav.recordings import image_positions
+from pinav.recordings.conventions import remarks
+from pinav.systems import System, parse_system, system_text
+from pinav.trajectories import Trajectories
+
+SHOWN = 10.0
+"""Length of the rollouts of bands and of figures [s]."""
+
+SHOWN_ROLLOUTS = 6
+"""Rollouts that are drawn one by one; more would be a tangle."""
+
+FIGURES = 9
+"""Tracks with figures, the longest ones."""
+
+THREADS = 2
+"""Tracks fitted side by side; JAX computes without Python's lock."""
+
+
+class ShownRollout(eqx.Module):
+    """A rollout on the held-out part of a track, as figures show it.
+
+    Attributes:
+        start: when it begins [T].
+        observed: observed positions [L].
+        predicted: predicted ones, from the first observed one on [L].
+        sd: standard deviation of the predicted end along each axis [L].
+    """
+
+    start: float
+    observed: Float[np.ndarray, "sample 2"]
+    predicted: Float[np.ndarray, "sample 2"]
+    sd: Float[np.ndarray, "2"]
+
+
+class Paths(eqx.Module):
+    """The held-out part of a track, with some rollouts.
+
+    Attributes:
+        whole: observed positions of each segment [L].
+        rollouts: rollouts that are evenly spread over them.
+    """
+
+    whole: tuple[Float[np.ndarray, "_ 2"], ...]
+    rollouts: tuple[ShownRollout, ...]
+
+    @classmethod
+    def of(cls, track: Track, predictor: Predictor, rollouts: Rollouts) -> "Paths":
+        """Some rollouts of a track."""
+        forecasts = [predictor.forecast(piece) for piece in track.pieces]
+        count = min(SHOWN_ROLLOUTS, len(rollouts))
+        shown = []
+        for place in np.linspace(0, len(rollouts) - 1, count).astype(int):
+            forecast = forecasts[int(rollouts.piece[place])]
+            first, last = int(rollouts.first[place]), int(rollouts.last[place])
+            shown.append(
+                ShownRollout(
+                    start=float(forecast.piece.times[first]),
+                    observed=forecast.piece.states[first : last + 1],
+                    predicted=forecast.rollout(first, last),
+                    sd=np.sqrt(forecast.variance(first, last)[-1]),
+                )
+            )
+        return cls(tuple(piece.states for piece in track.pieces), tuple(shown))
+
+    def in_image(self, recording: Trajectories) -> "Paths | None":
+        """The same in pixels of the image, y down; none where there was no image."""
+        if recording.provenance.get("positions", {}).get("unit in the file") != "px":
+            return None
+        whole = tuple(image_positions(recording, path) for path in self.whole)
+        rollouts = tuple(
+            ShownRollout(
+                start=rollout.start,
+                observed=image_positions(recording, rollout.observed),
+                predicted=image_positions(recording, rollout.predicted),
+                sd=np.abs(image_positions(recording, rollout.sd)),
+            )
+            for rollout in self.rollouts
+        )
+        return Paths(whole, rollouts)
+
+
+class SpeedLaw(eqx.Module):
+    """Speed along the command by frequency, observed and fitted.
+
+    Attributes:
+        frequency: commanded frequency of some blocks of the track [Hz].
+        speed: observed along the turned heading in each [L T⁻¹].
+        places: frequencies of the fitted law [Hz].
+        fitted: its speed [L T⁻¹].
+        sd: standard deviation of that speed [L T⁻¹].
+    """
+
+    frequency: Float[np.ndarray, " block"]
+    speed: Float[np.ndarray, " block"]
+    places: Float[np.ndarray, " place"]
+    fitted: Float[np.ndarray, " place"]
+    sd: Float[np.ndarray, " place"]
+
+    @classmethod
+    def of(cls, track: Track, fit: EvidenceFit) -> "SpeedLaw":
+        """The law of a fit to all of a track."""
+        frequency, speed = [], []
+        for piece in track.pieces:
+            along = cycles(fit.model, piece) @ gain_of(fit.model).T
+            drift = np.outer(piece.times - piece.times[0], drift_of(fit.model))
+            later = np.searchsorted(piece.times, piece.times + track.width)
+            index = np.arange(0, len(later), max(1, len(later) // 400))
+            index = index[later[index] < len(piece.times)]
+            later = later[index]
+            step, observed = along[later] - along[index], piece.states - drift
+            moved = observed[later] - observed[index]
+            size = np.hypot(*step.T)
+            interval = piece.times[later] - piece.times[index]
+            rolling = size > 0
+            ahead = (moved * step).sum(axis=1) / np.where(rolling, size, 1)
+            speed.append(ahead[rolling] / interval[rolling])
+            frequency.append(commands_of(piece)[0][index][rolling])
+        several = np.concatenate(frequency)
+        places = np.linspace(0, max(float(several.max()), 1e-3), 60)
+        return cls(several, np.concatenate(speed), places, *speed_of(fit, places))
+
+
+@dataclasses.dataclass(frozen=True)
+class IdentifiedTrack:
+    """The results of one track.
+
+    Attributes:
+        name: run and particle.
+        duration: observed time [T].
+        reason: why it was not fitted; empty where it was.
+        chosen: name of the candidate that the evidence chose.
+        rows: all candidates and baselines.
+        gain: gain matrix [L per cycle]; none without a propulsion.
+        estimates: numbers of the chosen candidate, fitted to the whole track; their
+            names and units are those of `QUANTITIES`.
+        coverage: coverage of its bands on the held-out part.
+        findings: sentences on what the track supports.
+        delay: delay and heading offset; none where nothing was commanded.
+        seconds: duration of all fits [s].
+        system_file: the swimmer that was found, as a file of a system holds it.
+        paths: some rollouts of the held-out part, where figures show the track.
+        image_paths: the same in pixels of the image; none where there was none.
+        growth: errors by the length of rollouts, where figures show the track.
+        law: speed by frequency, where figures show it and commands drove it.
+    """
+
+    name: str
+    duration: float
+    reason: str = ""
+    chosen: str = ""
+    rows: tuple[Row, ...] = ()
+    gain: Float[np.ndarray, "2 2"] | None = None
+    estimates: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    coverage: Coverage | None = None
+    findings: tuple[str, ...] = ()
+    delay: DelayFindings | None = None
+    seconds: float = 0.0
+    system_file: str = ""
+    paths: Paths | None = None
+    image_paths: Paths | None = None
+    growth: ErrorGrowth | None = None
+    law: SpeedLaw | None = None
+
+    @property
+    def system(self) -> System:
+        """The swimmer that was found; its open numbers may be learned again."""
+        return parse_system(self.system_file)
+
+    def row(self, name: str) -> Row | None:
+        """A line of the table by its name; none without results."""
+        return next((r for r in self.rows if r.name == name and not r.reason), None)
+
+
+@dataclasses.dataclass(frozen=True)
+class Identification:
+    """The results of a recording.
+
+    Attributes:
+        units: unit of positions, x, and of time, t.
+        system: name of the track whose swimmer is the one of the recording; none
+            where no track was fitted.
+        tracks: results of each track.
+        summary: medians over tracks of each candidate and baseline, by its label; the
+            log evidence is summed.
+        remarks: how the recording was read, and what looks odd about it.
+    """
+
+    units: dict[str, str]
+    system: str | None
+    tracks: tuple[IdentifiedTrack, ...]
+    summary: dict[str, Row]
+    remarks: tuple[str, ...] = ()
+
+    def track(self, name: str) -> IdentifiedTrack:
+        """The results of a track by its name."""
+        return next(track for track in self.tracks if track.name == name)
+
+    @property
+    def fitted(self) -> list[IdentifiedTrack]:
+        """The tracks that could be fitted."""
+        return [track for track in self.tracks if not track.reason]
+
+
+OnTrack = Callable[[int, IdentifiedTrack, EvidenceFit | None], None]
+"""Called with the place of a track, its results, and the fit to all of it."""
+
+
+def identify(
+    recording: Trajectories,
+    *,
+    train_fraction: float = 0.7,
+    fields: int = 0,
+    track: str | None = None,
+    done: Mapping[int, IdentifiedTrack] | None = None,
+    on_track: OnTrack | None = None,
+) -> Identification:
+    """Compare all candidates on each track of a recording.
+
+    Args:
+        recording: positions in the plane, with commands where there were any.
+        train_fraction: first part of each track's time that trains.
+        fields: number of tracks, the longest ones, to which fields of position are
+            fitted, too.
+        track: name of the track whose swimmer is the one of the recording; the longest
+            one that was driven unless given.
+        done: results of tracks that are not to be fitted again, by their places.
+        on_track: called when a track is done, in no order.
+
+    Raises:
+        InputError: nothing is long enough to fit, or no track has that name, or it
+            could not be fitted.
+    """
+    several = tracks(recording, pooled=is_pooled(recording))
+    check_track(track, several)
+    results = dict(done or {})
+    longest = sorted(several, key=lambda one: -one.duration)
+    full, drawn = ({t.name for t in longest[:n]} for n in (fields, FIGURES))
+    undone = [place for place in alternate_lengths(several) if place not in results]
+
+    def identify_one(place: int) -> tuple[IdentifiedTrack, EvidenceFit | None]:
+        one = several[place]
+        kinds = tuple(RESIDUALS) if one.name in full else ()
+        options = {"train_fraction": train_fraction, "drawn": one.name in drawn}
+        return identify_track(one, recording, residuals=kinds, **options)
+
+    with ThreadPoolExecutor(max_workers=THREADS) as pool:
+        pairs = zip(undone, pool.map(identify_one, undone), strict=True)
+        for place, (result, fit) in pairs:
+            results[place] = result
+            if on_track:
+                on_track(place, result, fit)
+    ordered = tuple(results[place] for place in range(len(several)))
+    return Identification(
+        units={name: recording.units[name] for name in ("x", "t")},
+        system=_system_track(track, ordered),
+        tracks=ordered,
+        summary=summarise(ordered),
+        remarks=tuple(remarks(recording)),
+    )
+
+
+def is_pooled(recording: Trajectories) -> bool:
+    """True where particles of a kind are one track: without commands."""
+    return "frequency" not in recording.commands
+
+
+def check_track(name: str | None, several: Sequence[Track]) -> None:
+    """Raise `InputError` where no track has this name."""
+    names = [track.name for track in several]
+    if name is not None and name not in names:
+        raise InputError(
+            f"--track: no track is called {name!r}; expected one of {', '.join(names)}"
+        )
+
+
+def alternate_lengths(several: Sequence[Track]) -> list[int]:
+    """Tracks in an order in which neighbours differ in length.
+
+    Fits of one length share compiled code; side by side both would compile it.
+    """
+    by_length = sorted(range(len(several)), key=lambda i: -several[i].duration)
+    half = (len(several) + 1) // 2
+    long, short = by_length[:half], by_length[half:][::-1]
+    pairs = itertools.zip_longest(long, short)
+    return [index for pair in pairs for index in pair if index is not None]
+
+
+def identify_track(
+    track: Track,
+    recording: Trajectories,
+    *,
+    train_fraction: float = 0.7,
+    residuals: Sequence[str] = (),
+    drawn: bool = True,
+) -> tuple[IdentifiedTrack, EvidenceFit | None]:
+    """Results of one track, and the fit to all of it; none where it has none.
+
+    Args:
+        track: one robot of one run.
+        recording: recording that the track is of.
+        train_fraction: first part of its time that trains.
+        residuals: names in `RESIDUALS`: fields of position that are compared, too.
+        drawn: figures show the track.
+    """
+    begin = time.perf_counter()
+    try:
+        selection = select_model(
+            track, train_fraction=train_fraction, residuals=residuals
+        )
+        candidate, held_out = selection.system, selection.held_out
+        whole = fit_track(track, candidate, start=selection.best)
+        commanded = selection.train.commanded
+        delays = delay_findings(track, candidate, whole) if commanded else None
+    except (InputError, FitError) as error:
+        return IdentifiedTrack(track.name, track.duration, str(error)), None
+    numbers, predictor = estimates(whole), selection.predictor
+    rollouts = Rollouts.of(held_out, SHOWN)
+    system = system_of(
+        whole,
+        jitter=predictor.jitter.deviation,
+        name=track.name,
+        units=dict(recording.units),
+    )
+    driven = isinstance(whole.model.propulsion, RollingPropulsion)
+    result = IdentifiedTrack(
+        name=track.name,
+        duration=track.duration,
+        chosen=selection.chosen,
+        rows=tuple(selection.rows),
+        gain=gain_of(whole.model) if driven else None,
+        estimates=numbers,
+        coverage=coverage(held_out, rollouts, predictor),
+        findings=tuple(finding_sentences(selection, numbers, delays)),
+        delay=delays,
+        seconds=time.perf_counter() - begin,
+        system_file=_with_estimates(system_text(system), selection.chosen, numbers),
+    )
+    if not drawn:
+        return result, whole
+    paths = Paths.of(held_out, predictor, rollouts)
+    baseline = least_squares(selection.train).displacement()
+    return dataclasses.replace(
+        result,
+        paths=paths,
+        image_paths=paths.in_image(recording),
+        growth=ErrorGrowth.of(held_out, predictor, baseline),
+        law=SpeedLaw.of(track, whole) if driven else None,
+    ), whole
+
+
+def _with_estimates(text: str, chosen: str, numbers: Mapping[str, Estimate]) -> str:
+    """A system's file with the estimates and their deviations as comments."""
+    lines = [
+        f"# {name}: {one.value:.6g} ± {one.sd:.2g} (standard deviation)"
+        for name, one in numbers.items()
+    ]
+    return "\n".join([f"# Identified by pinav: {chosen}.", *lines, "", text])
+
+
+def _system_track(name: str | None, several: Iterable[IdentifiedTrack]) -> str | None:
+    """The track whose system is the one of the recording."""
+    results = {track.name: track for track in several}
+    fitted = [track for track in results.values() if not track.reason]
+    if name is not None:
+        if results[name].reason:
+            raise InputError(f"--track {name}: {results[name].reason}")
+        return name
+    order = sorted(fitted, key=lambda track: (track.gain is None, -track.duration))
+    return order[0].name if order else None
+
+
+def summarise(several: Iterable[IdentifiedTrack]) -> dict[str, Row]:
+    """Medians over tracks of each line, and of the chosen candidates."""
+    rows: dict[str, list[Row]] = {}
+    for track in several:
+        for row in track.rows:
+            if not row.reason:
+                rows.setdefault(row.label, []).append(row)
+            if row.name == track.chosen:
+                rows.setdefault("chosen", []).append(row)
+    return {name: _median_row(name, group) for name, group in rows.items()}
+
+
+def _median_row(name: str, rows: Sequence[Row]) -> Row:
+    """Medians of lines of different tracks, and their summed log evidence."""
+    by_horizon = {f"{h:g}": [row.errors[f"{h:g}"] for row in rows] for h in HORIZONS}
+    return Row(
+        name=name,
+        log_evidence=float(sum(row.log_evidence for row in rows)),
+        seconds=_median([row.seconds for row in rows]),
+        errors={
+            horizon: Errors(
+                relative=_median([one.relative for one in errors]),
+                median=_median([one.median for one in errors]),
+                rollouts=sum(one.rollouts for one in errors),
+            )
+            for horizon, errors in by_horizon.items()
+        },
+        velocity_r2=_median([row.velocity_r2 for row in rows]),
+        tracks=len(rows),
+    )
+
+
+def _median(values: Sequence[float]) -> float:
+    """Median of those that are defined; NaN where none is."""
+    known = np.array(values, float)
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def pooled_coverage(several: Iterable[IdentifiedTrack]) -> float:
+    """Share of held-out positions within bands, over all rollouts; NaN without any."""
+    bands = [track.coverage for track in several if track.coverage is not None]
+    count = sum(band.rollouts for band in bands)
+    inside = sum(band.inside * band.rollouts for band in bands if band.rollouts)
+    return inside / count if count else float("nan")
