@@ -37,7 +37,7 @@ from pinav.figures.style import (
     title_panel,
 )
 from pinav.identification import Identification
-from pinav.identification.forecast import HORIZONS
+from pinav.identification.rollouts import HORIZONS
 from pinav.learning.findings import ForceMaps
 from pinav.learning.learn import open_run
 from pinav.navigation import OnlineNavigation

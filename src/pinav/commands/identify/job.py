@@ -20,8 +20,8 @@ from pinav.identification import (
     tracks,
     trajectories_of,
 )
-from pinav.identification.forecast import HORIZONS
 from pinav.identification.identify import is_pooled
+from pinav.identification.rollouts import HORIZONS
 from pinav.learning.evidence import Evidence
 from pinav.learning.learned import DATA_FILE, ModelHeader, of_evidence
 from pinav.runs import RunFolder
