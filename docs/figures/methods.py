@@ -13,7 +13,7 @@ from pinav.analysis import Analysis, Discovery
 from pinav.evaluation import BASELINE, ErrorCurve, Evaluation, FieldMap
 from pinav.figures.analysis import growth_map
 from pinav.figures.errors import error_over_time
-from pinav.figures.heat import perfusion_law, probe_curves
+from pinav.figures.heat import perfusion_law, place_names, probe_curves
 from pinav.figures.identification import errors_by_horizon, horizon_errors, speed_law
 from pinav.figures.laws import law_agreement, law_ranking
 from pinav.figures.maps import (
@@ -40,6 +40,7 @@ from pinav.identification import Identification
 from pinav.identification.forecast import HORIZONS
 from pinav.navigation import OnlineNavigation
 from pinav.runs import RunFolder
+from pinav.thermal.learned_tissue import LearnedTissue
 from pinav.trajectories import load
 
 WIDTH = 4.6
@@ -246,17 +247,16 @@ def adaptive(workshop: Workshop) -> Figure:
 def thermal(workshop: Workshop) -> Figure:
     """Probes and their fit, and the perfusion of muscle that it took."""
     folder = workshop.tutorial("bioheat") / "runs" / "learn"
-    arrays = read(folder, "results.npz")
+    found = RunFolder.open(folder).load("metrics", LearnedTissue)
+    assert found.probes is not None
+    data, predicted = found.probes.data, found.probes.predicted
     figure = new_figure(WIDTH, 5.4)
     above, below = figure.subplots(2, 1)
-    times, values = arrays["data_times"], arrays["data_values"]
-    places = [f"{1e3 * point[0]:.3g} mm" for point in arrays["points"]]
-    probe_curves(times, arrays["predicted"], places, readings=(times, values), ax=above)
-    prefix = "law/tissue/"
-    law = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+    readings, places = (data.times, data.values), place_names(data.points)
+    probe_curves(data.times, predicted, places, readings=readings, ax=above)
     above.set_ylim(top=49.5)
     add_legend(above, columns=4, loc="upper left")
-    perfusion_law(law, ax=below)
+    perfusion_law(found.laws["tissue"], ax=below)
     add_legend(below)
     title_panel(above, "(a) seven probes along the radius, readings and fit")
     title_panel(below, "(b) perfusion of muscle; dotted: not reached")

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 
 from pinav.commands.command import CommandResult
-from pinav.commands.explore.document import document
+from pinav.commands.explore.document import PAGE, document
 from pinav.commands.explore.notebook import make_widget
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.plan import fit_of_plan, is_plan, plan_of
@@ -18,8 +18,6 @@ from pinav.commands.explore.warmth import heat_payload, is_heated
 from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
 from pinav.runs import RunFolder
-
-PAGE = "explore.html"
 
 
 @dataclasses.dataclass(frozen=True)

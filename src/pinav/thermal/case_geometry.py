@@ -1,41 +1,53 @@
-"""Where things are in a case of `pinav heat`: grid, tumour, walls and probes."""
+"""Tables of a case that say where things are: grid, tumour, sides and probes."""
 
 import math
-from typing import Annotated, Literal
+from typing import Literal
 
-from msgspec import Meta
+from pinav.thermal.boundaries import (
+    AbstractBoundary,
+    AbstractEnds,
+    Dirichlet,
+    Insulated,
+    Periodic,
+    Robin,
+    Sides,
+)
+from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
+from pinav.thermal.ranges import (
+    Cells,
+    Edge,
+    Length,
+    Place,
+    Strict,
+    Table,
+    Time,
+    read_module,
+)
 
-from pinav.commands.heat.bounds import Cells, Celsius, Edge, Length, Place, Strict, Time
+Point = tuple[float, ...]
+"""One coordinate along each axis [m]."""
 
 
-class _Round(Strict, frozen=True):
-    """A grid over the radius [m]."""
+class Sphere(Strict, frozen=True, tag="sphere", tag_field="kind"):
+    """A sphere, everything a function of the radius [m]."""
 
     radius: Length
     cells: Cells
 
-    @property
-    def lengths(self) -> tuple[float, ...]:
-        """Extent along each axis [m]."""
-        return (self.radius,)
-
-    @property
-    def sizes(self) -> tuple[float, ...]:
-        """Edges of a cell [m]."""
-        return (self.radius / self.cells,)
-
-    @property
-    def count(self) -> int:
-        """Number of cells."""
-        return self.cells
+    def build(self) -> RadialGrid:
+        """The cells."""
+        return RadialGrid.sphere(self.radius, self.cells)
 
 
-class Sphere(_Round, frozen=True, tag="sphere", tag_field="kind"):
-    """A sphere, everything a function of the radius [m]."""
-
-
-class Cylinder(_Round, frozen=True, tag="cylinder", tag_field="kind"):
+class Cylinder(Strict, frozen=True, tag="cylinder", tag_field="kind"):
     """A long cylinder, everything a function of the radius [m]."""
+
+    radius: Length
+    cells: Cells
+
+    def build(self) -> RadialGrid:
+        """The cells."""
+        return RadialGrid.cylinder(self.radius, self.cells)
 
 
 class Box(Strict, frozen=True, tag="box", tag_field="kind"):
@@ -63,15 +75,9 @@ class Box(Strict, frozen=True, tag="box", tag_field="kind"):
             return self.size
         return (self.size,) * len(self.cells)
 
-    @property
-    def lengths(self) -> tuple[float, ...]:
-        """Extent along each axis [m]."""
-        return tuple(n * h for n, h in zip(self.cells, self.sizes, strict=True))
-
-    @property
-    def count(self) -> int:
-        """Number of cells."""
-        return math.prod(self.cells)
+    def build(self) -> CartesianGrid:
+        """The cells."""
+        return CartesianGrid(self.cells, self.sizes)
 
 
 class Voxels(Strict, frozen=True, tag="voxels", tag_field="kind"):
@@ -90,30 +96,8 @@ Meshed = Sphere | Cylinder | Box
 Grid = Meshed | Voxels
 
 
-class Wall(Strict, frozen=True):
-    """The outer sides: a temperature [°C], or an exchange [W/m²/K] with an ambient.
-
-    Unless one of them is given, the wall is at 37 °C.
-    """
-
-    temperature: Celsius | None = None
-    exchange: Annotated[float, Meta(gt=0, le=1e6)] | None = None
-    ambient: Celsius | None = None
-
-    def __post_init__(self) -> None:
-        if (self.exchange is None) != (self.ambient is None):
-            raise ValueError(
-                "expected an ambient temperature with an exchange, and an exchange "
-                "with an ambient temperature"
-            )
-        if self.temperature is not None and self.exchange is not None:
-            raise ValueError(
-                "expected a temperature or an exchange, got both; remove one"
-            )
-
-
-Side = Wall | Literal["insulated"]
-"""What is at one side; insulated stands for a plane of symmetry, too."""
+Side = Table | str
+"""One side, by the fields of a class of `boundaries`, such as `temperature`."""
 
 
 class Ends(Strict, frozen=True):
@@ -127,7 +111,7 @@ Across = Ends | Literal["periodic"] | None
 """Both sides across an axis, or ends that meet."""
 
 
-class Sides(Strict, frozen=True):
+class SideTables(Strict, frozen=True):
     """The sides across each axis of a box."""
 
     x: Across = None
@@ -138,6 +122,37 @@ class Sides(Strict, frozen=True):
     def along(self) -> tuple[Across, Across, Across]:
         """Those of each axis."""
         return self.x, self.y, self.z
+
+    def build(self, wall: AbstractBoundary, axes: int) -> tuple[AbstractEnds, ...]:
+        """Both sides of each axis of a box.
+
+        Args:
+            wall: boundary of the sides that are not stated.
+            axes: number of axes.
+        """
+        return tuple(
+            _ends(f"sides.{name}", ends, wall)
+            for name, ends in tuple(zip("xyz", self.along, strict=True))[:axes]
+        )
+
+
+def read_boundary(key: str, side: Side) -> AbstractBoundary:
+    """The boundary that a table states.
+
+    Raises:
+        ValueError: it states none.
+    """
+    return read_module(key, (Dirichlet, Robin, Insulated), side)
+
+
+def _ends(key: str, ends: Across, wall: AbstractBoundary) -> AbstractEnds:
+    if isinstance(ends, str):
+        return Periodic()
+    low, high = (None, None) if ends is None else (ends.low, ends.high)
+    return Sides(
+        wall if low is None else read_boundary(f"{key}.low", low),
+        wall if high is None else read_boundary(f"{key}.high", high),
+    )
 
 
 class Probes(Strict, frozen=True):
@@ -151,9 +166,7 @@ class Probes(Strict, frozen=True):
             raise ValueError("points: expected different places, got one twice")
 
 
-def check_point(
-    name: str, point: tuple[float, ...], lengths: tuple[float, ...]
-) -> None:
+def check_point(name: str, point: Point, lengths: Point) -> None:
     """Refuse a point that is not inside a grid of these lengths [m]."""
     if len(point) != len(lengths):
         raise ValueError(
@@ -168,9 +181,9 @@ def check_point(
             )
 
 
-def check_sides(grid: Meshed, sides: Sides) -> None:
+def check_sides(grid: AbstractGrid, sides: SideTables) -> None:
     """Refuse sides that a grid does not have."""
-    count = len(grid.lengths) if isinstance(grid, Box) else 0
+    count = len(grid.shape) if len(grid.shape) > 1 else 0
     for name, ends in tuple(zip("xyz", sides.along, strict=True))[count:]:
         if ends is not None:
             raise ValueError(
@@ -180,24 +193,25 @@ def check_sides(grid: Meshed, sides: Sides) -> None:
 
 
 def check_ball(
-    grid: Meshed, radius: float, center: tuple[float, ...] | None, sides: Sides
+    grid: AbstractGrid, radius: float, center: Point | None, sides: SideTables
 ) -> None:
     """Refuse a tumour that is not within the grid, or smaller than a cell.
 
     An insulated side is a plane of symmetry, through which a tumour may reach.
     """
-    if isinstance(grid, Box):
-        middle = center or tuple(0.5 * length for length in grid.lengths)
-        check_point("tumour.center", middle, grid.lengths)
-        largest = _free_radius(grid, middle, sides)
+    lengths: Point = grid.extent
+    if isinstance(grid, CartesianGrid):
+        middle = center or tuple(0.5 * length for length in lengths)
+        check_point("tumour.center", middle, lengths)
+        largest = _free_radius(lengths, middle, sides)
     elif center is not None:
         raise ValueError(
             "tumour.center: expected none on a sphere or cylinder, whose tumour is at "
             "its centre; take a box for another place"
         )
     else:
-        largest = grid.radius
-    if radius < 0.5 * (size := max(grid.sizes)):
+        largest = lengths[0]
+    if radius < 0.5 * (size := max(grid.cell_sizes)):
         raise ValueError(
             f"tumour.radius: expected at least half a cell, {size / 2:g} m, got "
             f"{radius:g} m; take smaller cells"
@@ -209,10 +223,10 @@ def check_ball(
         )
 
 
-def _free_radius(grid: Box, center: tuple[float, ...], sides: Sides) -> float:
+def _free_radius(lengths: Point, center: Point, sides: SideTables) -> float:
     """Distance [m] of a point from the nearest side that is not insulated."""
-    distances = [math.hypot(*grid.lengths)]
-    for ends, x, length in zip(sides.along, center, grid.lengths, strict=False):
+    distances = [math.hypot(*lengths)]
+    for ends, x, length in zip(sides.along, center, lengths, strict=False):
         low, high = (ends.low, ends.high) if isinstance(ends, Ends) else (None, None)
         distances += [x] * (low != "insulated")
         distances += [length - x] * (high != "insulated")

@@ -4,18 +4,18 @@ from pathlib import Path
 
 import numpy as np
 
-from pinav.commands.heat.aims import Frames, Learn
-from pinav.commands.heat.bounds import NOISIEST
-from pinav.commands.heat.build import CaseModel
 from pinav.errors import InputError
+from pinav.thermal.case_aims import Frames, Learn
 from pinav.thermal.images import NEGLIGIBLE, Image, check_place, read_image
 from pinav.thermal.probes import HOTTEST_READING, ProbeData, load_probes
+from pinav.thermal.ranges import NOISIEST
+from pinav.thermal.setup import Setup
 from pinav.thermal.thermometry import Thermometry, phase_turn
 
 Readings = ProbeData | Thermometry
 
 
-def read_data(settings: Learn, setup: CaseModel, folder: Path) -> Readings | None:
+def read_data(settings: Learn, setup: Setup, folder: Path) -> Readings | None:
     """The readings of a case; none where it makes its own.
 
     Raises:
@@ -43,8 +43,8 @@ def readings_until(data: Readings, time: float) -> Readings:
     return ProbeData(data.times[:count], data.points, data.values[:count])
 
 
-def _read_frames(frames: Frames, setup: CaseModel, folder: Path) -> Thermometry:
-    labels = setup.body.image
+def _read_frames(frames: Frames, setup: Setup, folder: Path) -> Thermometry:
+    labels = setup.image
     if labels is None:
         raise InputError(
             "learn.thermometry: expected a grid of voxels, got another; take data, a "
@@ -65,7 +65,7 @@ def _read_frames(frames: Frames, setup: CaseModel, folder: Path) -> Thermometry:
         )
     every = _interval(frames, image)
     turn = frames.turn
-    arterial = float(setup.model.blood.arterial)
+    arterial = setup.arterial
     if frames.magnet is not None and frames.echo is not None:
         turn = phase_turn(frames.magnet, frames.echo, frames.coefficient)
         values = -values / (2 * np.pi) * turn  # the shift falls as tissue warms

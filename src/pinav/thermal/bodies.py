@@ -1,4 +1,4 @@
-"""Cases of voxels: tissues by their labels in an image, and maps of their properties.
+"""The body of a case: a ball in tissue, or voxels by their labels, and maps of both.
 
 Everything that a file may have wrong is refused here, before a folder is made: its
 shape, its place, its unit, labels without a tissue, and numbers that no tissue has.
@@ -8,47 +8,43 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 from jaxtyping import Bool
 
-from pinav.commands.heat.bodies import (
-    PROPERTIES,
-    Body,
-    build_blood,
-    build_grid,
-    passive_properties,
-    perfusion_law,
-)
-from pinav.commands.heat.bounds import (
-    ADVICE,
-    Concentration,
-    Conductivity,
-    Density,
-    Magnitude,
-    PowerDensity,
-    SpecificHeat,
-)
-from pinav.commands.heat.case import Case, TargetFile
-from pinav.commands.heat.geometry import Box, Voxels
-from pinav.commands.heat.matter import (
+from pinav.errors import InputError
+from pinav.thermal.case import Case, TargetFile
+from pinav.thermal.case_geometry import Box, Meshed, Voxels
+from pinav.thermal.case_matter import (
     LARGEST_LABEL,
+    PROPERTIES,
     Absorption,
     Heating,
     Medium,
-    Metabolic,
 )
-from pinav.errors import InputError
+from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.images import NEGLIGIBLE, Image, check_place, read_image
 from pinav.thermal.perfusion import (
     AbstractPerfusion,
     ConstantPerfusion,
+    MixedPerfusion,
     RegionalPerfusion,
     mass_perfusion,
     perfusion_factor,
 )
-from pinav.thermal.tissues import Blood, Tissue
+from pinav.thermal.quantities import Field
+from pinav.thermal.ranges import (
+    Concentration,
+    Conductivity,
+    Density,
+    Magnitude,
+    Metabolic,
+    PowerDensity,
+    SpecificHeat,
+    within,
+)
+from pinav.thermal.tissues import Blood, Tissue, mix
 
 KINDS = {
     "conductivity": Conductivity,
@@ -62,23 +58,88 @@ KINDS = {
 """Numbers that a map may hold, of the same ranges as those of a table."""
 
 
-def voxel_body(case: Case, grid: Voxels, folder: Path) -> Body:
-    """Tissues and target of a case whose grid is an image.
+class Body(eqx.Module):
+    """Everything that a case is made of, but for what heats it.
+
+    Attributes:
+        grid: cells.
+        tissue: passive properties.
+        blood: blood that perfuses the tissue.
+        perfusion: perfusion of all tissues.
+        fractions: volume fraction of each tissue in each cell.
+        laws: for each tissue, what picks its perfusion from a model.
+        target: volume fraction of the target in each cell.
+        middle: middle of the target [m]; none on grids whose target is in the middle.
+        radius: radius of a target that is a ball [m].
+        image: labels, where the cells are voxels.
+    """
+
+    grid: AbstractGrid
+    tissue: Tissue
+    blood: Blood
+    perfusion: AbstractPerfusion
+    fractions: dict[str, Field]
+    laws: dict[str, Callable[[Any], Any]] = eqx.field(static=True)
+    target: Field
+    middle: tuple[float, ...] | None = None
+    radius: float | None = None
+    image: Image | None = None
+
+
+def build_body(case: Case, folder: Path) -> Body:
+    """The grid, tissues and target of a case.
+
+    Args:
+        case: the case.
+        folder: folder of the files that it names.
 
     Raises:
-        InputError: a file cannot be read, is not of these voxels, or holds what no
-            tissue has.
+        InputError: a name or a unit is unknown, a perfusion implausible, or a file
+            cannot be read, is not of these voxels, or holds what no tissue has.
     """
+    if isinstance(case.grid, Voxels):
+        return _voxel_body(case, case.grid, folder)
+    return _ball_body(case, case.grid)
+
+
+def _ball_body(case: Case, grid: Meshed) -> Body:
+    """A ball of tumour in tissue."""
+    cells, blood, (medium, tumour) = grid.build(), case.blood, case.ball
+    target = cells.ball(tumour.radius, center=tumour.center)
+    inside, outside = tumour.tissue.properties(), medium.properties()
+    return Body(
+        grid=cells,
+        tissue=mix(target, inside, outside),
+        blood=blood,
+        perfusion=MixedPerfusion.on_mask(
+            target,
+            tumour.tissue.perfusion.law(blood, inside),
+            medium.perfusion.law(blood, outside),
+        ),
+        fractions={"tumour": target, "tissue": 1 - target},
+        laws={
+            "tumour": lambda m: m.perfusion.inside,
+            "tissue": lambda m: m.perfusion.outside,
+        },
+        target=target,
+        middle=tumour.center,
+        radius=tumour.radius,
+    )
+
+
+def _voxel_body(case: Case, grid: Voxels, folder: Path) -> Body:
+    """Tissues and target of a case whose grid is an image."""
     image = read_image(folder / grid.labels)
     box = _box(grid, image)
     if image.spacing is None:
         image = Image(image.path, image.values, box.sizes)
+    cells = box.build()
     try:
-        case.check_extent(box)
+        case.check_extent(cells)
     except ValueError as error:
         raise InputError(f"{image.path}: {error}") from error
     masks = _masks(case, image)
-    blood, files = build_blood(case.blood), _Files(folder, image)
+    blood, files = case.blood, _Files(folder, image)
     media = {
         name: _properties(medium, masks[name], files)
         for name, medium in case.tissues.items()
@@ -88,7 +149,6 @@ def voxel_body(case: Case, grid: Voxels, folder: Path) -> Body:
         for name, medium in case.tissues.items()
     }
     target = _target(case, masks, files)
-    cells = build_grid(box)
     return Body(
         grid=cells,
         tissue=_join(media, masks),
@@ -156,14 +216,13 @@ class _Files:
                 f"{path}: expected finite numbers, got {(~finite).sum()} voxels "
                 "without one; fill them, or give them another label"
             )
-        within = values[mask]
-        for extreme in (within.min(), within.max()) if within.size else ():
+        inside = values[mask]
+        for extreme in (inside.min(), inside.max()) if inside.size else ():
             try:
-                msgspec.convert(float(extreme), KINDS[kind])
-            except msgspec.ValidationError as error:
-                words = str(error).replace("Expected `float`", "expected a number")
-                advice = f"; {ADVICE[kind]}" if kind in ADVICE else ""
-                raise InputError(f"{path}: {words}, got {extreme:g}{advice}") from error
+                within(kind, KINDS[kind], float(extreme))
+            except ValueError as error:
+                words = str(error).removeprefix(f"{kind}: ")
+                raise InputError(f"{path}: {words}") from error
 
 
 def _box(grid: Voxels, image: Image) -> Box:
@@ -228,7 +287,7 @@ def _properties(medium: Medium, mask: Bool[np.ndarray, "..."], files: _Files) ->
         if isinstance(value, str):
             values = files.read(value, name, mask)
             maps[name] = np.where(mask, values, values[mask].mean())
-    return passive_properties(medium, maps)
+    return medium.properties(maps)
 
 
 def _law(
@@ -240,7 +299,7 @@ def _law(
 ) -> AbstractPerfusion:
     flow = medium.perfusion
     if flow.file is None:
-        return perfusion_law(medium, blood, tissue)
+        return flow.law(blood, tissue)
     assert flow.unit is not None
     values = files.read(flow.file, "perfusion", mask)
     # a unit is judged by the mean: single voxels of a map may have almost no blood

@@ -1,10 +1,10 @@
-"""What is asked of a case of `pinav heat`: to learn, and to plan."""
+"""Tables of a case that say what is asked: to learn, and to plan."""
 
 from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from pinav.commands.heat.bounds import (
+from pinav.thermal.ranges import (
     NOISIEST,
     Celsius,
     Fraction,

@@ -1,40 +1,31 @@
-"""Cases of `pinav heat`: what a TOML file may say, strictly."""
+"""Cases of bioheat: what a TOML file may say, strictly."""
 
+import math
 import os
-import re
 import tomllib
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 
-from pinav.commands.heat.aims import Learn, Optimise
-from pinav.commands.heat.bounds import (
-    ADVICE,
-    Length,
-    Strict,
-    Time,
-)
-from pinav.commands.heat.field import Field
-from pinav.commands.heat.geometry import (
-    Box,
+from pinav.errors import InputError
+from pinav.thermal.boundaries import AbstractBoundary, AbstractEnds, Insulated, outer
+from pinav.thermal.case_aims import Learn, Optimise
+from pinav.thermal.case_geometry import (
     Ends,
     Grid,
-    Meshed,
     Place,
     Probes,
     Side,
-    Sides,
+    SideTables,
     Voxels,
-    Wall,
     check_ball,
     check_point,
     check_sides,
+    read_boundary,
 )
-from pinav.commands.heat.matter import (
-    Blood,
-    Damage,
-    Eddy,
+from pinav.thermal.case_matter import (
+    FieldTable,
     Heating,
     LimitName,
     Measured,
@@ -42,7 +33,18 @@ from pinav.commands.heat.matter import (
     Power,
     heating_file,
 )
-from pinav.errors import InputError
+from pinav.thermal.dose import DAMAGES, Arrhenius
+from pinav.thermal.grids import AbstractGrid
+from pinav.thermal.ranges import (
+    Length,
+    Strict,
+    Table,
+    Time,
+    explain,
+    read_module,
+)
+from pinav.thermal.sources import AbstractSource, DistantEddySource, EddySource
+from pinav.thermal.tissues import Blood
 
 ARRAYS = 40
 """Numbers that a run keeps for each cell, about."""
@@ -80,17 +82,19 @@ class Case(Strict, frozen=True):
     title: str
     grid: Grid
     heating: Heating
-    field: Field
+    field: FieldTable
     tissue: Medium | None = None
     tumour: Tumour | None = None
     tissues: dict[str, Medium] = msgspec.field(default_factory=dict)
     target: tuple[str, ...] | TargetFile | None = None
-    blood: Blood = Blood()
-    wall: Side = Wall()
-    sides: Sides = Sides()
+    blood_table: Table = msgspec.field(default_factory=dict, name="blood")
+    wall_table: Side = msgspec.field(
+        default_factory=lambda: {"temperature": 37.0}, name="wall"
+    )
+    sides: SideTables = SideTables()
     start: Literal["rest", "steady"] | Before = "rest"
-    eddy: Eddy | None = None
-    damage: Damage | None = None
+    eddy_table: Table | None = msgspec.field(default=None, name="eddy")
+    damage_table: Table | None = msgspec.field(default=None, name="damage")
     limit: LimitName | None = None
     probes: Probes | None = None
     learn: Learn | None = None
@@ -98,16 +102,55 @@ class Case(Strict, frozen=True):
     step: Time | None = None
 
     def __post_init__(self) -> None:
+        # refuses tables that state none
+        _ = self.blood, self.eddy, self.damage, self.boundaries(3)
         if isinstance(self.grid, Voxels):
             self._check_labels()
         else:
-            self._check_ball(self.grid)
+            self._check_ball(self.grid.build())
         if isinstance(self.heating, Measured):
             self._check_table(self.heating)
         if self.optimise is not None:
             self._check_bounds(self.optimise)
 
-    def check_extent(self, grid: Meshed) -> None:
+    @property
+    def blood(self) -> Blood:
+        """Blood of the tissues."""
+        return read_module("blood", (Blood,), self.blood_table)
+
+    @property
+    def wall(self) -> AbstractBoundary:
+        """Boundary of all outer sides that the case does not state."""
+        return read_boundary("wall", self.wall_table)
+
+    @property
+    def eddy(self) -> AbstractSource | None:
+        """Eddy currents, of one radius or about an axis."""
+        kinds = EddySource, DistantEddySource
+        table = self.eddy_table
+        return None if table is None else read_module("eddy", kinds, table)
+
+    @property
+    def damage(self) -> Arrhenius | None:
+        """Law of damage: a set of constants by its name, or its constants."""
+        table = self.damage_table
+        if table is None:
+            return None
+        if table.keys() == {"law"} and table["law"] in DAMAGES:
+            return DAMAGES[table["law"]]
+        try:
+            return read_module("damage", (Arrhenius,), table)
+        except ValueError as error:
+            names = ", ".join(DAMAGES)
+            raise ValueError(f"{error}; or the key law, one of {names}") from error
+
+    def boundaries(self, axes: int) -> tuple[AbstractEnds, ...]:
+        """Both ends of each axis of a grid."""
+        if axes == 1:
+            return outer(self.wall)
+        return self.sides.build(self.wall, axes)
+
+    def check_extent(self, grid: AbstractGrid) -> None:
         """Refuse sides, probes and a size that do not go with the cells of a grid.
 
         Raises:
@@ -128,13 +171,13 @@ class Case(Strict, frozen=True):
     @property
     def _outside(self) -> list[float]:
         """Temperatures behind the sides that have one [°C], and of the arteries."""
-        ends = [one for one in self.sides.along if isinstance(one, Ends)]
-        sides = [self.wall, *(side for one in ends for side in (one.low, one.high))]
-        walls = [side for side in sides if isinstance(side, Wall)]
-        given = [t for one in walls for t in (one.temperature, one.ambient)]
-        return [self.blood.arterial, *(t for t in given if t is not None)]
+        stated = [one for one in self.sides.along if isinstance(one, Ends)]
+        tables = [side for one in stated for side in (one.low, one.high)]
+        sides = [read_boundary("sides", one) for one in tables if one is not None]
+        walls = [one for one in (self.wall, *sides) if not isinstance(one, Insulated)]
+        return [float(t) for t in (self.blood.arterial, *(w.outside for w in walls))]
 
-    def _check_ball(self, grid: Meshed) -> None:
+    def _check_ball(self, grid: AbstractGrid) -> None:
         """Tables of a case without voxels."""
         if self.tissue is None or self.tumour is None:
             raise ValueError(
@@ -200,22 +243,22 @@ class Case(Strict, frozen=True):
                 "voxels, whose target is no ball; give maps of the heating"
             )
 
-    def _check_center(self, grid: Meshed) -> None:
+    def _check_center(self, grid: AbstractGrid) -> None:
         center = self.heating.center if isinstance(self.heating, Power) else None
         if center is None:
             return
-        if not isinstance(grid, Box):
+        if len(grid.shape) == 1:
             raise ValueError(
                 "heating.center: expected none on a sphere or cylinder, which is "
                 "heated about its centre; take a box for another place"
             )
-        check_point("heating.center", center, grid.lengths)
+        check_point("heating.center", center, grid.extent)
 
-    def _check_probes(self, grid: Meshed) -> None:
+    def _check_probes(self, grid: AbstractGrid) -> None:
         if self.probes is None:
             return
         for point in self.probes.points:
-            check_point("probes.points", point, grid.lengths)
+            check_point("probes.points", point, grid.extent)
         if self.probes.every > self.field.duration:
             raise ValueError(
                 f"probes.every: expected within the protocol, <= "
@@ -223,7 +266,7 @@ class Case(Strict, frozen=True):
                 "often"
             )
 
-    def _check_size(self, grid: Meshed) -> None:
+    def _check_size(self, grid: AbstractGrid) -> None:
         if self.step is not None and self.step > self.field.duration:
             raise ValueError(
                 f"step: expected within the protocol, <= {self.field.duration:g} s, "
@@ -231,18 +274,19 @@ class Case(Strict, frozen=True):
             )
         every = USUAL_STEP if self.probes is None else self.probes.every
         step = min(self.step or USUAL_STEP, every)
-        if (count := self.field.duration / step) > MOST_STEPS:
+        if (steps := self.field.duration / step) > MOST_STEPS:
             raise ValueError(
-                f"expected at most {MOST_STEPS:,} time steps, got {count:,.0f} of "
+                f"expected at most {MOST_STEPS:,} time steps, got {steps:,.0f} of "
                 f"{step:g} s until {self.field.duration:g} s; take a longer step, read "
                 "the probes less often, or end earlier"
             )
         probes = 0 if self.probes is None else len(self.probes.points)
-        needed = 8 * grid.count * (ARRAYS + probes)
+        count = math.prod(grid.shape)
+        needed = 8 * count * (ARRAYS + probes)
         if needed > (memory := machine_memory()):
             raise ValueError(
                 f"grid.cells: expected a grid that fits the memory of this machine, "
-                f"{memory / 2**30:.3g} GiB, got {grid.count:,} cells, which need "
+                f"{memory / 2**30:.3g} GiB, got {count:,} cells, which need "
                 f"about {needed / 2**30:.3g} GiB; take larger cells"
             )
 
@@ -307,30 +351,4 @@ def read_case(path: Path) -> tuple[Case, dict[str, Any]]:
     try:
         return msgspec.convert(content, Case), content
     except msgspec.ValidationError as error:
-        raise InputError(f"{path}: {_explain(str(error), content)}") from error
-
-
-BOUND = re.compile(r"Expected `(?:float|int)` (\S+ \S+) - at `\$\.?(.*)`")
-KEY = re.compile(r"[a-z_]+: ")
-ELSEWHERE = re.compile(r"(.*) - at `\$\.?(.*)`")
-
-
-def _explain(message: str, content: object) -> str:
-    """A message of msgspec with the key first, and the value that misses a bound."""
-    if bound := BOUND.fullmatch(message):
-        words = f"expected a number {bound[1].removesuffix('.0')}"
-        key = re.findall(r"[a-z_]+", bound[2])[-1]
-        advice = f"; {ADVICE[key]}" if key in ADVICE else ""
-        return f"{bound[2]}: {words}, got {_value_at(content, bound[2])}{advice}"
-    if place := ELSEWHERE.fullmatch(message):
-        # a table that checks itself may have named the key within it
-        joint = "." if KEY.match(place[1]) else ": "
-        return joint.join((place[2], place[1])) if place[2] else place[1]
-    return message
-
-
-def _value_at(content: Any, place: str) -> Any:
-    """The entry of nested tables and lists at a path such as `field.times[1]`."""
-    for name, index in re.findall(r"(\w+)|\[(\d+)\]", place):
-        content = content[name] if name else content[int(index)]
-    return content
+        raise InputError(f"{path}: {explain(str(error), content)}") from error

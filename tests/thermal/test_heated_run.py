@@ -1,11 +1,10 @@
-"""What `pinav heat` follows over time, and what its figures say."""
+"""What of a run is followed over time, and in which planes."""
 
 import numpy as np
 import pytest
 
-from pinav.commands.heat.history import end_of_heating, saved_times
-from pinav.commands.heat.report import _duration, _sections
 from pinav.thermal.dose import time_to_reach
+from pinav.thermal.heated_run import cuts_through, end_of_heating, saved_times
 from pinav.thermal.protocols import Piecewise
 
 
@@ -38,24 +37,9 @@ def test_time_to_a_dose(level, time):
     assert reached == time
 
 
-def test_times_in_legends_are_exact():
-    seconds = [60.0, 90.0, 0.25, 61.0]
-    assert [_duration(t) for t in seconds] == ["1 min", "90 s", "0.25 s", "61 s"]
-
-
-def test_maps_go_through_the_hottest_cell_and_the_tumour():
-    arrays = {
-        "target": np.zeros((4, 4, 6)),
-        "temperature": np.full((4, 4, 6), 37.0),
-        "spacing": np.full(3, 2e-3),
-    }
-    arrays["target"][1:3, 1:3, 1] = 1.0
-    arrays["temperature"][0, 0, 4] = 45.0
-    cuts = _sections(arrays, arrays["temperature"])
-    assert list(cuts) == ["z = 9 mm, hottest cell", "z = 3 mm, tumour"]
-    assert [cut[2] for cut in cuts.values()] == [4, 1]
-    arrays["temperature"][0, 0, 4] = 37.0
-    arrays["temperature"][1, 1, 1] = 45.0
-    assert list(_sections(arrays, arrays["temperature"])) == [
-        "z = 3 mm, hottest cell and tumour"
-    ]
+def test_planes_lie_in_the_middle_of_the_target():
+    target = np.zeros((9, 8, 7))
+    target[2:5, 4:7, 1:4] = 1.0
+    assert cuts_through(target) == ((2, 2), (1, 5), (0, 3))
+    assert cuts_through(np.ones((3, 4))) == ((2, None),)
+    assert cuts_through(np.ones(4)) == ()
