@@ -31,8 +31,8 @@ from pinav.identification import (
 )
 from pinav.identification.estimates import speed as speed_of
 from pinav.identification.findings import interval, positive_interval
-from pinav.identification.forecast import errors
 from pinav.identification.restoring import restoring_force
+from pinav.identification.rollouts import errors
 from pinav.identification.selection import split
 from pinav.recordings import Reading, read_recording
 from pinav.trajectories import Trajectories
