@@ -232,7 +232,6 @@ def adaptive(workshop: Workshop) -> Figure:
     words = (
         "navigate",
         "--learn-online",
-        "--task",
         "vortex",
         "--seeds",
         "1",

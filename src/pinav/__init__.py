@@ -35,9 +35,13 @@ if TYPE_CHECKING:
     from pinav.forces import RollingPropulsion as RollingPropulsion
     from pinav.forces import ZeroForce as ZeroForce
     from pinav.identification import identify as identify
+<<<<<<< HEAD
     from pinav.learning.learn import learn as learn
     from pinav.learning.learn import open_run as open_run
     from pinav.learning.learned import Learned as Learned
+=======
+    from pinav.recordings import Reading as Reading
+>>>>>>> house
     from pinav.recordings import read_recording as read_recording
     from pinav.scenarios import find_system as find_system
     from pinav.scenarios import scenario as scenario
@@ -68,7 +72,7 @@ _PUBLIC = {
     "learning.learn": ("learn", "open_run"),
     "learning.learned": ("Learned",),
     "identification": ("identify",),
-    "recordings": ("read_recording",),
+    "recordings": ("Reading", "read_recording"),
     "scenarios": ("find_system", "scenario"),
     "systems": ("System", "read_system", "write_system"),
     "trajectories": ("Trajectories", "load", "save", "simulate", "split"),
