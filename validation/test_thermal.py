@@ -19,12 +19,14 @@ from validation.heat.checks import powers, reference_model
 from validation.heat.exact import SET_S
 from validation.heat.verification import verify
 
-from pinav.commands.heat.build import build_case
-from pinav.commands.heat.case import read_case
+from pinav.runs import RunFolder
 from pinav.thermal.dose import value_exceeded_by
 from pinav.thermal.grids import CartesianGrid, RadialGrid
+from pinav.thermal.learned_tissue import LearnedTissue
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion
+from pinav.thermal.planned_run import PlannedRun
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.setup import Setup
 from pinav.thermal.solve import solve
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "heat"
@@ -93,8 +95,8 @@ def test_a_tumour_at_constant_field(power, perfusion, listed):
     assert [float(v) for v in reached] == pytest.approx(listed, abs=0.1)
 
 
-def ran(tmp_path, task, content, name="case"):
-    """The metrics and arrays of a task on a case, and its seconds."""
+def ran(tmp_path, task, content, kind, name="case"):
+    """The result of a task on a case, and its seconds."""
     case, out = tmp_path / f"{name}.toml", tmp_path / name
     case.write_text(tomli_w.dumps(content))
     begin = time.perf_counter()
@@ -102,8 +104,7 @@ def ran(tmp_path, task, content, name="case"):
     seconds = time.perf_counter() - begin
     print(done.stdout)
     assert done.returncode == 0, done.stderr
-    metrics = json.loads((out / "metrics.json").read_text())
-    return metrics, dict(np.load(out / "results.npz")), seconds
+    return RunFolder.open(out).load("metrics", kind), seconds
 
 
 EXAMPLE_SEED = 0
@@ -116,29 +117,26 @@ def test_perfusion_from_seven_probes(tmp_path, kind, seed):
     """Demonstration 2."""
     content = tomllib.loads((EXAMPLES / "learn.toml").read_text())
     content["learn"] |= {"kind": kind, "seed": seed}
-    metrics, arrays, seconds = ran(tmp_path, "learn", content)
-    law = {
-        key.rpartition("/")[2]: values
-        for key, values in arrays.items()
-        if key.startswith("law/tissue/")
-    }
+    found, seconds = ran(tmp_path, "learn", content, LearnedTissue)
+    law = found.laws["tissue"]
+    assert law.true is not None
     at = np.array([40.0, 41.0, 42.0, 43.0, 44.0])
     values, true, low, high = (
-        np.exp(np.interp(at, law["temperatures"], np.log(law[key])))
-        for key in ("values", "true", "low", "high")
+        np.exp(np.interp(at, law.temperatures, np.log(curve)))
+        for curve in (law.values, law.true, *law.band)
     )
     error = np.abs(values / true - 1)
     print(kind, seed, error, f"{seconds:.1f} s with imports and figures")
-    assert metrics["residual"] == pytest.approx(0.1, rel=0.05)
+    assert found.residual == pytest.approx(0.1, rel=0.05)
     assert error[0] <= 0.20
     assert np.all(error[1:] <= 0.08)
     own = content["learn"]["seed"] == EXAMPLE_SEED
     # Of 25 places in five draws the nominal band of 95 % may miss one or two.
     assert np.sum((true < low) | (true > high)) <= (0 if own else 2)
-    held_out = {row["power"]: row for row in metrics["held_out"]}
-    assert held_out[1.3]["learned"] <= (0.15 if own else 0.2)
-    assert held_out[1.3]["constant"] > 1.9
-    assert metrics["constant_residual"] > 0.3
+    held_out = {row.power: row for row in found.held_out}
+    assert held_out[1.3].learned <= (0.15 if own else 0.2)
+    assert held_out[1.3].constant > 1.9
+    assert found.constant_residual > 0.3
     assert seconds < 60
 
 
@@ -149,19 +147,18 @@ def test_a_protocol_under_limits(tmp_path, edge_weighted, least):
     """Demonstration 3, from a flat start."""
     content = tomllib.loads((EXAMPLES / "optimise.toml").read_text())
     content["heating"]["edge_weighted"] = edge_weighted
-    metrics, _, seconds = ran(tmp_path, "optimise", content)
-    print(metrics["amplitudes"], f"{seconds:.1f} s with imports and figures")
-    assert metrics["result"]["D90"] >= least
-    (temperature, _) = metrics["constraints"]
-    assert temperature["active"]
-    assert temperature["value"] <= 47.05
+    found, seconds = ran(tmp_path, "optimise", content, PlannedRun)
+    print(found.amplitudes, f"{seconds:.1f} s with imports and figures")
+    assert least <= found.result.D90
+    (temperature, _) = found.constraints
+    assert temperature.active
+    assert temperature.value <= 47.05
     assert seconds < 60
 
 
 def test_the_examples_are_synthetic_and_small():
     for path in EXAMPLES.glob("*.toml"):
-        case, _ = read_case(path)
-        assert np.prod(build_case(case, EXAMPLES).model.grid.shape) <= 500
+        assert np.prod(Setup.read(path).model.grid.shape) <= 500
         assert "Synthetic" in path.read_text()
 
 
@@ -220,7 +217,7 @@ def test_phantoms_of_four_tissues_are_learned(tmp_path):
         done = pinav("heat", "learn", str(case), "--out", str(out))
         seconds = time.perf_counter() - begin
         assert done.returncode == 0, done.stderr
-        metrics = json.loads((out / "metrics.json").read_text())
+        metrics = json.loads((out / "metrics.json").read_text())["value"]
         print(key, f"{seconds:.0f} s", metrics["quantities"])
         for row in metrics["quantities"]:
             apart = abs(row["value"] - row["true"])
@@ -241,7 +238,7 @@ def test_a_phantom_is_planned_from_ten_frames(key, tmp_path):
     case, out = make_phantom(key, tmp_path / "phantom") / "plan.toml", tmp_path / "run"
     done = pinav("heat", "optimise", str(case), "--out", str(out))
     assert done.returncode == 0, done.stderr
-    metrics = json.loads((out / "metrics.json").read_text())
+    metrics = json.loads((out / "metrics.json").read_text())["value"]
     judged = metrics["judged"]
     print(key, judged)
     assert judged["D90"] >= 0.9 * judged["best_D90"]

@@ -21,8 +21,7 @@ import tomli_w
 
 jax.config.update("jax_enable_x64", val=True)
 
-from pinav.commands.heat.build import build_case
-from pinav.commands.heat.case import read_case
+from pinav.thermal.setup import Setup
 from pinav.thermal.solve import solve
 
 MUSCLE, FAT, LIVER, TUMOUR = 1, 2, 3, 4
@@ -160,7 +159,7 @@ def draw_tissues(
 
 def read_frames(path: Path, frames: int, every: float) -> np.ndarray:
     """Temperatures [°C] of the truth at the times of the frames."""
-    setup = build_case(read_case(path)[0], path.parent)
+    setup = Setup.read(path)
     solution = solve(
         setup.model,
         setup.protocol,

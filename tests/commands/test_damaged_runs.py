@@ -32,13 +32,13 @@ from pinav.analysis import analysis
 from pinav.analysis.discovery import discovery
 from pinav.commands import report_page
 from pinav.commands.explore import job as explore_job
-from pinav.commands.heat.learn import LearnTask
-from pinav.commands.heat.simulate import SimulateTask
+from pinav.commands.heat import job as heat_job
 from pinav.commands.navigate import job as navigate_job
 from pinav.commands.reproduce import job as reproduce_job
 from pinav.errors import FitError
 from pinav.evaluation import evaluation
 from pinav.live.messages import encode
+from pinav.thermal.setup import Setup
 
 KEYS = range(300)
 """Faults were sought with even keys, and what was mended was judged by odd ones."""
@@ -63,8 +63,8 @@ STAGES = (
     (reproduce_job, "predict"),
     (truth_job, "judge_trap"),
     (explore_job, "document"),
-    (SimulateTask, "run"),
-    (LearnTask, "run"),
+    (heat_job, "simulate"),
+    (Setup, "readings"),
     (report_page, "write_report"),
     (compare, "_train"),
 )

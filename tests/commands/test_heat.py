@@ -12,11 +12,11 @@ import pytest
 import tomli_w
 
 from pinav import cli
-from pinav.commands.heat.build import build_case
-from pinav.commands.heat.case import read_case
-from pinav.commands.heat.optimise import OptimiseTask
 from pinav.runs import RunFolder
+from pinav.thermal.case import read_case
 from pinav.thermal.design_variables import Run
+from pinav.thermal.planned_run import PlanTask
+from pinav.thermal.setup import Setup
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "heat"
 
@@ -49,7 +49,7 @@ def test_simulate_leaves_metrics_figures_and_a_report(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "D90 of the tumour" in printed
     assert "Synthetic data of a research code" in printed
-    metrics = json.loads((out / "metrics.json").read_text())
+    metrics = json.loads((out / "metrics.json").read_text())["value"]
     assert metrics["imbalance"] < 1e-10
     assert 44 < metrics["T_max"] < 48
     assert metrics["T90"] < metrics["T50"] < metrics["T10"] <= metrics["T_max"]
@@ -97,7 +97,7 @@ def test_simulate_in_the_plane_with_particles(tmp_path, capsys):
 def test_learn_compares_with_constant_perfusion(tmp_path, capsys):
     case, out = small("learn", tmp_path), tmp_path / "run"
     assert run("learn", case, "--out", out) == 0
-    metrics = json.loads((out / "metrics.json").read_text())
+    metrics = json.loads((out / "metrics.json").read_text())["value"]
     assert metrics["residual"] < 0.7 * metrics["constant_residual"]
     assert metrics["noise"] == pytest.approx(0.1, rel=0.1)
     assert {row["power"] for row in metrics["held_out"]} == {1.3, 0.6}
@@ -120,7 +120,7 @@ def test_optimise_names_what_binds(tmp_path, capsys):
     case = small("optimise", tmp_path, field={"times": times, "amplitudes": [1e4] * 4})
     out = tmp_path / "run"
     assert run("optimise", case, "--out", out) == 0
-    metrics = json.loads((out / "metrics.json").read_text())
+    metrics = json.loads((out / "metrics.json").read_text())["value"]
     names = {own["name"]: own["active"] for own in metrics["constraints"]}
     assert names == {"maximum temperature": True, "Hergt-Dutz limit": False}
     assert metrics["result"]["D90"] > metrics["start_D90"]
@@ -130,7 +130,8 @@ def test_optimise_names_what_binds(tmp_path, capsys):
 def test_a_ramp_stays_a_ramp_in_a_plan(tmp_path):
     field = {"times": [0, 600, 1800], "amplitudes": None, "ramp": [0, 1e4, 5e3]}
     path = small("optimise", tmp_path, field=field)
-    task = OptimiseTask(read_case(path)[0], path)
+    case, _ = read_case(path)
+    task = PlanTask.of(case, Setup.of(case, tmp_path), tmp_path)
     (variable,) = task.variables
     plan = variable.apply(jnp.ones(1), Run(task.setup.model, task.setup.protocol))
     assert np.allclose(plan.protocol.starts, [0.0, 2e4])
@@ -152,8 +153,7 @@ def test_tasks_say_what_they_need(tmp_path, capsys):
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda p: p.name)
 def test_the_examples_are_cases(path):
-    case, _ = read_case(path)
-    own = build_case(case, EXAMPLES)
+    own = Setup.read(path)
     assert own.model.grid.shape == own.target.shape
 
 
@@ -163,7 +163,7 @@ def test_damage_and_a_law_of_ones_own(tmp_path, capsys):
     case = small("tumour", tmp_path, damage={"law": "liver"}, tissue={"perfusion": law})
     assert run("simulate", case, "--out", tmp_path / "run") == 0
     assert "dead fraction of the tumour (Arrhenius)" in capsys.readouterr().out
-    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())["value"]
     # at T50 of about 44.5 °C for half an hour, 3e-3 a second
     assert metrics["dead_outside"] < metrics["dead_target"] < 1
     assert metrics["dead_target"] > 0.5

@@ -12,10 +12,10 @@ import pytest
 import tomli_w
 
 from pinav import cli
-from pinav.commands.heat.build import build_case
-from pinav.commands.heat.case import read_case
-from pinav.commands.heat.readings import read_data
+from pinav.thermal.case import read_case
 from pinav.thermal.images import read_image
+from pinav.thermal.readings import read_data
+from pinav.thermal.setup import Setup
 from pinav.thermal.solve import solve
 
 PHANTOM = Path(__file__).parents[2] / "examples" / "heat" / "phantom.py"
@@ -74,7 +74,7 @@ def test_the_truth_of_a_phantom_is_learned_and_predicted(
     out = tmp_path / "run"
     assert run("learn", path, "--out", out) == 0
     assert "perfusion of tumour [kg/(m³ s)]" in capsys.readouterr().out
-    metrics = json.loads((out / "metrics.json").read_text())
+    metrics = json.loads((out / "metrics.json").read_text())["value"]
     assert metrics["noise"] == pytest.approx(1.0, abs=0.05)
     for row in metrics["quantities"]:
         assert abs(row["value"] - row["true"]) < 4 * row["sd"], row
@@ -96,7 +96,7 @@ def test_the_rest_of_a_protocol_is_planned_and_judged(folder, tmp_path, capsys):
     out = tmp_path / "run"
     assert run("optimise", path, "--out", out) == 0
     assert "the plan on the true tissue" in capsys.readouterr().out
-    metrics = json.loads((out / "metrics.json").read_text())
+    metrics = json.loads((out / "metrics.json").read_text())["value"]
     before = [9e3, 7e3, 9e3, 7e3]
     assert metrics["amplitudes"][:4] == before
     judged = metrics["judged"]
@@ -113,7 +113,7 @@ def test_a_phase_is_a_temperature(folder):
     table |= {"noise": 1.0, "every": 60.0, "drift": "none"}
     path = edit(folder, "case.toml", {"learn.thermometry": table}, "phase.toml")
     case, _ = read_case(path)
-    setup = build_case(case, folder)
+    setup = Setup.of(case, folder)
     data = read_data(case.learn, setup, folder)
     assert data.turn == pytest.approx(39.1443, abs=1e-3)
     expected = np.moveaxis(frames, -1, 0)
@@ -208,7 +208,7 @@ def plane_of_voxels(folder, kind):
     muscle = tissues["muscle"] | {"perfusion": LAW}
     truth = case | {"tissues": tissues | {"muscle": muscle}}
     (folder / "truth.toml").write_text(tomli_w.dumps(truth))
-    setup = build_case(read_case(folder / "truth.toml")[0], folder)
+    setup = Setup.read(folder / "truth.toml")
     heated = np.asarray(
         solve(
             setup.model, setup.protocol, stepper=setup.stepper, save_every=60.0
@@ -230,7 +230,7 @@ def test_a_law_of_temperature_is_learned_from_frames(tmp_path, capsys):
     out = tmp_path / "run"
     assert run("learn", path, "--out", out) == 0
     assert "coverage of the 95 % band" in capsys.readouterr().out
-    metrics = json.loads((out / "metrics.json").read_text())
+    metrics = json.loads((out / "metrics.json").read_text())["value"]
     assert metrics["residual"] == pytest.approx(1.0, abs=0.1)
     assert metrics["residual"] < metrics["constant_residual"]
     assert metrics["laws"]["muscle"]["covered"] > 0.9

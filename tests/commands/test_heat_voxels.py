@@ -11,10 +11,9 @@ import pytest
 import tomli_w
 
 from pinav import cli
-from pinav.commands.heat.build import build_case
-from pinav.commands.heat.case import read_case
-from pinav.commands.heat.optimise import tissue_beyond
 from pinav.thermal.images import read_image
+from pinav.thermal.planned_run import tissue_beyond
+from pinav.thermal.setup import Setup
 
 SHAPE, SIZE = (7, 6, 5), (2e-3, 2e-3, 4e-3)
 FLOW = {"value": 1.0, "unit": "kg/m3/s"}
@@ -81,7 +80,7 @@ def test_tissues_and_maps_are_where_the_labels_are(tmp_path):
         w=perfusion,
         sar=np.full(SHAPE, 50.0),
     )
-    setup = build_case(read_case(path)[0], tmp_path)
+    setup = Setup.read(path)
     model, tumour = setup.model, labels() == 4
     k = np.asarray(model.tissue.conductivity)
     assert k[0, 3, 0] == 0.45
@@ -102,16 +101,14 @@ def test_perfusion_maps_take_every_unit(tmp_path):
     flow = {"file": "w.npy", "unit": "ml/min/kg"}
     changes = {"tissues.tumour.perfusion": flow, "tissues.tumour.density": "rho.npy"}
     path = write(tmp_path, changes, w=np.full(SHAPE, 30.0), rho=density)
-    model = build_case(read_case(path)[0], tmp_path).model
+    model = Setup.read(path).model
     w = np.asarray(model.perfusion(jnp.full(SHAPE, 37.0)))[labels() == 4]
     assert w == pytest.approx(30e-6 / 60 * 1050 * density[labels() == 4])
 
 
 def test_a_margin_is_a_distance_from_the_target(tmp_path):
     path = write(tmp_path)
-    case, _ = read_case(path)
-    setup = build_case(case, tmp_path)
-    away = np.asarray(tissue_beyond(case, setup, 0.0025))
+    away = np.asarray(tissue_beyond(Setup.read(path), 0.0025))
     assert not away[labels() == 4].any()
     assert not away[1, 2, 1]  # a voxel of 2 mm beside the target
     assert away[0, 2, 1]  # the next: it begins 2 mm, its middle is 3 mm from it
@@ -122,9 +119,9 @@ def test_a_target_of_any_shape_from_a_file(tmp_path):
     share = np.zeros(SHAPE)
     share[1, 1, 1], share[1, 2, 1] = 1.0, 0.25
     path = write(tmp_path, {"target": {"file": "share.npy"}}, share=share)
-    setup = build_case(read_case(path)[0], tmp_path)
+    setup = Setup.read(path)
     assert float(jnp.sum(setup.target)) == 1.25
-    assert list(setup.body.laws) == ["muscle", "fat", "tumour"]
+    assert list(setup.laws) == ["muscle", "fat", "tumour"]
 
 
 @pytest.mark.slow

@@ -142,7 +142,7 @@ def test_damage_is_accumulated_beside_the_dose(medium):
 
 def test_eddy_power_grows_with_the_square_of_the_radius():
     grid = RadialGrid.cylinder(0.1, 20)
-    source = DistantEddySource(axis_distance(grid), 0.4)
+    source = DistantEddySource(0.4)
     level = source.level(4.85e3, 1e5)
     # 1.649740e4 W/m³ at 15 cm
     expected = 1.649740e4 * (grid.centers / 0.15) ** 2

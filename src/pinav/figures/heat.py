@@ -1,10 +1,14 @@
-"""Figures of bioheat: temperature, dose, probes, protocol and learned perfusion."""
+"""Figures of bioheat: temperature, dose, probes, protocol and learned perfusion.
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+Functions of axes draw one panel and return them; the others return the picture of a
+result with its words.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,6 +16,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
 from pinav.figures.bands import band
+from pinav.figures.images import Picture
 from pinav.figures.palette import (
     BLACK,
     BLUE,
@@ -36,6 +41,14 @@ from pinav.figures.style import (
     style_of,
     title_panel,
 )
+from pinav.thermal.heated_run import FOLLOWED, HeatedRun
+from pinav.thermal.learned_tissue import (
+    FittedFrames,
+    FittedProbes,
+    Forecast,
+    LearnedTissue,
+)
+from pinav.thermal.learning import PerfusionCurve
 
 ISOTHERMS = (39.0, 41.0, 43.0, 45.0, 47.0)
 """Temperatures [°C] that are marked."""
@@ -193,41 +206,251 @@ def probe_curves(
     return ax
 
 
-def forecast_figure(
-    times: Float[np.ndarray, " time"],
-    values: Mapping[str, Float[np.ndarray, " time"]],
-    sd: Mapping[str, Float[np.ndarray, " time"]],
-    *,
-    true: Float[np.ndarray, "curve time"] | None = None,
-    fitted_until: float,
-) -> Figure:
-    """Predicted temperatures; below, how far they may be off, which is much less.
+def fields_figure(run: HeatedRun) -> Picture:
+    """Temperature and dose over the radius, or in planes of a box."""
+    if run.radius is not None:
+        caption = "Temperature over the radius, and dose; the tumour's edge is dashed."
+        return _picture("fields", run.title, lambda: _radial_figure(run), caption)
+    caption = "Temperature at the end, and dose; the tumour is outlined in blue."
+    return _picture("fields", run.title, lambda: _maps(run), caption)
+
+
+def _picture(
+    name: str, title: str, draw: Callable[[], Figure], caption: str
+) -> Picture:
+    """A figure with the title of its case."""
+
+    def draw_titled() -> Figure:
+        figure = draw()
+        figure.suptitle(title, fontsize=SMALL + 1)
+        return figure
+
+    return Picture(f"heat-{name}", draw_titled, caption, alt=caption)
+
+
+NUM_PROFILES = 6
+"""Number of times at which temperature is drawn over the radius."""
+
+
+def _radial_figure(run: HeatedRun) -> Figure:
+    assert run.radius is not None
+    assert run.profiles is not None
+    figure = new_figure(7.5, 3.4)
+    left, right = figure.subplots(1, 2)
+    inside, step = run.radius[run.target > 0.5], float(np.diff(run.radius)[0])
+    # the volume fraction of the tumour passes one half at its edge
+    edge = float(inside.max() + step / 2) if inside.size else 0.0
+    last = len(run.times) - 1
+    steps = np.unique(np.linspace(0, last, NUM_PROFILES + 1).astype(int)[1:])
+    lines = {duration(float(run.times[i])): run.profiles[i] for i in steps}
+    profiles(run.radius, lines, edge=edge, ax=left)
+    dose_profile(run.radius, run.dose, edge=edge, ax=right)
+    return figure
+
+
+def _maps(run: HeatedRun) -> Figure:
+    """Sections through the hottest cell and through the middle of the tumour."""
+    cuts = sections_through(run.target, run.temperature, run.spacing)
+    figure = new_figure(7.5, 3.2 * len(cuts))
+    panels = figure.subplots(len(cuts), 2, squeeze=False)
+    for row, cut in zip(panels, cuts, strict=True):
+        for ax, values, levels, label in (
+            (row[0], run.temperature, ISOTHERMS, "temperature [°C]"),
+            (row[1], run.dose, DOSES, "CEM43 [min]"),
+        ):
+            plane_map(
+                cut.of(values),
+                (run.spacing[0], run.spacing[1]),
+                levels=levels,
+                label=label,
+                outline=cut.of(run.target),
+                logarithmic=values is run.dose,
+                ax=ax,
+            )
+        title_panel(row[0], cut.name)
+    return figure
+
+
+class MapSection(NamedTuple):
+    """A plane in which a field is drawn.
+
+    Attributes:
+        name: what its title says.
+        place: index of the cells along the third axis; none where the field is a plane.
+    """
+
+    name: str
+    place: int | None
+
+    def of(self, field: Float[np.ndarray, "..."]) -> Float[np.ndarray, "row column"]:
+        """The cells of a field that lie in the plane."""
+        return field if self.place is None else field[:, :, self.place]
+
+
+def sections_through(
+    target: Float[np.ndarray, "..."],
+    temperature: Float[np.ndarray, "..."],
+    spacing: tuple[float, ...],
+) -> list[MapSection]:
+    """Planes through the hottest cell and through the middle of the target.
 
     Args:
-        times: [s].
-        values: [°C], by what the legend says.
-        sd: their standard deviations [K], under the same names.
-        true: the same curves of the truth, unless it is not known.
-        fitted_until: time [s] of the last reading that was fitted.
+        target: volume fraction of the target in each cell.
+        temperature: temperature of each cell [°C].
+        spacing: edges of a cell [m].
     """
+    if target.ndim == 2:
+        return [MapSection("", None)]
+    hottest = np.unravel_index(np.nanargmax(temperature), temperature.shape)
+    mass = target.sum(axis=(0, 1))
+    middle = round(float(mass @ np.arange(mass.size) / mass.sum()))
+    cuts: dict[int, list[str]] = {}
+    for name, index in (("hottest cell", int(hottest[2])), ("tumour", middle)):
+        cuts.setdefault(index, []).append(name)
+    return [
+        MapSection(
+            f"z = {1e3 * spacing[2] * (index + 0.5):.4g} mm, {' and '.join(names)}",
+            index,
+        )
+        for index, names in cuts.items()
+    ]
+
+
+def duration(seconds: float) -> str:
+    """A time for a legend, exact to a thousandth of a second."""
+    minutes = seconds / 60
+    if abs(minutes - round(minutes)) < 1e-9:
+        return f"{round(minutes)} min"
+    return f"{round(seconds, 3):.10g} s"
+
+
+def probes_figure(run: HeatedRun) -> Picture:
+    """Temperature of each probe of a run."""
+    probes = run.probes
+    assert probes is not None
+    return _picture(
+        "probes",
+        run.title,
+        lambda: _figure_of(probe_curves(run.times, probes, place_names(run.points))),
+        "Temperature of each probe.",
+    )
+
+
+def fitted_probes_figure(title: str, fitted: FittedProbes) -> Picture:
+    """Readings of probes and the fitted model."""
+
+    def draw() -> Figure:
+        data = fitted.data
+        names, readings = place_names(data.points), (data.times, data.values)
+        curves = probe_curves(data.times, fitted.predicted, names, readings=readings)
+        return _figure_of(curves)
+
+    return _picture("probes", title, draw, "Readings and the fitted model.")
+
+
+def place_names(points: Float[np.ndarray, "probe axis"]) -> list[str]:
+    """Names of probes by their places [m]."""
+    return [", ".join(f"{1e3 * x:g}" for x in point) + " mm" for point in points]
+
+
+def _figure_of(ax: Axes) -> Figure:
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    return figure
+
+
+def mean_curves_figure(title: str, frames: FittedFrames) -> Picture:
+    """Mean temperature of each tissue over time, and its fit."""
+
+    def draw() -> Figure:
+        means = frames.means.values()
+        read = np.stack([one.read for one in means], axis=1)
+        fitted = np.stack([one.fitted for one in means], axis=1)
+        readings = frames.times, read
+        names = list(frames.means)
+        return _figure_of(probe_curves(frames.times, fitted, names, readings=readings))
+
+    caption = (
+        "Mean temperature of the voxels of each tissue that are read: dots are the "
+        "readings without turns of the phase and drift, lines the fit."
+    )
+    return _picture("means", title, draw, caption)
+
+
+def last_frame_figure(title: str, frames: FittedFrames) -> Picture:
+    """The last frame that was fitted, the fit, and their difference."""
+    caption = (
+        f"The frame at {duration(float(frames.times[-1]))}, the last that was "
+        "fitted, without turns of the phase and drift, and the fit in the same "
+        "colours; reading less fit; white where no voxel is read; the tumour is "
+        "outlined in blue."
+    )
+    return _picture("frame", title, lambda: _last_frame(frames), caption)
+
+
+def _last_frame(frames: FittedFrames) -> Figure:
+    cut = sections_through(frames.target, frames.fitted, frames.spacing)[0]
+    reading, fitted = cut.of(frames.read), cut.of(frames.fitted)
+    figure = new_figure(7.5, 2.5)
+    panels = figure.subplots(1, 3)
+    shared = float(np.nanmin(fitted)) - 1.0, float(np.nanmax(fitted)) + 1.0
+    widest = float(np.nanmax(np.abs(reading - fitted)))
+    shown: tuple[tuple[np.ndarray, tuple[float, ...], str, tuple[float, float]], ...]
+    shown = (
+        (reading, (), "reading [°C]", shared),  # noise has no contours
+        (fitted, ISOTHERMS, "fit [°C]", shared),
+        (reading - fitted, (), "difference [K]", (-widest, widest)),
+    )
+    for ax, (values, levels, label, limits) in zip(panels, shown, strict=True):
+        plane_map(
+            values,
+            (frames.spacing[0], frames.spacing[1]),
+            levels=levels,
+            label=label,
+            outline=cut.of(frames.target),
+            limits=limits,
+            ax=ax,
+        )
+    for ax in panels[1:]:
+        ax.set_ylabel("")
+    # else into the next panel
+    title_panel(panels[0], cut.name.replace(", ", ",\n"))
+    return figure
+
+
+def forecast_figure(title: str, found: Forecast) -> Picture:
+    """Predicted temperatures; below, how far they may be off, which is much less."""
+    caption = (
+        "Temperatures of the target, fitted up to the dashed line, predicted after it, "
+        "and their 95 % bands on a scale of their own; with the truth where it is "
+        "known: black above, less the prediction below."
+    )
+    return _picture("forecast", title, lambda: _forecast(found), caption)
+
+
+def _forecast(found: Forecast) -> Figure:
+    true = found.true
     figure = new_figure(5.0, 5.0)
     above, below = figure.subplots(2, 1, sharex=True)
-    minutes = times / 60
+    minutes = found.times / 60
     for ax in (above, below):
         prepare_axes(ax)
-        ax.axvline(fitted_until / 60, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
-    for index, curve in enumerate(() if true is None else true):
+        ax.axvline(
+            found.fitted_until / 60, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1
+        )
+    for index, curve in enumerate(() if true is None else true.T):
         name = "" if index else "truth"
         above.plot(minutes, curve, color=BLACK, lw=WIDE, alpha=0.5, label=name)
-    for index, (name, curve) in enumerate(values.items()):
-        color, half = SPARE[index % len(SPARE)], 1.96 * sd[name]
+    for index, name in enumerate(FOLLOWED):
+        color, half = SPARE[index % len(SPARE)], 1.96 * found.sd[:, index]
+        curve = found.values[:, index]
         above.plot(minutes, curve, color=color, lw=THIN, label=name)
         drawn = {"color": color, "alpha": 0.12, "width": 0.0}
         band(minutes, 0 * half, (-half, half), **drawn, ax=below)
         for side in (-half, half):
             below.plot(minutes, side, color=color, lw=0.6, ls=(0, (1, 1)))
         if true is not None:
-            below.plot(minutes, true[index] - curve, color=color, lw=THIN)
+            below.plot(minutes, true[:, index] - curve, color=color, lw=THIN)
     label_axes(above, "", "temperature [°C]")
     off = "95 % band" if true is None else "truth less predicted"
     label_axes(below, "time [min]", f"{off} [K]")
@@ -237,51 +460,53 @@ def forecast_figure(
     return figure
 
 
-def protocol_figure(
-    field: tuple[np.ndarray, np.ndarray, np.ndarray],
-    times: Float[np.ndarray, " time"],
-    temperatures: Mapping[str, Float[np.ndarray, " time"]],
-    doses: Mapping[str, Float[np.ndarray, " time"]],
-    *,
-    fractions: Mapping[str, Float[np.ndarray, " time"]],
-    bound: float | None = None,
-) -> Figure:
-    """Field, temperatures, shares and doses below each other on one axis of time.
+def protocol_figure(run: HeatedRun, bound: float | None = None) -> Picture:
+    """Field, temperatures, shares and doses of a run.
 
     Args:
-        field: edges of the intervals [s], amplitudes at their begins and at their
-            ends [A m⁻¹].
-        times: of the curves [s].
-        temperatures: [°C], by what the legend says.
-        doses: so far [CEM43 min], by what the legend says.
-        fractions: of a volume, 0 to 1, by what the legend says.
-        bound: on the temperature, marked unless None.
+        run: the run.
+        bound: bound of the temperature [°C], marked unless None.
     """
+    caption = (
+        "Peak amplitude of the field; the hottest cell and the temperatures that 10, "
+        "50 and 90 % of the tumour exceed; the fraction of it above 43 °C; doses so "
+        "far."
+    )
+    return _picture("protocol", run.title, lambda: _protocol(run, bound), caption)
+
+
+def _protocol(run: HeatedRun, bound: float | None) -> Figure:
+    """Panels below each other on one axis of time."""
+    names = {"hottest": "hottest cell"}
+    temperatures = {names.get(n, n): curve for n, curve in run.temperatures.items()}
+    names = {"D90": "D90 of the tumour", "outside": "largest outside it"}
+    doses = {names[name]: curve for name, curve in run.doses.items()}
+    fractions = {"V43, of the tumour above 43 °C": run.above}
     figure = new_figure(5.0, 7.5)
     panels = figure.subplots(4, 1, sharex=True)
     for ax in panels:
         prepare_axes(ax)
     above, middle, share_axes, below = panels
-    edges, starts, ends = field
-    at = np.repeat(np.asarray(edges) / 60, 2)[1:-1]
-    values = np.stack([starts, ends], axis=1).reshape(-1)
+    field = run.protocol
+    at = np.repeat(np.asarray(field.edges) / 60, 2)[1:-1]
+    values = np.stack([field.starts, field.ends], axis=1).reshape(-1)
     above.plot(at, values / 1e3, color=FIELD, lw=THIN)
     above.set_ylim(bottom=0.0)
     label_axes(above, "", "amplitude H [kA/m]")
     for index, (name, curve) in enumerate(temperatures.items()):
         color = style_of(name, index).color
-        middle.plot(times / 60, curve, color=color, lw=THIN, label=name)
+        middle.plot(run.times / 60, curve, color=color, lw=THIN, label=name)
     if bound is not None:
         middle.axhline(bound, color=GREY, lw=0.8, ls=(0, (4, 2)))
     label_axes(middle, "", "temperature [°C]")
     for color, (name, curve) in zip(SPARE, fractions.items(), strict=False):
-        share_axes.plot(times / 60, curve, color=color, lw=THIN, label=name)
+        share_axes.plot(run.times / 60, curve, color=color, lw=THIN, label=name)
     share_axes.set_ylim(-0.05, 1.05)
     label_axes(share_axes, "", "fraction")
     for index, (name, curve) in enumerate(doses.items()):
         shown = np.where(curve > 1e-3, curve, np.nan)
         color = style_of(name, index).color
-        below.plot(times / 60, shown, color=color, lw=THIN, label=name)
+        below.plot(run.times / 60, shown, color=color, lw=THIN, label=name)
     if any(np.any(curve > 1e-3) for curve in doses.values()):
         below.set_yscale("log")
         below.tick_params(which="both", labelsize=SMALL)
@@ -299,38 +524,40 @@ MANY_TIMES = 4.0
 """Range beyond which the axis of perfusion is logarithmic; below, it had few ticks."""
 
 
-def perfusion_figure(laws: Mapping[str, Mapping[str, Any]]) -> Figure:
-    """Learned perfusion with its 95 % band; pale where the tissue was not.
+def laws_figure(found: LearnedTissue) -> Picture:
+    """Learned perfusion with its 95 % band; pale where the tissue was not."""
+
+    def draw() -> Figure:
+        figure = new_figure(3.8 * len(found.laws), 3.2)
+        panels = figure.subplots(1, len(found.laws), squeeze=False)[0]
+        for ax, (name, law) in zip(panels, found.laws.items(), strict=True):
+            perfusion_law(law, ax=ax)
+            title_panel(ax, name)
+        add_legend(panels[0])
+        return figure
+
+    caption = (
+        "Perfusion over temperature with its 95 % band. Dotted: temperatures that "
+        "the tissue did not reach, where the law is extrapolated. Near the "
+        "arterial temperature the data do not determine perfusion."
+    )
+    return _picture("perfusion", found.title, draw, caption)
+
+
+def perfusion_law(law: PerfusionCurve, *, ax: Axes | None = None) -> Axes:
+    """The learned perfusion of one tissue with its band, dotted where it was not.
 
     Args:
-        laws: by tissue: `temperatures` [°C], `values`, `low`, `high` and, where it is
-            known, `true` [kg m⁻³ s⁻¹] there, and which of them were `visited`.
-    """
-    figure = new_figure(3.8 * len(laws), 3.2)
-    panels = figure.subplots(1, len(laws), squeeze=False)[0]
-    for ax, (name, law) in zip(panels, laws.items(), strict=True):
-        perfusion_law(law, ax=ax)
-        title_panel(ax, name)
-    add_legend(panels[0])
-    return figure
-
-
-def perfusion_law(law: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
-    """The learned perfusion of one tissue with its band, as in `perfusion_figure`.
-
-    Args:
-        law: as there.
+        law: the law.
         ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
-    temperatures = law["temperatures"]
-    visited: Bool[np.ndarray, " temperature"] = np.asarray(law["visited"], bool)
-    ends, drawn = (law["low"], law["high"]), {"line": ":", "width": THIN, "alpha": 0.2}
-    truth = law.get("true")
-    band(temperatures, law["values"], ends, truth=truth, **drawn, ax=ax)
-    known = np.where(visited, law["values"], np.nan)
+    temperatures, drawn = law.temperatures, {"line": ":", "width": THIN, "alpha": 0.2}
+    low, high = law.band
+    band(temperatures, law.values, (low, high), truth=law.true, **drawn, ax=ax)
+    known = np.where(law.inside, law.values, np.nan)
     ax.plot(temperatures, known, color=LEARNED, lw=THIN, label="learned, 95 % band")
-    if np.max(law["high"]) > MANY_TIMES * np.min(law["low"]):
+    if np.max(high) > MANY_TIMES * np.min(low):
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter("{x:g}")
         ax.yaxis.set_minor_formatter(FuncFormatter(_even_tick))

@@ -14,6 +14,7 @@ from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.quantities import Field
+from pinav.thermal.ranges import Celsius, Exchange
 
 
 class AbstractBoundary(eqx.Module):
@@ -41,7 +42,7 @@ class Dirichlet(AbstractBoundary):
         temperature: of the wall [°C].
     """
 
-    temperature: Scalar
+    temperature: Scalar = eqx.field(metadata={"range": Celsius})
 
     def conductance(self, area: Field, resistance: Field) -> Field:
         return area / resistance
@@ -73,8 +74,8 @@ class Robin(AbstractBoundary):
         InputError: `exchange` is a number that is not positive.
     """
 
-    exchange: Scalar
-    ambient: Scalar
+    exchange: Scalar = eqx.field(metadata={"range": Exchange})
+    ambient: Scalar = eqx.field(metadata={"range": Celsius})
 
     def __check_init__(self) -> None:
         if isinstance(self.exchange, float | int) and not self.exchange > 0:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.thermal.quantities import Field, Number
+from pinav.thermal.ranges import Energy, LogFactor
 
 BREAK = 43.0
 """Temperature [°C] at which the rate of CEM43 changes."""
@@ -173,8 +174,8 @@ class Arrhenius(eqx.Module):
         energy: $E_a$ [J mol⁻¹].
     """
 
-    log_factor: Scalar
-    energy: Scalar
+    log_factor: Scalar = eqx.field(metadata={"range": LogFactor})
+    energy: Scalar = eqx.field(metadata={"range": Energy})
 
     def rate(self, temperature: Field) -> Field:
         r"""$d\Omega/dt$ [s⁻¹] at temperatures [°C]."""

@@ -40,6 +40,16 @@ class AbstractGrid(eqx.Module):
     def volumes(self) -> Field:
         """Volume of each cell [m³]."""
 
+    @property
+    @abc.abstractmethod
+    def cell_sizes(self) -> tuple[float, ...]:
+        """Edges of the first cell [m]; those of all cells of a box."""
+
+    @property
+    @abc.abstractmethod
+    def extent(self) -> tuple[float, ...]:
+        """Length along each axis [m]."""
+
     @abc.abstractmethod
     def faces(self, axis: int) -> Field:
         """Area [m²] of the faces across an axis, one more than cells along it."""
@@ -109,6 +119,14 @@ class RadialGrid(AbstractGrid):
     @property
     def shape(self) -> tuple[int, ...]:
         return (self.edges.shape[0] - 1,)
+
+    @property
+    def cell_sizes(self) -> tuple[float, ...]:
+        return (float(self.edges[1] - self.edges[0]),)
+
+    @property
+    def extent(self) -> tuple[float, ...]:
+        return (float(self.edges[-1]),)
 
     @property
     def centers(self) -> Float[Array, " cell"]:
@@ -195,6 +213,14 @@ class CartesianGrid(AbstractGrid):
     @property
     def shape(self) -> tuple[int, ...]:
         return self.cells
+
+    @property
+    def cell_sizes(self) -> tuple[float, ...]:
+        return tuple(float(size) for size in self.spacing)
+
+    @property
+    def extent(self) -> tuple[float, ...]:
+        return tuple(self.lengths.tolist())
 
     @property
     def lengths(self) -> Float[Array, " axis"]:

@@ -204,12 +204,24 @@ class PerfusionCurve(eqx.Module):
         values: perfusion there [kg m⁻³ s⁻¹].
         sd: standard deviation of its logarithm.
         visited: lowest and highest temperature [°C] of its tissue during the fit.
+        true: true law at these temperatures [kg m⁻³ s⁻¹], where it is known.
     """
+
+    DERIVED = ("covered",)
 
     temperatures: Float[np.ndarray, " temperature"]
     values: Float[np.ndarray, " temperature"]
     sd: Float[np.ndarray, " temperature"]
     visited: tuple[float, float]
+    true: Float[np.ndarray, " temperature"] | None = None
+
+    @property
+    def covered(self) -> float | None:
+        """Fraction of the visited temperatures with the truth in the band."""
+        if self.true is None:
+            return None
+        low, high = self.band
+        return float(((self.true >= low) & (self.true <= high))[self.inside].mean())
 
     @property
     def band(self) -> Float[np.ndarray, "2 temperature"]:
@@ -218,7 +230,7 @@ class PerfusionCurve(eqx.Module):
 
     @property
     def inside(self) -> np.ndarray:
-        """Which temperatures were visited; elsewhere nothing is known."""
+        """Marks the temperatures that were visited; elsewhere nothing is known."""
         low, high = self.visited
         return (self.temperatures >= low) & (self.temperatures <= high)
 
@@ -228,6 +240,7 @@ def perfusion_curve(
     law: Callable[[Any], AbstractLearnedPerfusion],
     temperatures: Numbers,
     visited: tuple[float, float],
+    true: Float[np.ndarray, " temperature"] | None = None,
 ) -> PerfusionCurve:
     """A learned law at temperatures, by the delta method on its logarithm.
 
@@ -236,6 +249,7 @@ def perfusion_curve(
         law: picks it from the model.
         temperatures: [°C].
         visited: range [°C] that its tissue went through.
+        true: true law at these temperatures, where it is known.
     """
     at = jnp.asarray(temperatures, float)
     estimates = derive(posterior, lambda model: jnp.log(law(model)(at)))
@@ -244,6 +258,7 @@ def perfusion_curve(
         values=np.exp([estimate.value for estimate in estimates]),
         sd=np.array([estimate.sd for estimate in estimates]),
         visited=visited,
+        true=true,
     )
 
 

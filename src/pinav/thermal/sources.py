@@ -12,6 +12,7 @@ from pinav.errors import InputError
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
 from pinav.thermal.magnetics import VACUUM_PERMEABILITY, AbstractHeating
 from pinav.thermal.quantities import Field, Numbers
+from pinav.thermal.ranges import Length, Place, Siemens
 from pinav.thermal.tissues import Property
 
 
@@ -145,8 +146,8 @@ class EddySource(AbstractSource):
         Atkinson, Brezovich and Chakraborty, IEEE Trans. Biomed. Eng. 31, 70 (1984).
     """
 
-    radius: Scalar
-    conductivity: Scalar
+    radius: Scalar = eqx.field(metadata={"range": Length})
+    conductivity: Scalar = eqx.field(metadata={"range": Siemens})
 
     def shape(self, grid: AbstractGrid) -> Field:
         return jnp.ones(grid.shape)
@@ -163,18 +164,21 @@ class DistantEddySource(AbstractSource):
     all of the grid.
 
     Attributes:
-        distance: $s$ of each cell [m], such as `axis_distance` gives.
         conductivity: $\sigma$ [S m⁻¹].
+        axis: place at which the axis meets the plane of the first two edges of a box
+            [m]; the middle of the grid unless given.
 
     References:
         Atkinson, Brezovich and Chakraborty, IEEE Trans. Biomed. Eng. 31, 70 (1984).
     """
 
-    distance: Field
-    conductivity: Scalar
+    conductivity: Scalar = eqx.field(metadata={"range": Siemens})
+    axis: tuple[float, float] | None = eqx.field(
+        static=True, default=None, metadata={"range": tuple[Place, Place]}
+    )
 
     def shape(self, grid: AbstractGrid) -> Field:
-        return self.distance**2
+        return axis_distance(grid, self.axis) ** 2
 
     def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         return eddy_power(1.0, self.conductivity, amplitude * frequency)

@@ -1,9 +1,13 @@
 """Where a run begins: at rest, in a steady state, or in a state of another run."""
 
 import abc
+import zipfile
+import zlib
+from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
@@ -87,3 +91,74 @@ class AtSteadyState(AbstractStart):
 
 AT_REST = AtRest()
 """Everything at the arterial temperature."""
+
+COLDEST = -50.0
+"""Lowest temperature [°C] that tissue may begin with."""
+
+HOTTEST = 150.0
+"""Highest temperature [°C] that tissue may begin with; beyond it they are kelvins."""
+
+
+def read_state(path: Path, shape: tuple[int, ...]) -> State:
+    """The end of another run, or temperatures of a file of NumPy.
+
+    Args:
+        path: `results.npz` of a run, or an array of temperatures [°C].
+        shape: shape of the grid.
+
+    Raises:
+        InputError: the file cannot be read, or is of another grid.
+    """
+    arrays = _read_arrays(path)
+    for name, values in arrays.items():
+        if values.dtype.kind not in "biuf":
+            raise InputError(
+                f"{path}: expected numbers as {name}, got {values.dtype}; save floats"
+            )
+    if "temperature" not in arrays:
+        raise InputError(
+            f"{path}: expected the results.npz of a run, with a temperature, got "
+            f"{', '.join(arrays) or 'nothing'}"
+        )
+    temperature = arrays["temperature"]
+    dose = arrays.get("dose", np.zeros(shape))
+    if temperature.shape != shape or dose.shape != shape:
+        raise InputError(
+            f"{path}: expected temperatures of shape {shape}, that of the grid, got "
+            f"{temperature.shape}; take the same grid"
+        )
+    outside = ~((temperature >= COLDEST) & (temperature <= HOTTEST))
+    if outside.any():
+        raise InputError(
+            f"{path}: expected temperatures between {COLDEST:g} and {HOTTEST:g} °C, "
+            f"got {temperature[outside][0]:g}; subtract 273.15 from kelvins"
+        )
+    if not np.all((dose >= 0) & np.isfinite(dose)):
+        raise InputError(
+            f"{path}: expected doses >= 0 CEM43 min, got "
+            f"{dose[~((dose >= 0) & np.isfinite(dose))][0]:g}; take results of a run"
+        )
+    return State(
+        jnp.asarray(0.0), jnp.asarray(temperature, float), jnp.asarray(dose, float)
+    )
+
+
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Arrays of an npz file by their names, or of an npy file as temperatures."""
+    try:
+        with open(path, "rb") as file:
+            content = np.load(file, allow_pickle=False)
+            if isinstance(content, np.ndarray):
+                return {"temperature": content}
+            with content:
+                names = [n for n in ("temperature", "dose") if n in content]
+                return {name: content[name] for name in names}
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        MemoryError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error

@@ -15,6 +15,7 @@ from jax.core import Tracer
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.quantities import Field
+from pinav.thermal.ranges import Arterial, Density, SpecificHeat
 
 Property = Scalar | Field
 """The same everywhere, or one value for each cell."""
@@ -94,9 +95,9 @@ class Blood(eqx.Module):
         InputError: a number has the wrong sign.
     """
 
-    density: Scalar = 1050.0
-    specific_heat: Scalar = 3617.0
-    arterial: Scalar = 37.0
+    density: Scalar = eqx.field(default=1050.0, metadata={"range": Density})
+    specific_heat: Scalar = eqx.field(default=3617.0, metadata={"range": SpecificHeat})
+    arterial: Scalar = eqx.field(default=37.0, metadata={"range": Arterial})
 
     def __check_init__(self) -> None:
         for name in ("density", "specific_heat"):

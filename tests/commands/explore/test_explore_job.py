@@ -23,11 +23,12 @@ from pinav.commands.explore.job import explorer
 from pinav.commands.explore.plan import plan_of
 from pinav.commands.explore.printing import pack_array
 from pinav.commands.explore.warmth import heat_payload
-from pinav.commands.fitted_run import FittedRun
-from pinav.commands.heat.sections import section_arrays, sections_of
 from pinav.errors import InputError
 from pinav.forces import AbstractForce, ZeroForce
+from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
+from pinav.thermal.heated_run import FOLLOWED, HeatedRun, Plane, cuts_through
+from pinav.thermal.protocols import Piecewise
 
 PAGE = Path(pinav.commands.explore.__file__).parent / "page"
 SOURCES = {path.stem: path.read_text() for path in sorted(PAGE.glob("*.js"))}
@@ -40,7 +41,7 @@ def run(fitted_runs, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def content(run):
-    return payload.payload_of(FittedRun.open(run))
+    return payload.payload_of(Learned.open(run))
 
 
 @given(st.text())
@@ -94,7 +95,7 @@ class StrangeForce(AbstractForce):
 
 
 def test_a_force_that_is_not_printed_is_shown_from_a_table(run):
-    fitted = FittedRun.open(run)
+    fitted = Learned.open(run)
     strange = fitted.model.with_environment(StrangeForce())
     shown = dataclasses.replace(fitted, models={"model": strange}, evidence=None)
     held = payload.payload_of(shown)
@@ -103,7 +104,7 @@ def test_a_force_that_is_not_printed_is_shown_from_a_table(run):
 
 
 def test_a_propulsion_that_is_not_printed_is_refused(run):
-    fitted = FittedRun.open(run)
+    fitted = Learned.open(run)
     strange = dataclasses.replace(fitted.model, propulsion=StrangeForce())
     shown = dataclasses.replace(fitted, models={"model": strange}, evidence=None)
     with pytest.raises(InputError, match="has the operation 'sort' of JAX"):
@@ -118,7 +119,7 @@ def test_packed_numbers_are_those_of_the_array():
 
 
 def test_a_factor_of_few_directions_keeps_the_field(run):
-    fit = FittedRun.open(run)
+    fit = Learned.open(run)
     factor, kept = posterior.directions(fit.posterior, (0.0, 10.0, 0.0, 10.0))
     assert factor.shape[1] < len(fit.posterior.mean)
     assert kept > 0.9999
@@ -131,7 +132,7 @@ def test_a_factor_of_few_directions_keeps_the_field(run):
 
 
 def test_a_factor_has_no_more_numbers_than_a_page_may_hold(run, monkeypatch):
-    fit = FittedRun.open(run)
+    fit = Learned.open(run)
     monkeypatch.setattr(posterior, "NUMBERS", 3 * len(fit.posterior.mean))
     factor, kept = posterior.directions(fit.posterior, (0.0, 10.0, 0.0, 10.0))
     assert factor.shape == (len(fit.posterior.mean), 3)
@@ -145,7 +146,7 @@ def test_a_page_that_would_be_huge_is_refused(content, monkeypatch):
 
 
 def test_a_run_that_is_no_plane_is_refused(run, monkeypatch):
-    fit = FittedRun.open(run)
+    fit = Learned.open(run)
     monkeypatch.setattr(type(fit.data), "dim", property(lambda self: 1))
     with pytest.raises(InputError, match="explore draws a plane, got the coordinates"):
         payload.payload_of(fit)
@@ -160,15 +161,14 @@ def test_the_command_writes_the_page_and_links_to_it(fitted_run, capsys):
     assert "explore.html" in json.loads((folder / "manifest.json").read_text())
 
 
-def planned(folder, fitted, arrays):
-    """The run of a navigation with these results."""
-    made = RunFolder.create(folder, {"run": {"fitted": fitted}}, overwrite=False)
-    made.write_arrays("results.npz", arrays)
+def planned(folder, fitted):
+    """The run of a navigation before it has a result."""
+    RunFolder.create(folder, {"run": {"fitted": fitted}}, overwrite=False)
     return folder
 
 
 def test_a_plan_without_its_fit_is_refused(tmp_path, run, capsys):
-    folder = planned(tmp_path / "there", "absent", {})
+    folder = planned(tmp_path / "there", "absent")
     assert cli.run(["explore", str(folder)]) == 2
     assert "'absent' that it was planned with beside it" in capsys.readouterr().err
     assert cli.run(["explore", str(run), "--fit", str(run)]) == 2
@@ -176,52 +176,54 @@ def test_a_plan_without_its_fit_is_refused(tmp_path, run, capsys):
 
 
 def test_a_plan_that_was_not_kept_is_refused(tmp_path, run, capsys):
-    folder = planned(tmp_path / "there", "", {"goal": np.zeros(2)})
-    with pytest.raises(InputError, match="hold no plan that can be evaluated"):
+    folder = planned(tmp_path / "there", "")
+    with pytest.raises(InputError, match=r"metrics.json is missing"):
         plan_of(RunFolder.open(folder))
 
 
-def heated(folder, **arrays):
-    made = RunFolder.create(folder, {"run": {}}, overwrite=False)
-    made.write_arrays("results.npz", {"temperature": np.zeros(3), **arrays})
-    return folder
-
-
-def test_a_box_of_bioheat_without_its_temperatures_is_refused(tmp_path, capsys):
-    assert cli.run(["explore", str(heated(tmp_path / "heat"))]) == 2
-    assert "hold no temperatures over time; " in capsys.readouterr().err
-
-
-def boxed(shape, moments):
-    """Results of a run in a box, or on a plane, that cools from its middle."""
+def boxed(folder, shape, moments):
+    """A run in a box, or on a plane, that cools from its middle."""
     places = np.indices(shape) - (np.array(shape) // 2).reshape(-1, *[1] * len(shape))
     target = (np.sqrt((places**2).sum(axis=0)) < min(shape) / 5).astype(float)
     times = np.linspace(1.0, 600.0, moments)
     hot = 37 + 8 * np.exp(-((places / min(shape)) ** 2).sum(axis=0) * 8)
     warm = np.exp(-times / 300.0)
-    cuts = {s.name: np.asarray(s.of(jnp.asarray(hot))) for s in sections_of(target)}
-    observed = {n: 37 + (c - 37) * warm[:, None, None] for n, c in cuts.items()}
+    kept = np.linspace(0, moments - 1, min(moments, 61)).round().astype(int)
+
+    def plane(cut):
+        cooling = (np.asarray(cut.of(jnp.asarray(hot))) - 37) * warm[kept, None, None]
+        return Plane("xyz"[cut.axis], cut.place, (37 + cooling).astype("f4"))
+
     curve = 37 + 8 * warm
-    arrays = dict.fromkeys(("hottest", "T10", "T50", "T90"), curve)
-    return {
-        **dict.fromkeys(("dose/D90", "dose/outside"), np.cumsum(curve)),
-        **arrays,
-        **section_arrays(target, times, observed),
-        "times": times,
-        "temperature": 37 + (hot - 37) * warm[-1],
-        "dose": hot - 36.99,
-        "target": target,
-        "spacing": np.full(len(shape), 1e-3),
-        "points": np.zeros((1, len(shape))),
-        "probes": curve[:, None],
-        "edges": np.array([0.0, 600.0]),
-        "starts": np.array([1e4]),
-        "ends": np.array([1e4]),
-    }
+    numbers = ("T_max", "T10", "T50", "T90", "V43", "D90", "heated", "CEM43T90")
+    numbers = dict.fromkeys((*numbers, "healthy_dose", "Hf", "imbalance"), 1.0)
+    run = HeatedRun(
+        title="a box",
+        **numbers,
+        time_to_therapy=None,
+        warnings=(),
+        protocol=Piecewise.constant((0.0, 600.0), [1e4], 1e5),
+        times=times,
+        temperatures=dict.fromkeys(FOLLOWED, curve),
+        above=curve / 100,
+        doses=dict.fromkeys(("D90", "outside"), np.cumsum(curve)),
+        target=target,
+        temperature=37 + (hot - 37) * warm[-1],
+        dose=hot - 36.99,
+        points=np.zeros((1, len(shape))),
+        probes=curve[:, None],
+        spacing=(1e-3,) * len(shape),
+        moments=times[kept],
+        planes=tuple(map(plane, cuts_through(target))),
+    )
+    made = RunFolder.create(folder, {"run": {}}, overwrite=False)
+    made.write_arrays("results.npz", {"temperature": run.temperature})
+    made.store("metrics", run)
+    return folder
 
 
 def test_a_large_box_of_bioheat_keeps_the_size_of_a_page(tmp_path):
-    folder = heated(tmp_path / "heat", **boxed((70, 200, 64), 181))
+    folder = boxed(tmp_path / "heat", (70, 200, 64), 181)
     content = heat_payload(RunFolder.open(folder))
     shapes = [s["temperature"]["shape"] for s in content["sections"]]
     assert [s["normal"] for s in content["sections"]] == ["z", "y", "x"]
@@ -230,30 +232,13 @@ def test_a_large_box_of_bioheat_keeps_the_size_of_a_page(tmp_path):
     assert len(document.document(content)) < document.MAX_BYTES
 
 
-def test_sections_lie_in_the_middle_of_the_target():
-    target = np.zeros((9, 8, 7))
-    target[2:5, 4:7, 1:4] = 1.0
-    assert [(s.name, s.place) for s in sections_of(target)] == [
-        ("section/z", 2),
-        ("section/y", 5),
-        ("section/x", 3),
-    ]
-    assert sections_of(np.ones(4)) == ()
-
-
-def test_a_run_of_bioheat_without_its_balance_is_refused(tmp_path, capsys):
-    folder = heated(tmp_path / "heat", radius=np.arange(3.0))
-    assert cli.run(["explore", str(folder)]) == 2
-    assert "hold no heat balance; " in capsys.readouterr().err
-
-
 def test_a_damaged_run_of_bioheat_gives_one_line(tmp_path, capsys):
-    folder = heated(tmp_path / "heat", **boxed((6, 5), 9))
-    (folder / "results.npz").write_bytes(b"PK damaged")
+    folder = boxed(tmp_path / "heat", (6, 5), 9)
+    (folder / "metrics.npz").write_bytes(b"PK damaged")
     assert cli.run(["explore", str(folder)]) == 2
     message = capsys.readouterr().err.strip()
     assert "\n" not in message
-    assert "results.npz" in message
+    assert "metrics.npz" in message
 
 
 def test_a_notebook_shows_the_page_in_a_frame(run):
@@ -295,7 +280,7 @@ def test_a_damaged_run_gives_one_line(file, fitted_run, capsys):
 
 
 def test_without_an_environment_the_title_is_the_system_alone(run, content):
-    fitted = FittedRun.open(run)
+    fitted = Learned.open(run)
     assert content["title"] == f"{fitted.system.name}: kernel-potential"
     bare = {"model": fitted.model.with_environment(ZeroForce())}
     plain = dataclasses.replace(fitted, models=bare, evidence=None)

@@ -7,11 +7,9 @@ from pinav.commands.command import CommandResult
 from pinav.commands.compare import COMPARE
 from pinav.commands.compare.result import Candidate, Comparison, Verdict
 from pinav.commands.compare.settings import CompareOptions, CompareSettings
-from pinav.commands.constants import rotational_part
-from pinav.commands.progress import BayesReporter
+from pinav.commands.progress import Reporter
 from pinav.commands.results import keep
 from pinav.commands.start import fingerprint, start_run
-from pinav.commands.system_choice import choose_system
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.fitting import EvidenceFit, Outcome, fit_bayes, fit_langevin, model_evidence
@@ -24,6 +22,8 @@ from pinav.fitting.environments.mean_drag import (
 )
 from pinav.fitting.environments.summary import DataSummary, summarise_for
 from pinav.fitting.evidence.model_evidence import DECISIVE
+from pinav.learning.constants import rotational_part
+from pinav.learning.system_choice import choose_system
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories, load, with_missing_channels
@@ -144,7 +144,7 @@ def fit_model(
     model = build(choice, swimmer, summary)
     if known.thermal_energy is not None:
         return fit_langevin(model, data).regression
-    with BayesReporter(folder, name) as report:
+    with Reporter(folder, name) as report:
         return fit_bayes(
             model,
             inputs,

@@ -1,14 +1,12 @@
 """A run of bioheat on a plane or in a box as the page takes it: sections over time."""
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float
 
 from pinav.commands.explore.printing import Tree, pack_array
-from pinav.errors import InputError
-from pinav.runs import RunFolder
+from pinav.thermal.heated_run import HeatedRun, Plane
 
 RESULTS = "results.npz"
 
@@ -24,54 +22,34 @@ LEVELS = 65534
 LEAST_DOSE = 1e-3
 """Dose [CEM43 min] below which the map of its logarithm says no less."""
 
-CURVES = ("hottest", "T10", "T50", "T90", "dose/D90", "dose/outside")
 
-
-def section_payload(folder: RunFolder, arrays: Mapping[str, np.ndarray]) -> Tree:
-    """A run of bioheat on a plane or in a box as the page takes it.
-
-    Args:
-        folder: of the run.
-        arrays: its results.
-
-    Raises:
-        InputError: the run was written before temperatures were kept over time.
-    """
-    if "section/times" not in arrays:
-        raise InputError(
-            f"{folder.path}: its results hold no temperatures over time; "
-            f"{folder.repair(RESULTS)}"
-        )
-    names = [name for name in ("z", "y", "x") if f"section/{name}" in arrays]
-    planes = dict(zip(names, arrays["section/indices"].tolist(), strict=True))
-    moments = arrays["section/times"]
-    cells = sum(thin(arrays[f"section/{name}"][0]).size for name in names)
+def section_payload(run: HeatedRun) -> Tree:
+    """The planes of a run in a box, and its curves, as the page takes them."""
+    moments = run.moments
+    assert moments is not None
+    cells = sum(thin(plane.temperatures[0]).size for plane in run.planes)
     kept = _kept(len(moments), max(NUMBERS // cells, 2))
-    fields = {n: thin(arrays[f"section/{n}"][kept]) for n in names}
+    fields = {one.axis: thin(one.temperatures[kept]) for one in run.planes}
     limits = _limits(*fields.values())
+    doses = {f"dose/{name}": curve for name, curve in run.doses.items()}
+    curves = {name: pack_array(c) for name, c in (run.temperatures | doses).items()}
+    probes = [] if run.probes is None else run.probes.T
     return {
-        "version": 1,
         "kind": "sections",
-        "title": f"Bioheat: {folder.path.name}",
-        "run": folder.path.name,
         "limits": limits,
         "moments": pack_array(moments[kept], "f8"),
         "sections": [
             {
-                **_place(name, index, arrays),
-                "temperature": _levels(fields[name], limits),
-                "dose": _dose(_cut(arrays["dose"], name, index)),
-                "target": pack_array(thin(_cut(arrays["target"], name, index))),
+                **_place(plane, run),
+                "temperature": _levels(fields[plane.axis], limits),
+                "dose": _dose(_cut(run.dose, plane)),
+                "target": pack_array(thin(_cut(run.target, plane))),
             }
-            for name, index in planes.items()
+            for plane in run.planes
         ],
-        "points": np.asarray(arrays["points"], float).tolist(),
-        "edges": arrays["edges"].tolist(),
-        "starts": arrays["starts"].tolist(),
-        "ends": arrays["ends"].tolist(),
-        "times": pack_array(arrays["times"]),
-        "curves": {name: pack_array(arrays[name]) for name in CURVES},
-        "probes": [pack_array(line) for line in np.asarray(arrays.get("probes", [])).T],
+        "points": run.points.tolist(),
+        "curves": curves,
+        "probes": [pack_array(line) for line in probes],
     }
 
 
@@ -86,21 +64,23 @@ def _kept(count: int, most: int) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
 
 
-def _place(name: str, index: int, arrays: Mapping[str, np.ndarray]) -> Tree:
+def _place(plane: Plane, run: HeatedRun) -> Tree:
     """Where a section lies: the axes along it, its sides and its height [m]."""
-    axis = "xyz".index(name)
-    spacing, shape = arrays["spacing"], arrays["target"].shape
+    axis = "xyz".index(plane.axis)
+    spacing, shape = run.spacing, run.target.shape
     along = [a for a in range(len(shape)) if a != axis]
     return {
-        "normal": name,
+        "normal": plane.axis,
         "axes": ["xyz"[a] for a in along],
         "sides": [float(spacing[a] * shape[a]) for a in along],
-        "at": None if index < 0 else float(spacing[axis] * (index + 0.5)),
+        "at": None if plane.index is None else spacing[axis] * (plane.index + 0.5),
     }
 
 
-def _cut(field: np.ndarray, name: str, index: int) -> np.ndarray:
-    return field if index < 0 else np.take(field, index, axis="xyz".index(name))
+def _cut(field: np.ndarray, plane: Plane) -> np.ndarray:
+    if plane.index is None:
+        return field
+    return np.take(field, plane.index, axis="xyz".index(plane.axis))
 
 
 def _limits(*fields: np.ndarray) -> tuple[float, float]:

@@ -1,13 +1,16 @@
 """A run of bioheat as the page takes it."""
 
-from collections.abc import Mapping
+import dataclasses
 
 import numpy as np
 
+from pinav.commands.explore.plan import RESULT
 from pinav.commands.explore.printing import Tree, pack_array
 from pinav.commands.explore.sections import RESULTS, section_payload
 from pinav.errors import InputError
 from pinav.runs import RunFolder
+from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun, RadialBalance
+from pinav.thermal.planned_run import PlannedRun
 
 
 def is_heated(folder: RunFolder) -> bool:
@@ -18,46 +21,45 @@ def is_heated(folder: RunFolder) -> bool:
 
 
 def heat_payload(folder: RunFolder) -> Tree:
-    """A run of bioheat as the page takes it.
+    """A run of bioheat, or a planned one, as the page takes it.
 
     Raises:
-        InputError: it was written before the page could show it.
+        InputError: its result is damaged, or is none that the page can show.
     """
-    folder.check_file(RESULTS)
-    arrays = folder.read_arrays(RESULTS)
-    if "radius" not in arrays:
-        return section_payload(folder, arrays)
-    return _radial_payload(folder, arrays)
-
-
-def _radial_payload(folder: RunFolder, arrays: Mapping[str, np.ndarray]) -> Tree:
-    """A run along a radius, with all that its heat equation needs."""
-    if "balance/conductances" not in arrays:
+    found = folder.load(RESULT, AbstractHeatResult)
+    run = found.result if isinstance(found, PlannedRun) else found
+    if not isinstance(run, HeatedRun):
         raise InputError(
-            f"{folder.path}: its results hold no heat balance; {folder.repair(RESULTS)}"
+            f"{folder.path}: expected a run of bioheat, or a planned one, got a fit"
         )
-    parts = {
-        name.removeprefix("balance/"): pack_array(
-            values, "f4" if values.ndim > 1 else "f8"
-        )
-        for name, values in arrays.items()
-        if name.startswith("balance/")
+    title = f"Bioheat: {folder.path.name}"
+    names = {"version": 1, "title": title, "run": folder.path.name}
+    field = {
+        "edges": list(run.protocol.edges),
+        "starts": np.asarray(run.protocol.starts).tolist(),
+        "ends": np.asarray(run.protocol.ends).tolist(),
+        "times": pack_array(run.times),
     }
-    points = arrays["points"]
+    if run.balance is None:
+        return {**names, **field, **section_payload(run)}
+    return {**names, **field, **_radial_payload(run, run.balance)}
+
+
+def _radial_payload(run: HeatedRun, balance: RadialBalance) -> Tree:
+    """A run along a radius, with all that its heat equation needs."""
+    assert run.radius is not None
+    assert run.profiles is not None
+    parts = {f.name: getattr(balance, f.name) for f in dataclasses.fields(balance)}
     return {
-        "version": 1,
         "kind": "tissue",
-        "title": f"Bioheat: {folder.path.name}",
-        "run": folder.path.name,
-        "balance": parts,
-        "radius": pack_array(arrays["radius"], "f8"),
-        "target": pack_array(arrays["target"]),
-        "probes": np.linalg.norm(points, axis=-1).tolist() if len(points) else [],
-        "edges": arrays["edges"].tolist(),
-        "starts": arrays["starts"].tolist(),
-        "ends": arrays["ends"].tolist(),
-        "times": pack_array(arrays["times"]),
-        "hottest": pack_array(arrays["hottest"]),
-        "field": pack_array(arrays["field"][:: max(len(arrays["times"]) // 60, 1)]),
-        "dose": pack_array(arrays["dose/D90"]),
+        "balance": {
+            name: pack_array(values, "f4" if values.ndim > 1 else "f8")
+            for name, values in parts.items()
+        },
+        "radius": pack_array(run.radius, "f8"),
+        "target": pack_array(run.target),
+        "probes": np.linalg.norm(run.points, axis=-1).tolist(),
+        "hottest": pack_array(run.temperatures["hottest"]),
+        "field": pack_array(run.profiles[:: max(len(run.times) // 60, 1)]),
+        "dose": pack_array(run.doses["D90"]),
     }

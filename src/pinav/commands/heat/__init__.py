@@ -8,6 +8,8 @@ HEAT = Command(
     options="pinav.commands.heat.settings:HeatOptions",
     run="pinav.commands.heat.job:run",
     title="Bioheat",
-    report="pinav.commands.heat.report:heat_sections",
+    result="pinav.thermal.heated_run:AbstractHeatResult",
+    file="metrics",
+    sections="pinav.commands.heat.sections:sections",
     compiler_flags=False,  # small to compile, and its gradient runs slower with them
 )

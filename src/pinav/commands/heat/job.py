@@ -1,56 +1,100 @@
 """Run the tasks of `pinav heat`."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pinav.commands.command import CommandResult
 from pinav.commands.heat import HEAT
-from pinav.commands.heat.case import Case, read_case
-from pinav.commands.heat.learn import LearnTask
-from pinav.commands.heat.optimise import OptimiseTask
 from pinav.commands.heat.settings import HeatOptions
-from pinav.commands.heat.simulate import SimulateTask
-from pinav.commands.heat.tables import text
-from pinav.commands.heat.task import IMAGES, READINGS, RESULTS, AbstractTask
+from pinav.commands.results import keep
 from pinav.runs import RunFolder
-from pinav.thermal.images import Image, write_image
-from pinav.thermal.probes import save_probes
+from pinav.thermal.case import Case, read_case
+from pinav.thermal.exposure_limits import require
+from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun, simulate
+from pinav.thermal.images import write_image
+from pinav.thermal.learned_tissue import (
+    LearnedTissue,
+    learn_tissue,
+    require_readings,
+)
+from pinav.thermal.planned_run import PlannedRun, PlanTask
+from pinav.thermal.probes import ProbeData, save_probes
+from pinav.thermal.setup import Setup
+from pinav.thermal.tissue_fit import TissueFit
+
+READINGS = "probes.csv"
+"""File of the readings of probes."""
+
+END = "results.npz"
+"""File of temperature and dose at the end, from which another run can start."""
 
 
 def run(options: HeatOptions) -> CommandResult:
-    """Run a task of bioheat as the command line does."""
+    """Run a task of bioheat as the command line does.
+
+    Everything that can be refused is refused before the folder is made.
+    """
     case, content = read_case(options.case)
-    task = _task(options.task, case, options.case)
+    setup = Setup.of(case, options.case.parent)
+    compute = TASKS[options.task](case, setup, options.case.parent)
     config = {"run": {"command": HEAT.name, "task": options.task}, "case": content}
     folder = RunFolder.create(
         options.out, config, overwrite=options.overwrite, resumable=False
     )
-    result = task.run()
-    folder.write_arrays(RESULTS, result.arrays)
-    if result.readings is not None:
-        save_probes(result.readings, folder.path / READINGS, overwrite=True)
+    result, readings = compute()
+    if readings is not None:
+        save_probes(readings, folder.path / READINGS, overwrite=True)
         folder.record(READINGS)
-    if result.image is not None and result.image.is_nifti:
-        _write_images(folder, result.arrays, result.image)
-    folder.write_metrics("metrics.json", result.metrics)
-    return CommandResult(result.metrics, text(result.metrics), folder)
+    heated = result.result if isinstance(result, PlannedRun) else result
+    if isinstance(heated, HeatedRun):
+        end = {"temperature": heated.temperature, "dose": heated.dose}
+        folder.write_arrays(END, end)
+    if setup.image is not None and setup.image.is_nifti:
+        for name, values in _images(heated).items():
+            write_image(folder.path / f"{name}.nii.gz", values, setup.image)
+            folder.record(f"{name}.nii.gz")
+    return keep(HEAT, folder, result)
 
 
-def _write_images(
-    folder: RunFolder, arrays: dict[str, np.ndarray], image: Image
-) -> None:
-    """NIfTI files of the end of a run or of a fit, where the labels are."""
-    for name in IMAGES:
-        if name in arrays:
-            file = f"{name.rpartition('/')[2]}.nii.gz"
-            write_image(folder.path / file, arrays[name], image)
-            folder.record(file)
+def _images(result: AbstractHeatResult) -> dict[str, np.ndarray]:
+    """Fields that are written as NIfTI, too, where the labels are."""
+    if isinstance(result, LearnedTissue) and result.frames is not None:
+        return {"reading": result.frames.read, "fit": result.frames.fitted}
+    if not isinstance(result, HeatedRun):
+        return {}
+    dead = {} if result.dead is None else {"dead": result.dead}
+    return {"temperature": result.temperature, "dose": result.dose, **dead}
 
 
-def _task(name: str, case: Case, path: Path) -> AbstractTask:
-    if name == "learn":
-        return LearnTask(case, path)
-    if name == "optimise":
-        return OptimiseTask(case, path)
-    return SimulateTask(case, path)
+def _simulate(case: Case, setup: Setup, folder: Path) -> Any:
+    require(setup.protocol, *setup.limits)
+
+    def compute() -> tuple[HeatedRun, ProbeData | None]:
+        probes = setup.readings() if len(setup.points) else None
+        return simulate(setup), probes
+
+    return compute
+
+
+def _learn(case: Case, setup: Setup, folder: Path) -> Any:
+    task = TissueFit.of(case, setup, folder)
+    require_readings(task)
+
+    def compute() -> tuple[LearnedTissue, ProbeData | None]:
+        if task.fitted is not None:
+            return learn_tissue(task, task.fitted), None
+        readings = setup.readings(task.settings.noise, task.settings.seed)
+        return learn_tissue(task, readings), readings
+
+    return compute
+
+
+def _optimise(case: Case, setup: Setup, folder: Path) -> Any:
+    task = PlanTask.of(case, setup, folder)
+    return lambda: (task.run(), None)
+
+
+TASKS = {"simulate": _simulate, "learn": _learn, "optimise": _optimise}
+"""By name; each checks a case, and returns what computes its result and readings."""

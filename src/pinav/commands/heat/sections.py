@@ -1,81 +1,170 @@
-"""Planes of a box at which a run keeps the temperature over time."""
+"""What a task of bioheat found: the same blocks on a terminal and in a report."""
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from pinav.figures.heat import (
+    fields_figure,
+    fitted_probes_figure,
+    forecast_figure,
+    last_frame_figure,
+    laws_figure,
+    mean_curves_figure,
+    probes_figure,
+    protocol_figure,
+)
+from pinav.report import Paragraph, Section, Table
+from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun
+from pinav.thermal.learned_tissue import Forecast, LearnedTissue
+from pinav.thermal.planned_run import Judgement, PlannedRun
 
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
+Rows = list[tuple[str, str | float]]
 
-AXES = "xyz"
+SYNTHETIC = "Synthetic data of a research code."
 
-MOMENTS = 61
-"""Times at most at which the temperature of a section is kept."""
-
-PREFIX = "section/"
-"""Of the names of what is kept; the axis that the plane is normal to follows."""
-
-
-class Section(NamedTuple):
-    """A plane of cells, or all of a field that is a plane itself.
-
-    Attributes:
-        axis: the plane is normal to it.
-        place: index of the cells along it; none where the field has no third axis.
-    """
-
-    axis: int
-    place: int | None
-
-    @property
-    def name(self) -> str:
-        """Under which a run keeps the section."""
-        return PREFIX + AXES[self.axis]
-
-    def of(self, field: Float[Array, "..."]) -> Float[Array, "row column"]:
-        """The section of a field."""
-        if self.place is None:
-            return field
-        return jnp.take(field, self.place, axis=self.axis)
+CAUTION = Paragraph(
+    "Research code. The tissue, its readings and its perfusion are synthetic; nothing "
+    "here is medical advice or treatment planning."
+)
 
 
-def sections_of(target: Float[np.ndarray, "..."]) -> tuple[Section, ...]:
-    """The plane itself, or the three planes through the middle of a target in a box.
-
-    A radius has none.
-
-    Args:
-        target: share of the target in each cell.
-    """
-    if target.ndim == 1:
-        return ()
-    if target.ndim == 2:
-        return (Section(2, None),)
-    places = np.indices(target.shape).reshape(3, -1) @ target.reshape(-1)
-    middle = np.round(places / target.sum()).astype(int).tolist()
-    return tuple(Section(axis, middle[axis]) for axis in (2, 1, 0))
+def sections(found: AbstractHeatResult) -> list[Section]:
+    """What a run reached, what was learned, or what was planned."""
+    if isinstance(found, LearnedTissue):
+        return _learned(found)
+    if isinstance(found, PlannedRun):
+        result, *others = _heated(found.result, found.max_temperature)
+        return [result, _constraints(found), *others]
+    assert isinstance(found, HeatedRun)
+    return _heated(found)
 
 
-def section_arrays(
-    target: Float[np.ndarray, "..."],
-    times: Float[np.ndarray, " time"],
-    observed: Mapping[str, Float[Array | np.ndarray, "..."]],
-) -> dict[str, np.ndarray]:
-    """What a run keeps of its sections, at `MOMENTS` times of all at most.
+def _heated(run: HeatedRun, bound: float | None = None) -> list[Section]:
+    warnings = [Paragraph(f"Warning: {line}.") for line in run.warnings]
+    found = [
+        Section("Result", [CAUTION, run_table(run), *warnings]),
+        Section("Field", [protocol_figure(run, bound)]),
+        Section("Temperature and dose", [fields_figure(run)]),
+    ]
+    if run.probes is not None:
+        found.append(Section("Probes", [probes_figure(run)]))
+    return found
 
-    Args:
-        target: share of the target in each cell.
-        times: of the temperatures [s].
-        observed: temperatures of the sections at all times [°C], among others.
-    """
-    sections = sections_of(target)
-    if not sections:
-        return {}
-    count = len(times)
-    kept = np.unique(np.linspace(0, count - 1, min(MOMENTS, count)).round().astype(int))
-    indices = [-1 if section.place is None else section.place for section in sections]
-    return {
-        f"{PREFIX}times": times[kept],
-        f"{PREFIX}indices": np.array(indices),
-        **{s.name: np.asarray(observed[s.name], "f4")[kept] for s in sections},
-    }
+
+def _constraints(found: PlannedRun) -> Section:
+    line = (
+        f"D90 {found.result.D90:.3g} min, from {found.start_D90:.3g} min at the flat "
+        f"start; {found.outcome}."
+    )
+    judged = [] if found.judged is None else [judgement_table(found.judged)]
+    blocks = [constraint_table(found), *judged, Paragraph(line)]
+    return Section("Constraints", blocks)
+
+
+def _learned(found: LearnedTissue) -> list[Section]:
+    title = found.title
+    parts = [Section("The fit", [CAUTION, fit_table(found)])]
+    if found.laws:
+        parts.append(Section("Learned perfusion", [laws_figure(found)]))
+    if found.probes is not None:
+        figure = fitted_probes_figure(title, found.probes)
+        parts.append(Section("Probes", [figure]))
+    if (frames := found.frames) is not None:
+        figures = mean_curves_figure(title, frames), last_frame_figure(title, frames)
+        parts.append(Section("Frames", figures))
+    if found.forecast is not None:
+        figure = forecast_figure(title, found.forecast)
+        parts.append(Section("Prediction", [figure]))
+    return parts
+
+
+def run_table(run: HeatedRun) -> Table:
+    """Temperatures and doses of a run."""
+    reached = run.time_to_therapy
+    rows: Rows = [
+        ("highest temperature [°C]", run.T_max),
+        ("end of heating [min]", run.heated / 60),
+        ("T10 of the tumour at the end of heating [°C]", run.T10),
+        ("T50 of the tumour at the end of heating [°C]", run.T50),
+        ("T90 of the tumour at the end of heating [°C]", run.T90),
+        ("fraction of the tumour above 43 °C then", run.V43),
+        ("D90 of the tumour [CEM43 min]", run.D90),
+        (
+            "D90 reaches 10 CEM43 min after [min]",
+            "never" if reached is None else reached / 60,
+        ),
+        ("CEM43 T90 of the tumour [min]", run.CEM43T90),
+        ("largest dose outside the tumour [CEM43 min]", run.healthy_dose),
+        ("largest product Hf [A/(m s)]", run.Hf),
+        ("relative error of the energy balance", run.imbalance),
+    ]
+    if run.dead_target is not None and run.dead_outside is not None:
+        rows.append(("dead fraction of the tumour (Arrhenius)", run.dead_target))
+        name = "largest dead fraction outside the tumour (Arrhenius)"
+        rows.append((name, run.dead_outside))
+    return Table(("quantity", "value"), rows, SYNTHETIC)
+
+
+def constraint_table(found: PlannedRun) -> Table:
+    """The constraints of an optimisation."""
+    return Table.of(
+        found.constraints,
+        {
+            "constraint": lambda one: f"{one.name} [{one.unit}]",
+            "value": lambda one: one.value,
+            "bound": lambda one: one.bound,
+            "at the optimum": lambda one: "active" if one.active else "not reached",
+        },
+    )
+
+
+def judgement_table(judged: Judgement) -> Table:
+    """A plan on the true tissue."""
+    rows: Rows = [
+        ("D90 of the tumour [CEM43 min]", judged.D90),
+        ("D90 of a plan made with the truth [CEM43 min]", judged.best_D90),
+        ("highest temperature [°C]", judged.T_max),
+    ]
+    return Table(("the plan on the true tissue", "value"), rows)
+
+
+def fit_table(found: LearnedTissue) -> Table:
+    """How well a fit explains the readings."""
+    unit = "of its map" if found.relative else "[K]"
+    rows: Rows = [
+        (f"residual, root mean square {unit}", found.residual),
+        (f"noise, estimated {unit}", found.noise),
+        ("steps", found.iterations),
+    ]
+    for name, law in found.laws.items():
+        low, high = law.visited
+        rows.append((f"perfusion of {name}: visited [°C]", f"{low:.1f} to {high:.1f}"))
+        if law.covered is not None:
+            label = f"perfusion of {name}: coverage of the 95 % band"
+            rows.append((label, law.covered))
+    if not found.quantities:
+        for name, one in found.constants.items():
+            rows.append((name, f"{one.value:.5g} ± {one.sd:.2g}"))
+    for row in found.quantities:
+        true = "" if row.true is None else f"; true {row.true:.5g}"
+        rows.append((row.name, f"{row.value:.5g} ± {row.sd:.2g}{true}"))
+    if found.laws:
+        name = f"residual of the best constant perfusion {unit}"
+        rows.append((name, found.constant_residual))
+    if found.forecast is not None:
+        rows += _forecast_rows(found.forecast, unit)
+    for row in found.held_out:
+        name = f"largest error at power {row.power:g}, not fitted [K]"
+        rows.append((name, row.learned))
+        rows.append((f"{name}, constant perfusion", row.constant))
+    return Table(("quantity", "value"), rows, SYNTHETIC)
+
+
+def _forecast_rows(forecast: Forecast, unit: str) -> Rows:
+    rows: Rows = [
+        ("fitted until [min]", forecast.fitted_until / 60),
+        ("later: largest standard deviation of the target [K]", forecast.largest_sd),
+    ]
+    if forecast.residual is not None:
+        rows.append((f"later: residual {unit}", forecast.residual))
+    if forecast.error is not None and forecast.covered is not None:
+        rows.append(("later: largest error of the target [K]", forecast.error))
+        rows.append(("later: truth in the 95 % band", forecast.covered))
+    return rows

@@ -14,7 +14,6 @@ import msgspec
 
 from pinav.codec import decode, encode
 from pinav.commands.command import CommandResult
-from pinav.commands.matching import CurriculumSettings, matching
 from pinav.commands.results import keep
 from pinav.commands.settings import ModelName
 from pinav.commands.study import STUDY
@@ -41,6 +40,8 @@ from pinav.fitting import fit_bayes
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import KnownSwimmer, ModelChoice
 from pinav.fitting.environments.summary import summarise_data, summarise_for
+from pinav.learning.matching import matching
+from pinav.learning.recipes import Curriculum
 from pinav.scenarios import scenario
 from pinav.sweeps import Cell, CellStore, Outcome, sweep_status
 from pinav.systems import System
@@ -213,7 +214,7 @@ def fit_choice(
         result = fit_bayes(start, data, max_iterations=max_steps, throw=False)
     else:
         model = build(choice, swimmer, summarise_data(data))
-        method = matching(CurriculumSettings(max_steps=max_steps), data, model)
+        method = matching(Curriculum(max_steps), data, model)
         (result,) = method.fit(
             [model],
             data,

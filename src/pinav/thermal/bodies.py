@@ -1,0 +1,358 @@
+"""The body of a case: a ball in tissue, or voxels by their labels, and maps of both.
+
+Everything that a file may have wrong is refused here, before a folder is made: its
+shape, its place, its unit, labels without a tissue, and numbers that no tissue has.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool
+
+from pinav.errors import InputError
+from pinav.thermal.case import Case, TargetFile
+from pinav.thermal.case_geometry import Box, Meshed, Voxels
+from pinav.thermal.case_matter import (
+    LARGEST_LABEL,
+    PROPERTIES,
+    Absorption,
+    Heating,
+    Medium,
+)
+from pinav.thermal.grids import AbstractGrid
+from pinav.thermal.images import NEGLIGIBLE, Image, check_place, read_image
+from pinav.thermal.perfusion import (
+    AbstractPerfusion,
+    ConstantPerfusion,
+    MixedPerfusion,
+    RegionalPerfusion,
+    mass_perfusion,
+    perfusion_factor,
+)
+from pinav.thermal.quantities import Field
+from pinav.thermal.ranges import (
+    Concentration,
+    Conductivity,
+    Density,
+    Magnitude,
+    Metabolic,
+    PowerDensity,
+    SpecificHeat,
+    within,
+)
+from pinav.thermal.tissues import Blood, Tissue, mix
+
+KINDS = {
+    "conductivity": Conductivity,
+    "density": Density,
+    "specific_heat": SpecificHeat,
+    "metabolic": Metabolic,
+    "perfusion": Magnitude,
+    "concentration": Concentration,
+    "absorption": PowerDensity,
+}
+"""Numbers that a map may hold, of the same ranges as those of a table."""
+
+
+class Body(eqx.Module):
+    """Everything that a case is made of, but for what heats it.
+
+    Attributes:
+        grid: cells.
+        tissue: passive properties.
+        blood: blood that perfuses the tissue.
+        perfusion: perfusion of all tissues.
+        fractions: volume fraction of each tissue in each cell.
+        laws: for each tissue, what picks its perfusion from a model.
+        target: volume fraction of the target in each cell.
+        middle: middle of the target [m]; none on grids whose target is in the middle.
+        radius: radius of a target that is a ball [m].
+        image: labels, where the cells are voxels.
+    """
+
+    grid: AbstractGrid
+    tissue: Tissue
+    blood: Blood
+    perfusion: AbstractPerfusion
+    fractions: dict[str, Field]
+    laws: dict[str, Callable[[Any], Any]] = eqx.field(static=True)
+    target: Field
+    middle: tuple[float, ...] | None = None
+    radius: float | None = None
+    image: Image | None = None
+
+
+def build_body(case: Case, folder: Path) -> Body:
+    """The grid, tissues and target of a case.
+
+    Args:
+        case: the case.
+        folder: folder of the files that it names.
+
+    Raises:
+        InputError: a name or a unit is unknown, a perfusion implausible, or a file
+            cannot be read, is not of these voxels, or holds what no tissue has.
+    """
+    if isinstance(case.grid, Voxels):
+        return _voxel_body(case, case.grid, folder)
+    return _ball_body(case, case.grid)
+
+
+def _ball_body(case: Case, grid: Meshed) -> Body:
+    """A ball of tumour in tissue."""
+    cells, blood, (medium, tumour) = grid.build(), case.blood, case.ball
+    target = cells.ball(tumour.radius, center=tumour.center)
+    inside, outside = tumour.tissue.properties(), medium.properties()
+    return Body(
+        grid=cells,
+        tissue=mix(target, inside, outside),
+        blood=blood,
+        perfusion=MixedPerfusion.on_mask(
+            target,
+            tumour.tissue.perfusion.law(blood, inside),
+            medium.perfusion.law(blood, outside),
+        ),
+        fractions={"tumour": target, "tissue": 1 - target},
+        laws={
+            "tumour": lambda m: m.perfusion.inside,
+            "tissue": lambda m: m.perfusion.outside,
+        },
+        target=target,
+        middle=tumour.center,
+        radius=tumour.radius,
+    )
+
+
+def _voxel_body(case: Case, grid: Voxels, folder: Path) -> Body:
+    """Tissues and target of a case whose grid is an image."""
+    image = read_image(folder / grid.labels)
+    box = _box(grid, image)
+    if image.spacing is None:
+        image = Image(image.path, image.values, box.sizes)
+    cells = box.build()
+    try:
+        case.check_extent(cells)
+    except ValueError as error:
+        raise InputError(f"{image.path}: {error}") from error
+    masks = _masks(case, image)
+    blood, files = case.blood, _Files(folder, image)
+    media = {
+        name: _properties(medium, masks[name], files)
+        for name, medium in case.tissues.items()
+    }
+    laws = {
+        name: _law(medium, blood, media[name], masks[name], files)
+        for name, medium in case.tissues.items()
+    }
+    target = _target(case, masks, files)
+    return Body(
+        grid=cells,
+        tissue=_join(media, masks),
+        blood=blood,
+        perfusion=RegionalPerfusion(
+            tuple(jnp.asarray(masks[name], float) for name in laws),
+            tuple(laws.values()),
+        ),
+        fractions={name: jnp.asarray(mask, float) for name, mask in masks.items()},
+        laws={name: _pick(index) for index, name in enumerate(laws)},
+        target=jnp.asarray(target),
+        middle=_centroid(target, box.sizes),
+        image=image,
+    )
+
+
+def read_heating(heating: Heating, path: Path, body: Body) -> np.ndarray:
+    """SAR [W/kg] or concentration [kg/m³] of each voxel.
+
+    Raises:
+        InputError: the file cannot be read, is not of these voxels, or holds no such
+            numbers.
+    """
+    assert body.image is not None
+    kind = "absorption" if isinstance(heating, Absorption) else "concentration"
+    everywhere = np.ones(body.grid.shape, bool)
+    values = _Files(path.parent, body.image).read(path.name, kind, everywhere)
+    if not values.max() > 0:
+        raise InputError(
+            f"{path}: expected a voxel > 0, got zeros alone; save numbers with "
+            "decimals, or set field.amplitudes to 0 for a run without heat"
+        )
+    return values
+
+
+class _Files:
+    """Maps in a folder, each read once."""
+
+    def __init__(self, folder: Path, labels: Image) -> None:
+        self.folder, self.labels = folder, labels
+        self.images: dict[str, Image] = {}
+
+    def read(self, name: str, kind: str, mask: Bool[np.ndarray, "..."]) -> np.ndarray:
+        """The numbers of a map, checked where a mask is, and 0 elsewhere."""
+        if name not in self.images:
+            image = read_image(self.folder / name)
+            check_place(image, self.labels)
+            if image.values.ndim != self.labels.values.ndim:
+                raise InputError(
+                    f"{image.path}: expected one value for each voxel, got frames; "
+                    "take one of them"
+                )
+            self.images[name] = image
+        values = np.where(mask, self.images[name].values, 0.0)
+        self._check_range(name, kind, values, mask)
+        return values
+
+    def _check_range(
+        self, name: str, kind: str, values: np.ndarray, mask: Bool[np.ndarray, "..."]
+    ) -> None:
+        path = self.folder / name
+        finite = np.isfinite(values)
+        if not finite.all():
+            raise InputError(
+                f"{path}: expected finite numbers, got {(~finite).sum()} voxels "
+                "without one; fill them, or give them another label"
+            )
+        inside = values[mask]
+        for extreme in (inside.min(), inside.max()) if inside.size else ():
+            try:
+                within(kind, KINDS[kind], float(extreme))
+            except ValueError as error:
+                words = str(error).removeprefix(f"{kind}: ")
+                raise InputError(f"{path}: {words}") from error
+
+
+def _box(grid: Voxels, image: Image) -> Box:
+    """The cells of an image."""
+    path, shape = image.path, image.values.shape
+    if image.values.ndim not in (2, 3) or min(shape) < 3:
+        raise InputError(
+            f"{path}: expected labels along two or three axes with three voxels or "
+            f"more, got shape {shape}"
+        )
+    if grid.size is not None and len(grid.size) != len(shape):
+        raise InputError(
+            f"grid.size: expected {len(shape)} numbers, one for each axis of "
+            f"{path.name}, got {len(grid.size)}"
+        )
+    sizes = image.spacing or grid.size
+    if sizes is None:
+        raise InputError(
+            f"{path}: expected voxels with a unit, mm or m, or grid.size in the case, "
+            "got neither; give grid.size in metres"
+        )
+    given = grid.size or sizes
+    if np.abs(np.array(given) / np.array(sizes) - 1).max() > NEGLIGIBLE:
+        raise InputError(
+            f"grid.size: expected that of {path.name}, {list(sizes)} m, got "
+            f"{list(given)} m; leave it out, or correct the unit of the file"
+        )
+    return Box(shape, tuple(sizes))
+
+
+def _masks(case: Case, image: Image) -> dict[str, Bool[np.ndarray, "..."]]:
+    """The voxels of each tissue."""
+    values, path = image.values, image.path
+    whole = np.isfinite(values) & (values == np.round(values))
+    if not np.all(whole & (np.abs(values) <= LARGEST_LABEL)):
+        raise InputError(
+            f"{path}: expected labels, whole numbers up to {LARGEST_LABEL}, got "
+            "others; save integers"
+        )
+    known = {medium.label: name for name, medium in case.tissues.items()}
+    labels, counts = np.unique(values.astype(int), return_counts=True)
+    for label, count in zip(labels.tolist(), counts.tolist(), strict=True):
+        if label not in known:
+            raise InputError(
+                f"{path}: expected labels of tissues, {', '.join(map(str, known))}; "
+                f"got {label} in {count} voxels; add a table of tissues with it"
+            )
+    for label, name in known.items():
+        if label not in labels:
+            raise InputError(
+                f"tissues.{name}: expected a label that {path.name} has, "
+                f"{labels.tolist()}, got {label}; correct or remove it"
+            )
+    return {known[label]: values == label for label in known}
+
+
+def _properties(medium: Medium, mask: Bool[np.ndarray, "..."], files: _Files) -> Tissue:
+    """Properties of a tissue; outside it those of its mean, which nothing takes."""
+    maps = {}
+    for name in PROPERTIES:
+        value = getattr(medium, name)
+        if isinstance(value, str):
+            values = files.read(value, name, mask)
+            maps[name] = np.where(mask, values, values[mask].mean())
+    return medium.properties(maps)
+
+
+def _law(
+    medium: Medium,
+    blood: Blood,
+    tissue: Tissue,
+    mask: Bool[np.ndarray, "..."],
+    files: _Files,
+) -> AbstractPerfusion:
+    flow = medium.perfusion
+    if flow.file is None:
+        return flow.law(blood, tissue)
+    assert flow.unit is not None
+    values = files.read(flow.file, "perfusion", mask)
+    # a unit is judged by the mean: single voxels of a map may have almost no blood
+    typical = Tissue(1.0, float(np.mean(tissue.density)), 1.0)
+    mass_perfusion(
+        float(values[mask].mean()), unit=flow.unit, blood=blood, tissue=typical
+    )
+    factor = perfusion_factor(flow.unit, blood=blood, tissue=tissue)
+    return ConstantPerfusion(jnp.asarray(values * factor))
+
+
+def _join(
+    media: dict[str, Tissue], masks: dict[str, Bool[np.ndarray, "..."]]
+) -> Tissue:
+    """Properties of each voxel."""
+    joined = {}
+    for name in PROPERTIES:
+        parts = [
+            np.where(masks[key], np.asarray(getattr(medium, name)), 0.0)
+            for key, medium in media.items()
+        ]
+        joined[name] = jnp.asarray(np.sum(parts, axis=0))
+    return Tissue(**joined)
+
+
+def _target(
+    case: Case, masks: dict[str, Bool[np.ndarray, "..."]], files: _Files
+) -> np.ndarray:
+    """Share of each voxel that the target has."""
+    if not isinstance(case.target, TargetFile):
+        return np.any([masks[name] for name in case.target or ()], axis=0).astype(float)
+    image = read_image(files.folder / case.target.file)
+    check_place(image, files.labels)
+    fraction = image.values
+    if fraction.shape != files.labels.values.shape or not np.all(
+        (fraction >= 0) & (fraction <= 1)
+    ):
+        raise InputError(
+            f"{image.path}: expected the share of the target in each voxel, 0 to 1, "
+            "got other numbers, or frames"
+        )
+    if not np.any(fraction > 0.5):
+        raise InputError(
+            f"{image.path}: expected a target, got no voxel with half of one or more"
+        )
+    return fraction
+
+
+def _centroid(target: np.ndarray, sizes: tuple[float, ...]) -> tuple[float, ...]:
+    places = np.indices(target.shape) + 0.5
+    means = [float((target * axis).sum() / target.sum()) for axis in places]
+    return tuple(mean * size for mean, size in zip(means, sizes, strict=True))
+
+
+def _pick(index: int) -> Callable[[Any], AbstractPerfusion]:
+    return lambda model: model.perfusion.laws[index]

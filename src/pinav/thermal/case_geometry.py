@@ -1,0 +1,233 @@
+"""Tables of a case that say where things are: grid, tumour, sides and probes."""
+
+import math
+from typing import Literal
+
+from pinav.thermal.boundaries import (
+    AbstractBoundary,
+    AbstractEnds,
+    Dirichlet,
+    Insulated,
+    Periodic,
+    Robin,
+    Sides,
+)
+from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
+from pinav.thermal.ranges import (
+    Cells,
+    Edge,
+    Length,
+    Place,
+    Strict,
+    Table,
+    Time,
+    read_module,
+)
+
+Point = tuple[float, ...]
+"""One coordinate along each axis [m]."""
+
+
+class Sphere(Strict, frozen=True, tag="sphere", tag_field="kind"):
+    """A sphere, everything a function of the radius [m]."""
+
+    radius: Length
+    cells: Cells
+
+    def build(self) -> RadialGrid:
+        """The cells."""
+        return RadialGrid.sphere(self.radius, self.cells)
+
+
+class Cylinder(Strict, frozen=True, tag="cylinder", tag_field="kind"):
+    """A long cylinder, everything a function of the radius [m]."""
+
+    radius: Length
+    cells: Cells
+
+    def build(self) -> RadialGrid:
+        """The cells."""
+        return RadialGrid.cylinder(self.radius, self.cells)
+
+
+class Box(Strict, frozen=True, tag="box", tag_field="kind"):
+    """Two or three axes with cells of a size [m], the same along all unless given."""
+
+    cells: tuple[Cells, ...]
+    size: Length | tuple[Length, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.cells) not in (2, 3):
+            raise ValueError(
+                f"cells: expected two or three numbers, got {len(self.cells)}; take a "
+                "sphere or a cylinder for one axis"
+            )
+        if len(self.sizes) != len(self.cells):
+            raise ValueError(
+                f"size: expected one number, or {len(self.cells)}, one for each axis, "
+                f"got {len(self.sizes)}"
+            )
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Edges of a cell [m]."""
+        if isinstance(self.size, tuple):
+            return self.size
+        return (self.size,) * len(self.cells)
+
+    def build(self) -> CartesianGrid:
+        """The cells."""
+        return CartesianGrid(self.cells, self.sizes)
+
+
+class Voxels(Strict, frozen=True, tag="voxels", tag_field="kind"):
+    """The voxels of an image whose values are labels of tissues.
+
+    The size [m] along each axis is that of the file, if it has one.
+    """
+
+    labels: str
+    size: tuple[Edge, ...] | None = None
+
+
+Meshed = Sphere | Cylinder | Box
+"""A grid whose cells are known without a file."""
+
+Grid = Meshed | Voxels
+
+
+Side = Table | str
+"""One side, by the fields of a class of `boundaries`, such as `temperature`."""
+
+
+class Ends(Strict, frozen=True):
+    """Both sides across one axis of a box; the wall of the case unless given."""
+
+    low: Side | None = None
+    high: Side | None = None
+
+
+Across = Ends | Literal["periodic"] | None
+"""Both sides across an axis, or ends that meet."""
+
+
+class SideTables(Strict, frozen=True):
+    """The sides across each axis of a box."""
+
+    x: Across = None
+    y: Across = None
+    z: Across = None
+
+    @property
+    def along(self) -> tuple[Across, Across, Across]:
+        """Those of each axis."""
+        return self.x, self.y, self.z
+
+    def build(self, wall: AbstractBoundary, axes: int) -> tuple[AbstractEnds, ...]:
+        """Both sides of each axis of a box.
+
+        Args:
+            wall: boundary of the sides that are not stated.
+            axes: number of axes.
+        """
+        return tuple(
+            _ends(f"sides.{name}", ends, wall)
+            for name, ends in tuple(zip("xyz", self.along, strict=True))[:axes]
+        )
+
+
+def read_boundary(key: str, side: Side) -> AbstractBoundary:
+    """The boundary that a table states.
+
+    Raises:
+        ValueError: it states none.
+    """
+    return read_module(key, (Dirichlet, Robin, Insulated), side)
+
+
+def _ends(key: str, ends: Across, wall: AbstractBoundary) -> AbstractEnds:
+    if isinstance(ends, str):
+        return Periodic()
+    low, high = (None, None) if ends is None else (ends.low, ends.high)
+    return Sides(
+        wall if low is None else read_boundary(f"{key}.low", low),
+        wall if high is None else read_boundary(f"{key}.high", high),
+    )
+
+
+class Probes(Strict, frozen=True):
+    """Where [m] and how often [s] temperature is read."""
+
+    points: tuple[tuple[Place, ...], ...]
+    every: Time = 10.0
+
+    def __post_init__(self) -> None:
+        if len(set(self.points)) < len(self.points):
+            raise ValueError("points: expected different places, got one twice")
+
+
+def check_point(name: str, point: Point, lengths: Point) -> None:
+    """Refuse a point that is not inside a grid of these lengths [m]."""
+    if len(point) != len(lengths):
+        raise ValueError(
+            f"{name}: expected {len(lengths)} coordinates, one for each axis of "
+            f"the grid, got {list(point)}"
+        )
+    for value, length in zip(point, lengths, strict=True):
+        if not 0 <= value <= length:
+            raise ValueError(
+                f"{name}: expected between 0 and {length:g} m, the extent of the "
+                f"grid, got {value:g} m"
+            )
+
+
+def check_sides(grid: AbstractGrid, sides: SideTables) -> None:
+    """Refuse sides that a grid does not have."""
+    count = len(grid.shape) if len(grid.shape) > 1 else 0
+    for name, ends in tuple(zip("xyz", sides.along, strict=True))[count:]:
+        if ends is not None:
+            raise ValueError(
+                f"sides.{name}: expected no sides but of the axes of a box, of which "
+                f"this grid has {count}; use wall on a sphere or cylinder"
+            )
+
+
+def check_ball(
+    grid: AbstractGrid, radius: float, center: Point | None, sides: SideTables
+) -> None:
+    """Refuse a tumour that is not within the grid, or smaller than a cell.
+
+    An insulated side is a plane of symmetry, through which a tumour may reach.
+    """
+    lengths: Point = grid.extent
+    if isinstance(grid, CartesianGrid):
+        middle = center or tuple(0.5 * length for length in lengths)
+        check_point("tumour.center", middle, lengths)
+        largest = _free_radius(lengths, middle, sides)
+    elif center is not None:
+        raise ValueError(
+            "tumour.center: expected none on a sphere or cylinder, whose tumour is at "
+            "its centre; take a box for another place"
+        )
+    else:
+        largest = lengths[0]
+    if radius < 0.5 * (size := max(grid.cell_sizes)):
+        raise ValueError(
+            f"tumour.radius: expected at least half a cell, {size / 2:g} m, got "
+            f"{radius:g} m; take smaller cells"
+        )
+    if radius > largest * (1 + 1e-9):
+        raise ValueError(
+            f"tumour.radius: expected within the grid, <= {largest:g} m, got "
+            f"{radius:g} m; take a larger grid or move the tumour"
+        )
+
+
+def _free_radius(lengths: Point, center: Point, sides: SideTables) -> float:
+    """Distance [m] of a point from the nearest side that is not insulated."""
+    distances = [math.hypot(*lengths)]
+    for ends, x, length in zip(sides.along, center, lengths, strict=False):
+        low, high = (ends.low, ends.high) if isinstance(ends, Ends) else (None, None)
+        distances += [x] * (low != "insulated")
+        distances += [length - x] * (high != "insulated")
+    return min(distances)

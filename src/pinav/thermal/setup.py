@@ -1,0 +1,205 @@
+"""A case as values that can be run: tissue, field, stepper, limits and start."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.bodies import Body, build_body, read_heating
+from pinav.thermal.case import Before, Case, read_case
+from pinav.thermal.case_geometry import Probes
+from pinav.thermal.case_matter import Absorption, Power, heating_file
+from pinav.thermal.dose import Arrhenius
+from pinav.thermal.exposure_limits import HfLimit, limit
+from pinav.thermal.images import Image
+from pinav.thermal.probes import ProbeData, simulate_probes
+from pinav.thermal.protocols import Piecewise
+from pinav.thermal.quantities import Field
+from pinav.thermal.rosenbrock import Rosenbrock
+from pinav.thermal.solve import default_stepper
+from pinav.thermal.sources import (
+    AbstractSource,
+    ParticleSource,
+    PowerSource,
+    ShiftedSource,
+)
+from pinav.thermal.starts import AT_REST, AbstractStart, AtSteadyState, read_state
+from pinav.thermal.steady import find_steady_state
+from pinav.thermal.steppers import RKL2, AbstractStepper
+
+
+class Setup(eqx.Module):
+    """A case as values that can be run.
+
+    Attributes:
+        title: title of the case.
+        model: tissue.
+        protocol: field.
+        body: grid, tissues and target.
+        stepper: method of time integration.
+        limits: limits of the field.
+        points: places of the probes [m], none if there are none.
+        every: interval between readings of the probes [s].
+        start: where a run begins.
+        damage: law of damage that is added up, if any.
+    """
+
+    title: str = eqx.field(static=True)
+    model: Bioheat
+    protocol: Piecewise
+    body: Body
+    stepper: AbstractStepper
+    limits: tuple[HfLimit, ...]
+    points: np.ndarray
+    every: float
+    start: AbstractStart
+    damage: Arrhenius | None = None
+
+    @classmethod
+    def read(cls, path: Path) -> "Setup":
+        """The setup of a case in a TOML file.
+
+        Raises:
+            InputError: the file, or one that it names, cannot be read or holds what no
+                case has.
+        """
+        return cls.of(read_case(path)[0], path.parent)
+
+    @classmethod
+    def of(cls, case: Case, folder: Path) -> "Setup":
+        """The setup of a case.
+
+        Args:
+            case: the case.
+            folder: folder of the files that it names.
+
+        Raises:
+            InputError: a name or a unit is unknown, a perfusion implausible, or a file
+                cannot be read.
+        """
+        body = build_body(case, folder)
+        grid = body.grid
+        start = _start(case.start, grid.shape, folder)
+        sources = [_source(case, body, folder)]
+        if case.eddy is not None:
+            case.eddy.shape(grid)  # refuses a grid that has no axis
+            sources.append(case.eddy)
+        model = Bioheat(
+            grid,
+            body.tissue,
+            body.blood,
+            body.perfusion,
+            tuple(sources),
+            case.boundaries(len(grid.shape)),
+        )
+        if isinstance(start, AtSteadyState):
+            find_steady_state(model)  # refuses a case that has none
+        stepper = _stepper(case, model)
+        stepper.longest_step(model)  # refuses a step that is not stable
+        probes = case.probes or Probes(())
+        return cls(
+            title=case.title,
+            model=model,
+            protocol=case.field.build(),
+            body=body,
+            stepper=stepper,
+            limits=() if case.limit is None else (limit(case.limit),),
+            points=np.array(probes.points, float).reshape(-1, len(grid.shape)),
+            every=probes.every,
+            start=start,
+            damage=case.damage,
+        )
+
+    def readings(self, noise: float = 0.0, seed: int = 0) -> ProbeData:
+        """Readings of the probes, as if the case were the truth.
+
+        Args:
+            noise: standard deviation of a reading [K].
+            seed: seed of the noise.
+        """
+        return simulate_probes(
+            self.model,
+            self.protocol,
+            self.points,
+            every=self.every,
+            noise=noise,
+            key=jax.random.key(seed),
+            stepper=self.stepper,
+            start=self.start,
+        )
+
+    @property
+    def target(self) -> Field:
+        """Volume fraction of the target in each cell."""
+        return self.body.target
+
+    @property
+    def laws(self) -> dict[str, Callable[[Any], Any]]:
+        """For each tissue, what picks its perfusion from a model."""
+        return self.body.laws
+
+    @property
+    def fractions(self) -> dict[str, Field]:
+        """Volume fraction of each tissue in each cell."""
+        return self.body.fractions
+
+    @property
+    def image(self) -> Image | None:
+        """Labels, where the cells are voxels."""
+        return self.body.image
+
+    @property
+    def arterial(self) -> float:
+        """Arterial temperature [°C]."""
+        return float(self.model.blood.arterial)
+
+
+def _start(start: Before | str, shape: tuple[int, ...], folder: Path) -> AbstractStart:
+    if isinstance(start, Before):
+        return read_state(folder / start.file, shape)
+    return AtSteadyState() if start == "steady" else AT_REST
+
+
+def _stepper(case: Case, model: Bioheat) -> AbstractStepper:
+    if case.step is None:
+        return default_stepper(model)
+    if len(model.grid.shape) == 1:
+        return Rosenbrock(case.step)
+    return RKL2.for_step(model, case.step)
+
+
+def _source(case: Case, body: Body, folder: Path) -> AbstractSource:
+    heating = case.heating
+    if isinstance(heating, Power):
+        return PowerSource(_density(heating, body), heating.reference)
+    file = heating_file(heating)
+    values = None if file is None else read_heating(heating, folder / file, body)
+    if isinstance(heating, Absorption):
+        assert values is not None
+        absorption = jnp.asarray(values)
+        source = PowerSource(absorption, heating.reference, heating.scale)
+        return ShiftedSource(source, jnp.zeros(values.ndim), body.tissue.density)
+    concentration = values
+    if not isinstance(heating.concentration, str):
+        concentration = heating.concentration * body.target  # mg/cm³ are kg/m³
+    return ParticleSource(jnp.asarray(concentration), heating.heating(), heating.scale)
+
+
+def _density(power: Power, body: Body) -> Field:
+    """Power density of each cell [W m⁻³]."""
+    grid, target = body.grid, body.target
+    if power.width is not None:
+        center = body.middle if power.center is None else power.center
+        distances = grid.distances(center)
+        return power.density * jnp.exp(-0.5 * (distances / power.width) ** 2)
+    if not power.edge_weighted:
+        return power.density * target
+    assert body.radius is not None
+    shape = (0.4 + (grid.distances(body.middle) / body.radius) ** 2) * target
+    total = power.density * jnp.sum(target * grid.volumes)
+    return shape * (total / jnp.sum(shape * grid.volumes))
