@@ -68,7 +68,8 @@ def test_every_part_of_a_command_can_be_imported(command):
     assert issubclass(resolve(command.options), Settings)
     assert callable(resolve(command.run))
     assert command.report is None or callable(resolve(command.report))
-    assert not command.title or command.report is not None
+    assert command.result is None or callable(resolve(command.sections))
+    assert not command.title or command.report or command.result
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ from pinav.figures.style import (
     title_panel,
 )
 from pinav.identification import Identification
-from pinav.identification.forecast import HORIZONS
+from pinav.identification.rollouts import HORIZONS
 from pinav.navigation import OnlineNavigation
 from pinav.runs import RunFolder
 from pinav.thermal.learned_tissue import LearnedTissue
@@ -219,7 +219,6 @@ def adaptive(workshop: Workshop) -> Figure:
     words = (
         "navigate",
         "--learn-online",
-        "--task",
         "vortex",
         "--seeds",
         "1",

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from pinav.forces import RollingPropulsion as RollingPropulsion
     from pinav.forces import ZeroForce as ZeroForce
     from pinav.identification import identify as identify
+    from pinav.recordings import Reading as Reading
     from pinav.recordings import read_recording as read_recording
     from pinav.scenarios import find_system as find_system
     from pinav.scenarios import scenario as scenario
@@ -65,7 +66,7 @@ _PUBLIC = {
         "ZeroForce",
     ),
     "identification": ("identify",),
-    "recordings": ("read_recording",),
+    "recordings": ("Reading", "read_recording"),
     "scenarios": ("find_system", "scenario"),
     "systems": ("System", "read_system", "write_system"),
     "trajectories": ("Trajectories", "load", "save", "simulate", "split"),

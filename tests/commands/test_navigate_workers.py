@@ -124,7 +124,7 @@ def test_loops_of_cells_are_those_of_the_command(
 @pytest.mark.slow
 def test_a_killed_flight_is_flown_again_and_no_other(tmp_path, workers_here, capsys):
     out = tmp_path / "out"
-    words = ["--learn-online", "--task", "vortex", "--seeds", "2", "--visits", "1"]
+    words = ["--learn-online", "vortex", "--seeds", "2", "--visits", "1"]
     words += ["--json", "--out", out]
     assert navigate(*words) == 0
     first = json.loads(capsys.readouterr().out)["controllers"]

@@ -22,8 +22,8 @@ from pinav.identification import (
     tracks,
     trajectories_of,
 )
-from pinav.identification.forecast import HORIZONS
 from pinav.identification.identify import is_pooled
+from pinav.identification.rollouts import HORIZONS
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
 

@@ -150,10 +150,8 @@ def do_loops(cell: Cell, folder: Path) -> None:
     except InputError as error:
         loops = Loops(None, str(error))
     else:
-        keys, numbers = (
-            episode_keys(settings.seed, settings.seeds),
-            range(one.first, one.last + 1),
-        )
+        keys = episode_keys(settings.seed, settings.seeds)
+        numbers = range(one.first, one.last + 1)
         loops = Loops(problem.attempt(steering, keys, numbers))
     RunFolder(folder).store(FILE, loops)
 
@@ -186,9 +184,9 @@ def sweep_flights(
     Raises:
         InputError: workers cannot do anything, or have failed.
     """
-    system = Path(online.system or "")
+    system = Path(online.learn_online or "")
     if system.is_file():  # a worker may have another working directory
-        online = msgspec.structs.replace(online, system=str(system.absolute()))
+        online = msgspec.structs.replace(online, learn_online=str(system.absolute()))
     one = FlightsCell(
         _json(settings),
         _json(online),
@@ -199,7 +197,7 @@ def sweep_flights(
         Cell.of(
             "pinav.commands.navigate.cells:do_flights",
             one,
-            system=online.task or online.system or "",
+            system=online.learn_online or "",
             seed=number,
             label=f"swimmer {number}",
         )
