@@ -10,7 +10,7 @@ from pinav.figures.identification import (
     speed_law,
 )
 from pinav.identification import ErrorGrowth, Paths, SpeedLaw
-from pinav.identification.identify import ShownRollout
+from pinav.identification.rollouts import ShownRollout
 
 UNITS = {"x": "um", "y": "um", "t": "s"}
 

@@ -33,8 +33,7 @@ from pinav.figures.style import (
     with_unit,
 )
 from pinav.identification import ErrorGrowth, Identification, Paths, SpeedLaw
-from pinav.identification.identify import ShownRollout
-from pinav.identification.rollouts import HORIZONS
+from pinav.identification.rollouts import HORIZONS, ShownRollout
 
 DRAWN = (
     "drift only",
