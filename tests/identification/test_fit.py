@@ -26,7 +26,6 @@ from pinav.identification import (
     with_learned,
     with_response,
 )
-from pinav.identification.error_growth import LENGTHS
 from pinav.identification.findings import extrapolation
 from pinav.identification.fit import Search
 from pinav.identification.likelihood import Design, evidence_and_coefficients
@@ -37,6 +36,7 @@ from pinav.identification.parameters import (
     learned_parameters,
     stated_coordinates,
 )
+from pinav.identification.rollouts import LENGTHS
 from pinav.identification.tracks import (
     COMPILATION,
     PER_BLOCK,

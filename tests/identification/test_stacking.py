@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pinav.identification.stacking import PRIOR_ROLLOUTS, stack, stacking_weight
+from pinav.identification.rollouts import PRIOR_ROLLOUTS, stack, stacking_weight
 from pinav.identification.tracks import Track
 from pinav.trajectories import Trajectory
 

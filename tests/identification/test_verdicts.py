@@ -15,8 +15,8 @@ from pinav.identification.candidates import (
     with_slow_drift,
 )
 from pinav.identification.findings import _offset, _range, choice, shortcomings
-from pinav.identification.forecast import Errors
 from pinav.identification.parameters import CORNER, DELAY, DRIFT, GAIN, RESIDUAL
+from pinav.identification.rollouts import Errors
 from pinav.identification.selection import Row
 
 

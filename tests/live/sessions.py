@@ -3,8 +3,6 @@
 import dataclasses
 import itertools
 
-import numpy as np
-
 from pinav.live.estimators import (
     AbstractEstimator,
     AbstractPilot,
@@ -52,18 +50,6 @@ class LastPosition(AbstractEstimator):
     def drive(self):
         return Drive(delay=0.2)
 
-    def to_arrays(self):
-        rows = [[f.seq, f.t, np.nan if f.x is None else f.x] for f in self.frames]
-        return {"frames": np.array(rows)}
-
-    def from_arrays(self, arrays):
-        rows = arrays["frames"]
-        frames = tuple(
-            Frame(seq=int(s), t=float(t), x=None if np.isnan(x) else float(x), y=0.0)
-            for s, t, x in rows
-        )
-        return dataclasses.replace(self, frames=frames)
-
 
 class Follow(AbstractPilot):
     """Always advises the same."""
@@ -74,10 +60,7 @@ class Follow(AbstractPilot):
     def after(self, estimator, hello, time):
         return self, Advice(self.frequency, 0.5, self.intent)
 
-    def to_arrays(self):
-        return {}
-
-    def from_arrays(self, arrays):
+    def resume(self, earlier):
         return self
 
 

@@ -3,12 +3,14 @@
 import math
 from itertools import chain, islice
 
+import jax
 import numpy as np
 import pytest
 from tests.identification.running.test_running_fit import small_grid
 from tests.live.sessions import HELLO, frame_line, line, steer
 from tests.rig import Robot
 
+from pinav.codec import decode, encode
 from pinav.live.drive_estimator import DriveEstimator
 from pinav.live.estimators import Advice, Intent
 from pinav.live.messages import Command, EventKind, Mode
@@ -38,10 +40,9 @@ def test_an_unknown_robot_reaches_the_goal_around_a_disc():
     assert EventKind.ARRIVED in [event.kind for event in events]
     assert np.hypot(*(path[-1] - (70, 20))) < 5
     assert np.hypot(*(path - DISC[0, :2]).T).min() > DISC[0, 2]
-    again = pilot.from_arrays(session.pilot.to_arrays())
-    for name, array in again.to_arrays().items():
-        kept = session.pilot.to_arrays()[name]
-        assert np.array_equal(array, kept, equal_nan=True), name
+    again = pilot.resume(decode(RollerPilot, *encode(session.pilot)))
+    for one, two in zip(*map(jax.tree.leaves, (again, session.pilot)), strict=True):
+        assert np.array_equal(one, two, equal_nan=True)
     assert math.isfinite(again.reserve.until)
 
 

@@ -19,8 +19,6 @@ from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.sources import PowerSource
 from pinav.thermal.tissues import Blood, Tissue
 
-pytestmark = pytest.mark.slow
-
 STEPPER = Rosenbrock(20.0)
 EDGES = (0.0, 300.0, 600.0, 900.0)
 STEPS = Piecewise.constant(EDGES, [1e4, 6e3, 1e4], 1e5)
@@ -62,6 +60,7 @@ def learned(readings):
     return learn(start, STEPS, readings, laws=lambda m: (m.perfusion,), stepper=STEPPER)
 
 
+@pytest.mark.slow
 def test_perfusion_of_temperature_comes_back_within_its_band(learned):
     visited = visited_range(learned.model, STEPS, jnp.ones(24))
     at = np.linspace(41.0, visited[1] - 0.5, 8)
@@ -73,6 +72,7 @@ def test_perfusion_of_temperature_comes_back_within_its_band(learned):
     assert learned.hyperparameters.noise == pytest.approx(0.05, rel=0.15)
 
 
+@pytest.mark.slow
 def test_the_band_widens_where_the_data_say_nothing(learned):
     """Near the arterial temperature perfusion has no effect, above none was."""
     visited = visited_range(learned.model, STEPS, jnp.ones(24))
@@ -121,6 +121,7 @@ def test_a_network_learns_too(readings):
     assert fit.hyperparameters.noise == pytest.approx(0.05, rel=0.3)
 
 
+@pytest.mark.slow
 def test_the_scale_of_the_power_is_learned_from_steps(readings):
     start = muscle(2e5)
     fit = learn(
@@ -131,6 +132,7 @@ def test_the_scale_of_the_power_is_learned_from_steps(readings):
     assert found.sd < 0.01
 
 
+@pytest.mark.slow
 def test_readings_survive_a_file(tmp_path, readings):
     with_gap = eqx.tree_at(
         lambda d: d.values,
@@ -163,6 +165,7 @@ def test_bad_files_name_the_place(tmp_path, text, message):
         load_probes(path)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_learned_is_refused(readings, tmp_path):
     with pytest.raises(InputError, match="nothing to learn"):
         learn(muscle(), STEPS, readings, stepper=STEPPER)

@@ -23,8 +23,6 @@ from pinav.thermal.starts import State
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 
-pytestmark = pytest.mark.slow
-
 
 def heated_tumour(grid, side):
     """A tumour in muscle, with perfusion that follows the temperature."""
@@ -47,6 +45,7 @@ GRIDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", GRIDS.values(), ids=GRIDS)
 @pytest.mark.parametrize("side", [Dirichlet(37.0), Robin(15.0, 25.0)])
 def test_heat_in_is_heat_out_or_stored(make, side):
@@ -103,6 +102,7 @@ def short_run():
     return outcome, jnp.array([1.0, 1.0, 1.0, 1.0, 0.8])
 
 
+@pytest.mark.slow
 def test_reverse_mode_is_forward_mode_is_central_differences(short_run):
     """Through solver, perfusion, dose and protocol."""
     outcome, at = short_run
@@ -222,6 +222,7 @@ def test_exact_sensitivities_at_second_order():
     assert np.all(np.log(errors[0] / errors[1]) / np.log(3.0) > 1.9)
 
 
+@pytest.mark.slow
 def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel(
     medium, switched
 ):
@@ -247,6 +248,7 @@ def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel(
     assert np.asarray(found) == pytest.approx(4e5 * np.array(true), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_from_its_state():
     """Two runs one after the other are one run, dose included."""
     model = heated_tumour(RadialGrid.sphere(0.03, 30), Dirichlet(37.0))
@@ -263,6 +265,7 @@ def test_a_run_goes_on_from_its_state():
     )
 
 
+@pytest.mark.slow
 def test_the_axes_of_a_box_are_alike():
     """A box along x is the slab; the plane and space of one shape agree with it."""
     slab = RadialGrid.slab(0.02, 10)

@@ -20,8 +20,6 @@ from pinav.thermal.starts import State
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 
-pytestmark = pytest.mark.slow
-
 STEADY = 4e4
 """A time [s] after which perfused tissue no longer changes."""
 
@@ -38,6 +36,7 @@ def order(errors, refinement=2.0):
     return float(np.log(errors[-2] / errors[-1]) / np.log(refinement))
 
 
+@pytest.mark.slow
 def test_the_slab_at_second_order_in_space(medium, switched):
     """Close to what thermal.md lists: 2.69e-3 K at 40 cells, 6.88e-4 K at 80."""
     errors = []
@@ -52,6 +51,7 @@ def test_the_slab_at_second_order_in_space(medium, switched):
     assert order(errors) >= 1.9
 
 
+@pytest.mark.slow
 def test_the_slab_over_time(medium, switched):
     model = medium(RadialGrid.slab(0.03, 80), 2e4)
     found = solve(
@@ -65,7 +65,9 @@ def test_the_slab_over_time(medium, switched):
         assert np.asarray(values) - 37 == pytest.approx(true, abs=2e-3)
 
 
-@pytest.mark.parametrize("kind", ["cylinder", "sphere"])
+@pytest.mark.parametrize(
+    "kind", [pytest.param("cylinder", marks=pytest.mark.slow), "sphere"]
+)
 def test_cylinder_and_ball(medium, switched, kind):
     true = {"cylinder": exact.perfused_cylinder, "sphere": exact.perfused_ball}[kind]
     model = medium(getattr(RadialGrid, kind)(0.03, 80), 2e4)
@@ -84,6 +86,7 @@ def test_skin_that_loses_heat_to_the_air(medium, switched):
     assert max_error(found, true - 37.0) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("perfusion", [0.0, 1.05], ids=["bare", "perfused"])
 def test_the_heated_sphere(medium, switched, perfusion):
     """With 40 cells to its radius, off the faces of the grid and on them."""
@@ -97,6 +100,7 @@ def test_the_heated_sphere(medium, switched, perfusion):
     assert rise(found)[picked] == pytest.approx(true, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_conductivity_jumps_between_two_media(switched):
     """Trap: with k∇²T in place of ∇·(k∇T) the centre is 12 % low on any grid."""
     radius, count = 3.15e-3, 400
@@ -169,6 +173,7 @@ def test_two_perfused_shells_at_second_order(switched):
     assert order(errors) >= 1.9
 
 
+@pytest.mark.slow
 def test_two_perfused_shells_over_time(switched):
     model, case = shells(100)
     found = solve(model, switched((0, 300), [1.0]))
@@ -177,6 +182,7 @@ def test_two_perfused_shells_over_time(switched):
     assert rise(found)[10] == pytest.approx(true, abs=5e-3)
 
 
+@pytest.mark.slow
 def test_a_cut_cell_needs_its_share(switched):
     """Trap: with whole cells in or out the error is tens of times larger."""
     model, case = shells(107)
@@ -202,6 +208,7 @@ def test_a_cut_cell_needs_its_share(switched):
     assert bad > 10 * good
 
 
+@pytest.mark.slow
 def test_a_point_source(medium, switched):
     grid = RadialGrid.sphere(0.05, 400)
     first = jnp.zeros(400).at[0].set(0.1 / grid.volumes[0])
@@ -229,6 +236,7 @@ def test_a_gaussian_spot_in_the_plane(medium, switched):
     assert order(errors) >= 1.9
 
 
+@pytest.mark.slow
 def test_decay_in_the_box_at_every_stage(medium, switched):
     """Trap: perfusion frozen over a call cools the tissue below its arteries."""
     x = (np.arange(64) - 32) * 1e-3
@@ -260,6 +268,7 @@ def test_decay_in_the_box_at_every_stage(medium, switched):
     assert float(true[32, 32]) + 37 - frozen > 0.4
 
 
+@pytest.mark.slow
 def test_the_heated_sphere_in_three_dimensions(medium, switched):
     """With four cells to its radius: 2e-2 K of a rise of 6 K."""
     grid = CartesianGrid.cubes((32, 32, 32), 1.25e-3)
@@ -281,6 +290,7 @@ def lumped(medium, perfusion=1.05):
 STEPPERS = {"RKL2": lambda dt: RKL2(5, dt), "Rosenbrock": Rosenbrock}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", STEPPERS.values(), ids=STEPPERS)
 def test_second_order_in_time_under_changing_power(medium, make):
     """Trap: a first stage of RKL2 at c₂/4 would leave first order."""
@@ -295,6 +305,7 @@ def test_second_order_in_time_under_changing_power(medium, make):
     assert errors[1] < 5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", STEPPERS.values(), ids=STEPPERS)
 def test_switch_times_are_hit(medium, switched, make):
     """Second order across switches that no step divides."""
@@ -311,6 +322,7 @@ def test_switch_times_are_hit(medium, switched, make):
     assert order(errors) >= 1.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", STEPPERS.values(), ids=STEPPERS)
 def test_nonlinear_perfusion_at_second_order(medium, switched, make):
     model = eqx.tree_at(
@@ -332,6 +344,7 @@ def test_nonlinear_perfusion_at_second_order(medium, switched, make):
     assert order(errors) >= 1.9
 
 
+@pytest.mark.slow
 def test_on_and_off_become_periodic(medium, switched):
     edges = np.cumsum([0.0] + [50.0, 100.0] * 120)
     found = solve(

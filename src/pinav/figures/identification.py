@@ -34,7 +34,7 @@ from pinav.figures.style import (
     with_unit,
 )
 from pinav.identification import ErrorGrowth, Identification, Paths, SpeedLaw
-from pinav.identification.forecast import HORIZONS
+from pinav.identification.rollouts import HORIZONS
 
 DRAWN = (
     "drift only",

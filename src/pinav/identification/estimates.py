@@ -1,6 +1,6 @@
 """Numbers of a fitted swimmer: of its constants, and with a meaning of their own."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -18,21 +18,12 @@ from pinav.forces import (
     heading_offset,
     mean_gain,
 )
-from pinav.identification.candidates import (
-    SwitchedResponse,
-    gain_basis,
-    response_place,
-)
 from pinav.identification.parameters import (
-    CORNER,
     DRIFT,
     DRIVE,
-    GAIN,
     PARAMETERS,
     PLACES,
-    RESIDUAL,
     Parameter,
-    drive_coordinates,
 )
 from pinav.systems import FreeNumber
 
@@ -167,88 +158,57 @@ def drift_of(swimmer: OverdampedSwimmer) -> Float[np.ndarray, "2"]:
     return np.asarray(flow.velocity) if isinstance(flow, UniformFlow) else np.zeros(2)
 
 
-def estimates(fit: EvidenceFit) -> dict[str, Estimate]:
-    """Quantities with a meaning, by name, with their standard deviations."""
-    found: dict[str, Estimate] = {}
-    if isinstance(fit.model.propulsion, RollingPropulsion):
-        values, slopes = _about_gain(fit)
-        covariance = fit.posterior.covariance
-        places = entries(fit, GAIN)
-        spread = slopes @ covariance[np.ix_(places, places)] @ slopes.T
-        deviations = np.sqrt(np.maximum(np.diag(spread), 0.0))
-        rows = zip(GAIN_QUANTITIES, values, deviations, strict=True)
-        found |= {name: Estimate(float(v), float(sd)) for name, v, sd in rows}
-    for index, axis in enumerate("xy"):
-        drift = fit.constants.get(f"{DRIFT}[{index}]")
-        found |= {} if drift is None else {f"drift {axis}": drift}
-    for parameter in PARAMETERS:
-        if parameter.path in fit.constants:
-            found[parameter.name] = fit.constants[parameter.path]
-    return found
-
-
 GAIN_QUANTITIES = ("gain", "gain x/y", "heading offset")
 """Numbers that a gain matrix gives."""
 
 
-def _about_gain(
-    fit: EvidenceFit,
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 number"]]:
-    """`GAIN_QUANTITIES` and their derivatives by the numbers of the gain."""
-    basis = gain_basis(np.ndim(fit.model.propulsion.gain))
-    with jax.enable_x64(new_val=True):
-        values, slopes = _compiled_about_gain(jnp.asarray(gain_of(fit.model)))
-    return np.asarray(values), np.einsum("qab,gab->qg", np.asarray(slopes), basis)
+def estimates(fit: EvidenceFit) -> dict[str, Estimate]:
+    """Quantities with a meaning, by name, with their standard deviations."""
+    quantities: dict[str, Estimate] = {}
+    if isinstance(fit.model.propulsion, RollingPropulsion):
+        rows = zip(GAIN_QUANTITIES, *_with_deviation(fit, _about_gain), strict=True)
+        quantities |= {name: Estimate(float(v), float(sd)) for name, v, sd in rows}
+    for index, axis in enumerate("xy"):
+        drift = fit.constants.get(f"{DRIFT}[{index}]")
+        quantities |= {} if drift is None else {f"drift {axis}": drift}
+    for parameter in PARAMETERS:
+        if parameter.path in fit.constants:
+            quantities[parameter.name] = fit.constants[parameter.path]
+    return quantities
 
 
-@jax.jit
-def _compiled_about_gain(gain: Array) -> tuple[Array, Array]:
-    """One program for all candidates: none is compiled for its name."""
-
-    def quantities(gain: Array) -> Array:
-        ratio = jnp.linalg.norm(gain[0]) / jnp.linalg.norm(gain[1])
-        return jnp.stack([mean_gain(gain), ratio, heading_offset(gain)])
-
-    return quantities(gain), jax.jacrev(quantities)(gain)
+def _about_gain(swimmer: OverdampedSwimmer) -> Float[Array, "3"]:
+    """`GAIN_QUANTITIES` of a swimmer."""
+    propulsion: Any = swimmer.propulsion
+    gain = propulsion.matrix
+    ratio = jnp.linalg.norm(gain[0]) / jnp.linalg.norm(gain[1])
+    return jnp.stack([mean_gain(gain), ratio, heading_offset(gain)])
 
 
 def speed(
     fit: EvidenceFit, frequency: Float[np.ndarray, " place"]
 ) -> tuple[Float[np.ndarray, " place"], Float[np.ndarray, " place"]]:
     """Speed along the command by frequency [Hz], with its standard deviation."""
-    values, by_gain = _about_gain(fit)
-    response, by_drive = _about_response(fit.model, frequency)
-    places, columns = [entries(fit, GAIN)], [response[:, None] * by_gain[0]]
-    for column, path in enumerate((CORNER, RESIDUAL)):
-        if path in fit.constants:
-            parameter = DRIVE[PLACES[path]]
-            at = drive_coordinates(fit.model)[PLACES[path]]
-            by_number = by_drive[:, column] / parameter.scale.slope(at)
-            places.append(entries(fit, path))
-            columns.append(values[0] * by_number[:, None])
-    slopes, several = np.concatenate(columns, axis=1), np.concatenate(places)
-    covariance = fit.posterior.covariance[np.ix_(several, several)]
-    variance = np.einsum("fp,pq,fq->f", slopes, covariance, slopes)
-    return values[0] * response, np.sqrt(np.maximum(variance, 0.0))
+
+    def law(swimmer: OverdampedSwimmer) -> Float[Array, " place"]:
+        propulsion: Any = swimmer.propulsion
+        return _about_gain(swimmer)[0] * propulsion.response(jnp.asarray(frequency))
+
+    return _with_deviation(fit, law)
 
 
-def _about_response(
-    swimmer: OverdampedSwimmer, frequency: Float[np.ndarray, " place"]
-) -> tuple[Float[np.ndarray, " place"], Float[np.ndarray, "place 2"]]:
-    """A response and its derivatives by log corner and logit residual."""
+def _with_deviation(
+    fit: EvidenceFit, quantities: Callable[[OverdampedSwimmer], Array]
+) -> tuple[Float[np.ndarray, " quantity"], Float[np.ndarray, " quantity"]]:
+    """Quantities of a fitted swimmer, and their deviations to first order."""
+    posterior = fit.posterior
+
+    def of_parameters(theta: Array) -> Array:
+        return quantities(posterior.free(theta))
+
     with jax.enable_x64(new_val=True):
-        index = jnp.asarray(response_place(swimmer))
-        drive = drive_coordinates(swimmer)[:2]
-        places = jnp.asarray(drive), jnp.asarray(frequency)
-        values, slopes = _compiled_about_response(index, *places)
-    return np.asarray(values), np.asarray(slopes)
-
-
-@jax.jit
-def _compiled_about_response(
-    index: Array, drive: Array, frequency: Array
-) -> tuple[Array, Array]:
-    def law(drive: Array) -> Array:
-        return SwitchedResponse(index, drive[0], drive[1])(frequency)
-
-    return law(drive), jax.jacfwd(law)(drive)
+        theta = jnp.asarray(posterior.mean)
+        values, slopes = of_parameters(theta), jax.jacfwd(of_parameters)(theta)
+    slopes = np.asarray(slopes)
+    variance = np.einsum("qp,pr,qr->q", slopes, posterior.covariance, slopes)
+    return np.asarray(values), np.sqrt(np.maximum(variance, 0.0))

@@ -6,20 +6,25 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float, Int
+from jaxtyping import Array, Complex, Float
 
 from pinav.actuation import HeldProgramme
 from pinav.dynamics import OverdampedSwimmer
-from pinav.evaluation import normal_quantile
 from pinav.fitting import EvidenceFit
-from pinav.identification.blocks_filter import disturbance_of
 from pinav.identification.candidates import (
     SwitchedResponse,
     gain_basis,
     response_place,
 )
 from pinav.identification.estimates import drift_of, entries, gain_of
-from pinav.identification.kalman import Disturbance, transitions
+from pinav.identification.kalman import (
+    Disturbance,
+    State,
+    begin,
+    predict,
+    transitions,
+)
+from pinav.identification.likelihood import disturbance_of
 from pinav.identification.parameters import (
     DRIFT,
     DRIVE,
@@ -31,110 +36,8 @@ from pinav.identification.parameters import (
 from pinav.identification.tracks import Track, commands_of, round_up_to
 from pinav.trajectories import Trajectory
 
-HORIZONS = (1.0, 5.0, 10.0, 30.0)
-"""Seconds over which errors are reported."""
-
-STRIDE = 5.0
-"""Seconds between the starts of two rollouts."""
-
 Displacement = Callable[[Trajectory], Float[np.ndarray, "time 2"]]
 """Predicted path of a segment, up to a constant [L]."""
-
-
-class Rollouts(eqx.Module):
-    """Rollouts of one horizon over a track, each from an observed position.
-
-    Attributes:
-        piece: in which segment each starts.
-        first: sample at which it starts.
-        last: sample at which it ends.
-    """
-
-    piece: Int[np.ndarray, " rollout"]
-    first: Int[np.ndarray, " rollout"]
-    last: Int[np.ndarray, " rollout"]
-
-    @classmethod
-    def of(cls, track: Track, horizon: float) -> "Rollouts":
-        """Starts every `STRIDE` seconds of each segment, where the horizon fits."""
-        places = []
-        for index, piece in enumerate(track.pieces):
-            times = piece.times
-            # Times of a camera carry rounding: a rollout that just fits is not lost.
-            starts = np.arange(times[0], times[-1] - horizon + 1e-9, STRIDE)
-            first = np.searchsorted(times, starts - 1e-9)
-            last = np.searchsorted(times, times[first] + horizon - 1e-9)
-            fits = (last < len(times)) & (first < last)
-            places += [
-                (index, a, b) for a, b in zip(first[fits], last[fits], strict=True)
-            ]
-        rows = np.array(places, np.int64).reshape(-1, 3)
-        return cls(*rows.T)
-
-    def __len__(self) -> int:
-        return len(self.first)
-
-    def lengths(self, track: Track) -> Float[np.ndarray, " rollout"]:
-        """Lengths of the observed paths, polygons from frame to frame [L]."""
-        return changes_along(track, self, _cumulated_length)[:, 0]
-
-
-def changes_along(
-    track: Track, rollouts: Rollouts, path: Displacement
-) -> Float[np.ndarray, "rollout column"]:
-    """What a path of each segment adds from the start of each rollout to its end."""
-    paths = [path(piece) for piece in track.pieces]
-    places = zip(rollouts.piece, rollouts.first, rollouts.last, strict=True)
-    rows = [paths[index][b] - paths[index][a] for index, a, b in places]
-    return np.stack(rows) if rows else np.zeros((0, paths[0].shape[1]))
-
-
-class Errors(eqx.Module):
-    """End-point errors of rollouts of one length.
-
-    Attributes:
-        relative: median of the distance between predicted and observed end over the
-            length of the observed path; NaN without rollouts.
-        median: median of that distance [L]; NaN without rollouts.
-        rollouts: number of rollouts.
-    """
-
-    relative: float
-    median: float
-    rollouts: int
-
-    @classmethod
-    def of(
-        cls,
-        distance: Float[np.ndarray, " rollout"],
-        path: Float[np.ndarray, " rollout"],
-    ) -> "Errors":
-        """The errors of rollouts.
-
-        Args:
-            distance: between predicted and observed end [L].
-            path: length of the observed path [L].
-        """
-        if not len(distance):
-            return cls(float("nan"), float("nan"), 0)
-        relative = float(np.median(distance / np.maximum(path, 1e-12)))
-        return cls(relative, float(np.median(distance)), len(distance))
-
-
-def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Errors:
-    """Errors of a model that predicts displacements, whatever the start.
-
-    The path is the polygon of the observed positions, frame by frame.
-    """
-    observed = changes_along(track, rollouts, lambda piece: piece.states)
-    miss = observed - changes_along(track, rollouts, displacement)
-    return Errors.of(np.hypot(*miss.T), rollouts.lengths(track))
-
-
-def _cumulated_length(piece: Trajectory) -> Float[np.ndarray, "time 1"]:
-    # The noise of the frames lengthens this path, and that of other models alike.
-    steps = np.hypot(*np.diff(piece.states, axis=0).T)
-    return np.concatenate([[0.0], np.cumsum(steps)])[:, None]
 
 
 def programme_of(piece: Trajectory) -> HeldProgramme:
@@ -326,14 +229,13 @@ def _wandering_variances(
     strength = disturbance.strength(frequency)
     steps = transitions(intervals, strength, disturbance, turned)
 
-    def step(spread: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
-        matrix, noise = inputs
-        spread = matrix @ spread @ matrix.conj().T + noise.astype(matrix.dtype)
-        return spread, spread[0, 0].real
+    def step(state: State, inputs: tuple[Array, Array]) -> tuple[State, Array]:
+        state = predict(state, *inputs)
+        return state, state[1][0, 0].real
 
     # The position is where the rollout begins, the velocities are stationary.
-    unknown = jnp.diag(jnp.array([0.0, 1.0, 1.0, 1.0])).astype(turned.dtype)
-    return jax.lax.scan(step, unknown, (steps.matrix, steps.noise))[1]
+    start = begin(jnp.zeros(1, turned.dtype), jnp.zeros(()))
+    return jax.lax.scan(step, start, (steps.matrix, steps.noise))[1]
 
 
 class Predictor(eqx.Module):
@@ -428,35 +330,3 @@ DISCREPANCY = 0.25
 """Standard deviation of the slope of the response above the fitted frequencies, in
 slopes at rest: between none and the whole of it, all are seen. Chosen on five sessions
 and half of the other recordings, judged on the rest (docs/identification.md)."""
-
-
-class Coverage(eqx.Module):
-    """How often rollouts stayed within their nominal band.
-
-    Attributes:
-        inside: share of all coordinates at all samples after the start.
-        at_end: the same at the last sample alone.
-        rollouts: their number.
-    """
-
-    inside: float
-    at_end: float
-    rollouts: int
-
-
-def coverage(track: Track, rollouts: Rollouts, predictor: Predictor) -> Coverage:
-    """Coverage of nominal bands of 90 % along each axis."""
-    forecasts = [predictor.forecast(piece) for piece in track.pieces]
-    inside, ends = [], []
-    for index, a, b in zip(rollouts.piece, rollouts.first, rollouts.last, strict=True):
-        forecast = forecasts[index]
-        miss = track.pieces[index].states[a : b + 1] - forecast.rollout(int(a), int(b))
-        sd = np.sqrt(forecast.variance(int(a), int(b)))
-        within = np.abs(miss[1:]) <= normal_quantile(0.9) * sd[1:]
-        inside.append(within.ravel())
-        ends.append(within[-1])
-    if not inside:
-        return Coverage(float("nan"), float("nan"), 0)
-    return Coverage(
-        float(np.mean(np.concatenate(inside))), float(np.mean(ends)), len(ends)
-    )

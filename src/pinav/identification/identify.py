@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -14,28 +13,26 @@ from pinav.errors import FitError, InputError
 from pinav.fitting import Estimate, EvidenceFit
 from pinav.forces import RollingPropulsion
 from pinav.identification.baselines import least_squares
-from pinav.identification.error_growth import ErrorGrowth
-from pinav.identification.estimates import drift_of, estimates, gain_of
-from pinav.identification.estimates import speed as speed_of
+from pinav.identification.estimates import estimates, gain_of
 from pinav.identification.findings import (
     DelayFindings,
     delay_findings,
     finding_sentences,
 )
 from pinav.identification.fit import fit_track
-from pinav.identification.forecast import (
+from pinav.identification.rollouts import (
     HORIZONS,
     Coverage,
+    ErrorGrowth,
     Errors,
-    Predictor,
+    Paths,
     Rollouts,
+    SpeedLaw,
     coverage,
-    cycles,
 )
 from pinav.identification.selection import RESIDUALS, Row, select_model
 from pinav.identification.systems import system_of
-from pinav.identification.tracks import Track, commands_of, tracks
-from pinav.recordings import image_positions
+from pinav.identification.tracks import Track, tracks
 from pinav.recordings.conventions import remarks
 from pinav.systems import System, parse_system, system_text
 from pinav.trajectories import Trajectories
@@ -43,118 +40,11 @@ from pinav.trajectories import Trajectories
 SHOWN = 10.0
 """Length of the rollouts of bands and of figures [s]."""
 
-SHOWN_ROLLOUTS = 6
-"""Rollouts that are drawn one by one; more would be a tangle."""
-
 FIGURES = 9
 """Tracks with figures, the longest ones."""
 
 THREADS = 2
 """Tracks fitted side by side; JAX computes without Python's lock."""
-
-
-class ShownRollout(eqx.Module):
-    """A rollout on the held-out part of a track, as figures show it.
-
-    Attributes:
-        start: when it begins [T].
-        observed: observed positions [L].
-        predicted: predicted ones, from the first observed one on [L].
-        sd: standard deviation of the predicted end along each axis [L].
-    """
-
-    start: float
-    observed: Float[np.ndarray, "sample 2"]
-    predicted: Float[np.ndarray, "sample 2"]
-    sd: Float[np.ndarray, "2"]
-
-
-class Paths(eqx.Module):
-    """The held-out part of a track, with some rollouts.
-
-    Attributes:
-        whole: observed positions of each segment [L].
-        rollouts: rollouts that are evenly spread over them.
-    """
-
-    whole: tuple[Float[np.ndarray, "_ 2"], ...]
-    rollouts: tuple[ShownRollout, ...]
-
-    @classmethod
-    def of(cls, track: Track, predictor: Predictor, rollouts: Rollouts) -> "Paths":
-        """Some rollouts of a track."""
-        forecasts = [predictor.forecast(piece) for piece in track.pieces]
-        count = min(SHOWN_ROLLOUTS, len(rollouts))
-        shown = []
-        for place in np.linspace(0, len(rollouts) - 1, count).astype(int):
-            forecast = forecasts[int(rollouts.piece[place])]
-            first, last = int(rollouts.first[place]), int(rollouts.last[place])
-            shown.append(
-                ShownRollout(
-                    start=float(forecast.piece.times[first]),
-                    observed=forecast.piece.states[first : last + 1],
-                    predicted=forecast.rollout(first, last),
-                    sd=np.sqrt(forecast.variance(first, last)[-1]),
-                )
-            )
-        return cls(tuple(piece.states for piece in track.pieces), tuple(shown))
-
-    def in_image(self, recording: Trajectories) -> "Paths | None":
-        """The same in pixels of the image, y down; none where there was no image."""
-        if recording.provenance.get("positions", {}).get("unit in the file") != "px":
-            return None
-        whole = tuple(image_positions(recording, path) for path in self.whole)
-        rollouts = tuple(
-            ShownRollout(
-                start=rollout.start,
-                observed=image_positions(recording, rollout.observed),
-                predicted=image_positions(recording, rollout.predicted),
-                sd=np.abs(image_positions(recording, rollout.sd)),
-            )
-            for rollout in self.rollouts
-        )
-        return Paths(whole, rollouts)
-
-
-class SpeedLaw(eqx.Module):
-    """Speed along the command by frequency, observed and fitted.
-
-    Attributes:
-        frequency: commanded frequency of some blocks of the track [Hz].
-        speed: observed along the turned heading in each [L T⁻¹].
-        places: frequencies of the fitted law [Hz].
-        fitted: its speed [L T⁻¹].
-        sd: standard deviation of that speed [L T⁻¹].
-    """
-
-    frequency: Float[np.ndarray, " block"]
-    speed: Float[np.ndarray, " block"]
-    places: Float[np.ndarray, " place"]
-    fitted: Float[np.ndarray, " place"]
-    sd: Float[np.ndarray, " place"]
-
-    @classmethod
-    def of(cls, track: Track, fit: EvidenceFit) -> "SpeedLaw":
-        """The law of a fit to all of a track."""
-        frequency, speed = [], []
-        for piece in track.pieces:
-            along = cycles(fit.model, piece) @ gain_of(fit.model).T
-            drift = np.outer(piece.times - piece.times[0], drift_of(fit.model))
-            later = np.searchsorted(piece.times, piece.times + track.width)
-            index = np.arange(0, len(later), max(1, len(later) // 400))
-            index = index[later[index] < len(piece.times)]
-            later = later[index]
-            step, observed = along[later] - along[index], piece.states - drift
-            moved = observed[later] - observed[index]
-            size = np.hypot(*step.T)
-            interval = piece.times[later] - piece.times[index]
-            rolling = size > 0
-            ahead = (moved * step).sum(axis=1) / np.where(rolling, size, 1)
-            speed.append(ahead[rolling] / interval[rolling])
-            frequency.append(commands_of(piece)[0][index][rolling])
-        several = np.concatenate(frequency)
-        places = np.linspace(0, max(float(several.max()), 1e-3), 60)
-        return cls(several, np.concatenate(speed), places, *speed_of(fit, places))
 
 
 @dataclasses.dataclass(frozen=True)

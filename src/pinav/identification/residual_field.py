@@ -20,16 +20,18 @@ from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.engine.steps import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
-from pinav.identification.blocks_filter import (
+from pinav.identification.displacement_field import path_displacement
+from pinav.identification.forecast import path_of
+from pinav.identification.likelihood import (
+    Design,
     Drive,
     apart,
     in_plane,
     innovations_of_columns,
+    whiten,
 )
-from pinav.identification.displacement_field import path_displacement
-from pinav.identification.forecast import Errors, Rollouts, path_of
-from pinav.identification.likelihood import Design, whiten
 from pinav.identification.parameters import fitted_coordinates
+from pinav.identification.rollouts import Errors, Rollouts
 from pinav.identification.tracks import Blocks, Track
 from pinav.systems import System
 from pinav.trajectories import Trajectories, Trajectory

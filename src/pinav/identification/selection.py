@@ -31,13 +31,9 @@ from pinav.identification.candidates import (
 )
 from pinav.identification.fit import fit_track
 from pinav.identification.forecast import (
-    HORIZONS,
     Displacement,
-    Errors,
     Predictor,
-    Rollouts,
     cache_by_segment,
-    errors,
     path_of,
 )
 from pinav.identification.parameters import DELAY, LAG, Prior
@@ -47,7 +43,14 @@ from pinav.identification.residual_field import (
     positions_of,
     residual_errors,
 )
-from pinav.identification.stacking import stack, stacking_weight
+from pinav.identification.rollouts import (
+    HORIZONS,
+    Errors,
+    Rollouts,
+    errors,
+    stack,
+    stacking_weight,
+)
 from pinav.identification.tracks import Track, after, before
 from pinav.systems import System
 from pinav.trajectories import Trajectory

@@ -2,17 +2,18 @@
 
 import dataclasses
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import msgspec
 import numpy as np
 
+from pinav.codec import decode, encode
 from pinav.errors import InputError
 from pinav.files import atomic_write
 from pinav.live.messages import Frame, Hello, Mode
 from pinav.live.session import Counts, Session
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of the file; another one is refused."""
 
 
@@ -39,7 +40,7 @@ class Header(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def write_session(path: Path, session: Session) -> None:
-    """Write what a session knows.
+    """Write what a session knows, as an npz whose first member is the document.
 
     Raises:
         InputError: the system refused to write.
@@ -53,13 +54,18 @@ def write_session(path: Path, session: Session) -> None:
         doubted=session.doubted,
         counts=session.counts,
     )
-    text = np.frombuffer(msgspec.json.encode(header), np.uint8)
-    arrays = {f"estimator/{n}": a for n, a in session.estimator.to_arrays().items()}
-    if session.pilot is not None:
-        arrays |= {f"pilot/{n}": a for n, a in session.pilot.to_arrays().items()}
+    known = {"header": header, "estimator": session.estimator, "pilot": session.pilot}
+    encoded = {name: encode(part) for name, part in known.items()}
+    document = {name: part.document for name, part in encoded.items()}
+    text = np.frombuffer(msgspec.json.encode(document), np.uint8)
+    arrays = {
+        f"{name}/{place}": array
+        for name, part in encoded.items()
+        for place, array in part.arrays.items()
+    }
 
     def write(file: BinaryIO) -> None:
-        np.savez(file, allow_pickle=False, header=text, **arrays)
+        np.savez(file, allow_pickle=False, document=text, **arrays)
 
     atomic_write(path, write, overwrite=True)
 
@@ -69,7 +75,7 @@ def read_session(path: Path, session: Session) -> Session:
 
     Args:
         path: of the file.
-        session: a new one, with estimator and pilot of the same settings.
+        session: a new one, with estimator and pilot of the same kinds.
 
     Raises:
         InputError: the file is missing, damaged, or of another version.
@@ -77,15 +83,18 @@ def read_session(path: Path, session: Session) -> Session:
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as kept:
             arrays = {name: kept[name] for name in kept.files}
-        header = msgspec.json.decode(arrays.pop("header").tobytes(), type=Header)
-        if header.schema != SCHEMA:
-            raise InputError(f"{path}: version {header.schema}, expected {SCHEMA}")
+        document = msgspec.json.decode(arrays.pop("document").tobytes())
+        schema = document["header"]["schema"]
+        if schema != SCHEMA:
+            raise ValueError(f"version {schema}, expected {SCHEMA}")
+        header = decode(Header, document["header"], {})
+        estimator = decode(
+            type(session.estimator), *_part(document, arrays, "estimator")
+        )
         pilot = session.pilot
-        if pilot is not None and (part := _part(arrays, "pilot")):
-            pilot = pilot.from_arrays(part)
-        estimator = session.estimator.from_arrays(_part(arrays, "estimator"))
-    except InputError:
-        raise
+        if pilot is not None and document["pilot"] is not None:
+            earlier = decode(type(pilot), *_part(document, arrays, "pilot"))
+            pilot = pilot.resume(earlier)
     except Exception as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(
@@ -129,10 +138,12 @@ def with_drive_of(path: Path, session: Session) -> Session:
     )
 
 
-def _part(arrays: dict[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
+def _part(
+    document: dict[str, Any], arrays: dict[str, np.ndarray], name: str
+) -> tuple[Any, dict[str, np.ndarray]]:
+    """The document and the arrays of a part."""
     prefix = f"{name}/"
-    return {
-        key.removeprefix(prefix): array
-        for key, array in arrays.items()
-        if key.startswith(prefix)
+    part = {
+        k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)
     }
+    return document[name], part

@@ -7,7 +7,6 @@ import equinox as eqx
 import numpy as np
 
 from pinav.identification.running import RunningFit
-from pinav.identification.running.arrays import fit_of, to_arrays
 from pinav.identification.running.forecast import DriveEstimate, estimate, locate
 from pinav.live.estimators import AbstractEstimator, Drive, Whereabouts
 from pinav.live.messages import Frame, Point
@@ -84,13 +83,6 @@ class DriveEstimator(AbstractEstimator):
             offset=now.offset,
             drift=now.drift,
         )
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        return {"last": self.last, **to_arrays(self.fit)}
-
-    def from_arrays(self, arrays: dict[str, np.ndarray]) -> "DriveEstimator":
-        fit = fit_of(self.fit.grid, arrays)
-        return DriveEstimator(fit, arrays["last"], estimate(fit))
 
     def _last(self, frame: Frame) -> np.ndarray:
         if frame.x is None or frame.y is None:

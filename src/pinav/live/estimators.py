@@ -5,7 +5,6 @@ import dataclasses
 import enum
 
 import equinox as eqx
-import numpy as np
 
 from pinav.live.messages import Frame, Hello, Point
 
@@ -70,14 +69,6 @@ class AbstractEstimator(eqx.Module):
     def drive(self) -> Drive:
         """What is known of drive and surroundings."""
 
-    @abc.abstractmethod
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Everything that it knows."""
-
-    @abc.abstractmethod
-    def from_arrays(self, arrays: dict[str, np.ndarray]) -> "AbstractEstimator":
-        """The belief of the same settings that has written these arrays."""
-
 
 class Intent(enum.Enum):
     """What a pilot does, and why.
@@ -130,9 +121,5 @@ class AbstractPilot(eqx.Module):
         """The pilot after a frame at `time` [s], and what it advises."""
 
     @abc.abstractmethod
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """What it remembers."""
-
-    @abc.abstractmethod
-    def from_arrays(self, arrays: dict[str, np.ndarray]) -> "AbstractPilot":
-        """The pilot of the same settings that has written these arrays."""
+    def resume(self, earlier: "AbstractPilot") -> "AbstractPilot":
+        """The pilot of these settings that remembers what an earlier one does."""

@@ -193,22 +193,14 @@ class RollerPilot(AbstractPilot):
         frequency, heading = (float(number) for number in verdict.order)
         return pilot, Advice(frequency, heading, Intent.AVOID, advice.time_to_go)
 
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        return {
-            "probe": self.probe,
-            "best": self.best,
-            "stalls": np.array(self.stalls),
-            "reserve": np.append(self.reserve.order, self.reserve.until),
-        }
-
-    def from_arrays(self, arrays: dict[str, np.ndarray]) -> "RollerPilot":
-        *order, until = arrays["reserve"]
+    def resume(self, earlier: AbstractPilot) -> "RollerPilot":
+        assert isinstance(earlier, RollerPilot)
         return dataclasses.replace(
             self,
-            probe=arrays["probe"],
-            best=arrays["best"],
-            stalls=int(arrays["stalls"]),
-            reserve=Reserve(np.array(order), float(until)),
+            probe=earlier.probe,
+            best=earlier.best,
+            stalls=earlier.stalls,
+            reserve=earlier.reserve,
         )
 
 

@@ -83,6 +83,7 @@ def test_stripes_follow_a_wave_of_their_period(period):
     np.testing.assert_allclose(wave.law.constants()["period"], period, rtol=0.01)
 
 
+@SLOW
 def test_the_law_of_a_term_in_a_sum_is_found():
     saddle = LinearForce(np.array([[0.2, 0.05], [0.05, -0.2]]), [5.0, 5.0])
     truth = SumForce((PowerHill(3.0, CENTER, 1.5, 1.0), saddle))

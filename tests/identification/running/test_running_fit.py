@@ -2,12 +2,13 @@
 
 import math
 
+import jax
 import numpy as np
 import pytest
 from tests.rig import Robot
 
+from pinav.codec import decode, encode
 from pinav.identification.running import DriveGrid, RunningFit, forecast
-from pinav.identification.running.arrays import fit_of, to_arrays
 from pinav.identification.running.bank import Bank
 from pinav.identification.running.commands import CommandHistory
 from pinav.identification.running.forecast import estimate, gain_at, locate
@@ -123,19 +124,16 @@ def test_the_position_is_followed(known):
     assert np.all(np.abs(place.displacement[0] - twin) < 3.0)
 
 
-def test_arrays_give_the_same_fit_back(known):
+def test_a_fit_that_is_written_goes_on_to_the_last_bit(known):
     fit, robot = known
-    arrays = to_arrays(fit)
-    again = fit_of(fit.grid, arrays)
-    assert to_arrays(again).keys() == arrays.keys()
+    again = decode(RunningFit, *encode(fit))
     position = robot.seen()
     one, two = (f.after(robot.t, position, 1.0, 0.3) for f in (fit, again))
-    for name, array in to_arrays(one).items():
-        assert np.array_equal(array, to_arrays(two)[name], equal_nan=True), name
+    for here, there in zip(*map(jax.tree.leaves, (one, two)), strict=True):
+        assert np.array_equal(here, there, equal_nan=True)
     fresh = RunningFit.begin(fit.grid)
-    assert (
-        to_arrays(fit_of(fit.grid, to_arrays(fresh))).keys() == to_arrays(fresh).keys()
-    )
+    leaves = jax.tree.structure(fresh)
+    assert jax.tree.structure(decode(RunningFit, *encode(fresh))) == leaves
 
 
 def test_a_restart_keeps_the_drive_and_forgets_the_place(known):

@@ -77,7 +77,13 @@ def test_flights_in_other_units_are_the_same_flights(inertial):
         assert stalls == first[2]
 
 
-@pytest.mark.parametrize("inertial", [True, False], ids=["inertia", "current"])
+@pytest.mark.parametrize(
+    "inertial",
+    [
+        pytest.param(True, marks=pytest.mark.slow, id="inertia"),
+        pytest.param(False, id="current"),
+    ],
+)
 def test_plans_in_other_units_are_the_same_plans(inertial):
     """Metres and seconds of a microrobot, say: nothing is of order one."""
     times, options = [], {"points": 15, **({"speeds": 7} if inertial else {})}

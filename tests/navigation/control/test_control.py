@@ -29,8 +29,6 @@ from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Disc, Rectangle
 from pinav.navigation.trials.closed_loop import run, run_many
 
-pytestmark = pytest.mark.slow
-
 ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
 START, GOAL = np.array([-2.0, -1.0]), np.array([2.5, 1.5])
 
@@ -95,6 +93,7 @@ def test_both_methods_find_the_optimum_of_a_quadratic_cost(tables, make):
     assert float(found - least) < 0.02 * (nothing - float(least))
 
 
+@pytest.mark.slow
 def test_arrival_in_a_uniform_drift_is_that_of_the_closed_form():
     """|d - w T| = T + tolerance, with d from start to goal and drift w."""
     task = swimming((0.4, -0.3))
@@ -106,6 +105,7 @@ def test_arrival_in_a_uniform_drift_is_that_of_the_closed_form():
     assert episode.arrival_time == pytest.approx(exact, rel=0.01)
 
 
+@pytest.mark.slow
 def test_shooting_arrives_as_soon_as_path_integrals(tables):
     task = swimming((0.2, 0.0))
     here = tabulate_model(task, task.truth, points=21)
@@ -122,6 +122,7 @@ def test_shooting_arrives_as_soon_as_path_integrals(tables):
     assert times[0] == pytest.approx(times[1], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_zone_is_never_entered_when_the_model_is_true():
     disc = Disc([0.25, 0.25], 1.0)
     task = swimming(keep_out=(disc,), noise=0.05)
@@ -131,6 +132,7 @@ def test_a_zone_is_never_entered_when_the_model_is_true():
     assert episodes.clearance.min() > 0
 
 
+@pytest.mark.slow
 def test_a_path_is_followed_through_a_delay():
     """Only the first moments, before the first command, are lost."""
     circle = CirclePath(center=[-2.0, 0.0], radius=1.0, period=12.0, phase=-np.pi / 2)
@@ -141,6 +143,7 @@ def test_a_path_is_followed_through_a_delay():
     assert errors[20:].max() < 0.02
 
 
+@pytest.mark.slow
 def test_an_unknown_drift_is_found_on_the_way():
     """The model does not know of it; tracking with the filter is as if it did."""
     circle = CirclePath(center=[-2.0, 0.0], radius=1.0, period=12.0, phase=-np.pi / 2)
@@ -156,6 +159,7 @@ def test_an_unknown_drift_is_found_on_the_way():
     assert error(drift=0.5) < error() / 3
 
 
+@pytest.mark.slow
 def test_a_course_is_that_of_the_model(tables):
     task = swimming((0.4, -0.3))
     prediction = TrajectoryPrediction(

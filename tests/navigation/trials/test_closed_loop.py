@@ -24,12 +24,14 @@ from pinav.navigation.task.steering import CommandLimits
 from pinav.navigation.task.zones import Disc, Rectangle
 from pinav.navigation.trials import closed_loop
 from pinav.navigation.trials.closed_loop import run, run_many
-
-pytestmark = pytest.mark.slow
+from pinav.navigation.trials.situation import PARTS
 
 KEY = jax.random.key(3)
 KEYS = jax.random.split(KEY, 600)
-DELAYS = [0.0, 0.04, 0.25, 0.3]
+DELAYS = [
+    0.25,
+    *(pytest.param(delay, marks=pytest.mark.slow) for delay in (0.0, 0.04, 0.3)),
+]
 
 
 def delayed_way(commands, delay, *, step, steps):
@@ -70,6 +72,7 @@ def test_pending_commands_are_those_not_in_force_and_the_oldest_is(delay):
         given.append(0.1 * (index + 1))
 
 
+@pytest.mark.slow
 def test_the_truth_moves_as_its_equation_says():
     """Against diffrax at 1e-11, with a force that moves."""
     motion = CircularMotion(radius=0.5, frequency=1.0)
@@ -81,6 +84,7 @@ def test_the_truth_moves_as_its_equation_says():
     np.testing.assert_allclose(episode.states, expected, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_white_noise_has_the_strength_that_was_asked_for():
     """Diffusion without inertia; Ornstein and Uhlenbeck's variance with it."""
     carried = run_many(open_water(noise=0.3), AHEAD, KEYS).states[:, -1]
@@ -93,6 +97,7 @@ def test_white_noise_has_the_strength_that_was_asked_for():
     np.testing.assert_allclose(np.std(error), variance**0.5, rtol=spread)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["cpu", "gpu"])
 def test_many_are_the_same_as_one_by_one_and_end_by_themselves(backend, monkeypatch):
     """On an accelerator, episodes run side by side, with the same result."""
@@ -113,6 +118,7 @@ def test_many_are_the_same_as_one_by_one_and_end_by_themselves(backend, monkeypa
         np.testing.assert_array_equal(many.states[index, one.steps :] - own[-1], 0)
 
 
+@pytest.mark.slow
 def test_noise_belongs_to_its_key_whatever_the_controller():
     """Episodes of two controllers with the same keys are pairs."""
     task = open_water(noise=0.4)
@@ -144,7 +150,7 @@ def test_a_violation_ends_the_episode(changes):
     assert not episode.reached
     assert episode.arrival_time == math.inf
     assert episode.steps == 8
-    longest = task.step / closed_loop.PARTS  # at speed one
+    longest = task.step / PARTS  # at speed one
     assert -longest - 1e-9 <= episode.clearance < 0
 
 
@@ -162,6 +168,7 @@ def test_the_heading_turns_no_faster_than_coils_do():
     np.testing.assert_allclose(episode.commands[:, 0], 0.7)
 
 
+@pytest.mark.slow
 def test_another_truth_takes_the_place_of_that_of_the_task():
     task = open_water()
     slow = eqx.tree_at(lambda s: s.actuator.gain, task.truth, 0.5 * jnp.eye(2))
@@ -169,6 +176,7 @@ def test_another_truth_takes_the_place_of_that_of_the_task():
     np.testing.assert_allclose(episode.states[0, -1], [1.0, 0.0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_sensor_noise_is_in_what_is_seen_and_not_in_what_is():
     task = dataclasses.replace(open_water(), sensor_noise=0.2)
     now = closed_loop.begin(task)

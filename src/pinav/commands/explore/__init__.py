@@ -7,5 +7,5 @@ EXPLORE = Command(
     summary="write a page in which the model of a run is tried by hand",
     options="pinav.commands.explore.settings:ExploreOptions",
     run="pinav.commands.explore.job:run",
-    report="pinav.commands.explore.report:explorer_sections",
+    report="pinav.commands.explore.document:explorer_sections",
 )

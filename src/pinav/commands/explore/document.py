@@ -16,6 +16,11 @@ import msgspec
 
 from pinav.commands.explore.printing import Tree
 from pinav.errors import InputError
+from pinav.report import Link, Paragraph, Section
+from pinav.runs import RunFolder
+
+PAGE = "explore.html"
+"""Name of the page in its run."""
 
 MODULES = (
     *("numbers", "model", "rollout", "plan", "colours", "quantities", "view"),
@@ -59,6 +64,14 @@ def document(payload: Tree) -> str:
             f"{MAX_BYTES / 1e6} MB; fit fewer kernels or a smaller network"
         )
     return page
+
+
+def explorer_sections(folder: RunFolder) -> list[Section]:
+    """The section of a report that leads to the page, where there is one."""
+    if not folder.has(PAGE):
+        return []
+    words = "In this page the model itself runs: change the conditions, see the effect."
+    return [Section("Explorer", [Paragraph(words), Link(PAGE, "Explore the model")])]
 
 
 def bundle(programs: str = NO_PROGRAMS) -> str:
