@@ -68,14 +68,8 @@ def test_every_part_of_a_command_can_be_imported(command):
     assert issubclass(resolve(command.options), Settings)
     assert callable(resolve(command.run))
     assert command.report is None or callable(resolve(command.report))
-<<<<<<< HEAD
-    assert command.report is None or command.result is None
-    assert not command.title or command.report or command.sections
-    assert command.result is None or callable(resolve(command.sections))
-=======
     assert command.result is None or callable(resolve(command.sections))
     assert not command.title or command.report or command.result
->>>>>>> house
 
 
 @pytest.mark.parametrize(

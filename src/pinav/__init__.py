@@ -35,13 +35,10 @@ if TYPE_CHECKING:
     from pinav.forces import RollingPropulsion as RollingPropulsion
     from pinav.forces import ZeroForce as ZeroForce
     from pinav.identification import identify as identify
-<<<<<<< HEAD
     from pinav.learning.learn import learn as learn
     from pinav.learning.learn import open_run as open_run
     from pinav.learning.learned import Learned as Learned
-=======
     from pinav.recordings import Reading as Reading
->>>>>>> house
     from pinav.recordings import read_recording as read_recording
     from pinav.scenarios import find_system as find_system
     from pinav.scenarios import scenario as scenario

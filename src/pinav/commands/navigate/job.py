@@ -12,24 +12,16 @@ from pinav.commands.results import keep
 from pinav.commands.start import start_run
 from pinav.commands.sweep import start_sweep
 from pinav.commands.worker_settings import WorkerSettings
-<<<<<<< HEAD
 from pinav.learning.learned import Learned
-from pinav.navigation import navigate
-=======
 from pinav.navigation import OnlineNavigation, navigate
->>>>>>> house
 
 
 def run(options: NavigateOptions) -> CommandResult:
     """Navigate as the command line does."""
     settings, run = options.settings, options.run
-<<<<<<< HEAD
-    problem = navigation_problem(settings, Learned.open(run))
-=======
     if run is None or options.online.learn_online is not None:
         return _learn_online(options)
     problem = navigation_problem(settings, Learned.open(run))
->>>>>>> house
     compare = partial(navigate, problem, seeds=settings.seeds, seed=settings.seed)
     if options.workers == WorkerSettings():
         folder = start_run(NAVIGATE, options, settings, fitted=run.name)

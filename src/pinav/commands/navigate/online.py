@@ -10,20 +10,8 @@ from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.steering import observe_positions, system_task
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-<<<<<<< HEAD
 from pinav.learning.learned import Learned
-from pinav.navigation import (
-    AdaptiveController,
-    Course,
-    OnlineNavigation,
-    SwimmerFlights,
-    Task,
-    judge_controllers,
-    task,
-)
-=======
 from pinav.navigation import TASKS, AdaptiveController, Task, task
->>>>>>> house
 from pinav.navigation.adaptive.prior import with_prior_of
 from pinav.scenarios import find_system
 from pinav.systems import System, Units
@@ -141,53 +129,9 @@ def online_problem(
         )
     adaptive = AdaptiveController.of(observed)
     if prior is not None:
-<<<<<<< HEAD
-        adaptive = with_prior(adaptive, Learned.open(prior), units_of(online))
-    return OnlineProblem(adaptive, known.time_limit)
-
-
-def judge_swimmers(
-    problem: OnlineProblem,
-    online: OnlineSettings,
-    swimmers: Sequence[SwimmerFlights],
-    *,
-    prior: bool,
-) -> OnlineNavigation:
-    """The result of the flights of all swimmers.
-
-    Args:
-        problem: the task.
-        online: settings of learning.
-        swimmers: the first one with what is shown.
-        prior: True where the first visit began with a fit.
-    """
-    adaptive, flown, shown = problem.adaptive, problem.adaptive.task, swimmers[0].shown
-    assert shown is not None
-    flights = {
-        name: [one.flights[name] for one in swimmers] for name in swimmers[0].flights
-    }
-    return OnlineNavigation(
-        task=flown.name,
-        position_noise=online.position_noise,
-        delay=flown.delay,
-        time_limit=flown.time_limit,
-        own_limit=problem.own_limit,
-        thrust=adaptive.thrust,
-        step=flown.step,
-        prior=prior,
-        units=dict(channel_units(online, adaptive)),
-        course=Course.of(flown),
-        controllers=judge_controllers(flights, problem.own_limit),
-        paths={
-            name: tuple(flight.path for flight in some)
-            for name, some in flights.items()
-        },
-        shown=shown,
-=======
         adaptive = with_prior(adaptive, Learned.open(prior), units)
     channels = units.of_channels(("x", "y"))
     order = 2 if observed.inertial else 1
     return OnlineProblem(
         adaptive, known.time_limit, with_order(channels, order, units.force)
->>>>>>> house
     )
