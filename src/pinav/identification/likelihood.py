@@ -7,6 +7,7 @@ n innovations, k coefficients whose priors hold the information of one observati
 normal priors of the nonlinear parameters $\theta$.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -315,6 +316,18 @@ def block_means(values: Array, blocks: Blocks) -> Array:
     # Padding belongs to block 0 and adds nothing there.
     total = total.at[blocks.block].add(jnp.where(blocks.real[:, None], values, 0.0))
     return total / jnp.maximum(blocks.counts, 1.0)[:, None]
+
+
+def path_displacement(
+    velocity: Callable[[Any, Any], Array], blocks: Blocks
+) -> Float[Array, "block 2"]:
+    """Block means of a velocity field integrated along the observed path."""
+    rates = jax.vmap(velocity)(blocks.times, blocks.positions)
+    middle = (rates[1:] + rates[:-1]) / 2
+    # Leaps between segments add a constant, which the filter forgets at each begin.
+    steps = middle * jnp.diff(blocks.times)[:, None]
+    path = jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(steps, axis=0)])
+    return block_means(path, blocks)
 
 
 @eqx.filter_jit

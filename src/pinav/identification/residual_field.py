@@ -20,7 +20,6 @@ from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.engine.steps import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
-from pinav.identification.displacement_field import path_displacement
 from pinav.identification.forecast import path_of
 from pinav.identification.likelihood import (
     Design,
@@ -28,6 +27,7 @@ from pinav.identification.likelihood import (
     apart,
     in_plane,
     innovations_of_columns,
+    path_displacement,
     whiten,
 )
 from pinav.identification.parameters import fitted_coordinates

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.identification.running.bank import Bank, G, P, W, rows, wandering
-from pinav.identification.running.commands import effective_rates
+from pinav.identification.running.drives import effective_rates
 from pinav.identification.running.running_fit import RunningFit
 
 MEMBERS = 48
