@@ -115,7 +115,7 @@ def displacements_by(
     """Displacements by the weights of the environment and by what is known.
 
     Args:
-        swimmer: its environment has weights, or is none.
+        swimmer: swimmer whose environment has weights, or is none.
         learned: paths of the numbers that are open.
         blocks: the observed path.
         mobility: tensor through which a propulsion moves the swimmer.
@@ -188,7 +188,7 @@ def fit_commanded(
         data: positions in the plane, with the commands that the propulsion takes.
         environment: untrained kernels; None fits the numbers and the noise alone,
             for comparison of the evidence.
-        refine: when kernels turn out too coarse, and finer ones are laid.
+        refine: rule by which kernels are too coarse, and finer ones are laid.
         on_round: called with the number of rounds done and the log evidence.
 
     Raises:

@@ -32,10 +32,10 @@ class Quantity(NamedTuple):
     """An estimated number as a reader knows it.
 
     Attributes:
-        title: its name in the table.
-        unit: with `{length}` and `{time}` for those of the recording.
+        title: name in the table.
+        unit: unit, with `{length}` and `{time}` for those of the recording.
         meaning: a phrase; empty where the title says all.
-        positive: its logarithm was fitted.
+        positive: True where the logarithm was fitted.
     """
 
     title: str
@@ -118,7 +118,7 @@ class LearnedNumber(eqx.Module):
     """Learned numbers of a swimmer: a gain matrix, a delay, all weights.
 
     Attributes:
-        path: where they stand, or the name of a parameter of the noise.
+        path: place in the swimmer, or the name of a parameter of the noise.
         values: the numbers, flattened.
         slopes: derivatives by nonlinear parameters, coefficients and weights.
     """
@@ -195,7 +195,7 @@ def posterior_over(
     Args:
         swimmer: the numbers that are not learned are right.
         numbers: all learned ones; those of the noise are no part of it.
-        covariance: of the unknowns by which the numbers have derivatives.
+        covariance: that of the unknowns by which the numbers have derivatives.
     """
     numbers = [number for number in numbers if not is_noise(number)]
     free_numbers = [FreeNumber(n.path) for n in numbers if n.path != WEIGHTS]

@@ -60,7 +60,7 @@ def apart(points: Complex[Array, " row *column"]) -> Float[Array, " twice *colum
 
 
 class Drive(eqx.Module):
-    """What moves the blocks of a track, as far as the noise depends on it.
+    """Motion of the blocks of a track, as far as the noise depends on it.
 
     Attributes:
         times: mean of each block [T].
@@ -141,13 +141,13 @@ class Regressors(NamedTuple):
 
     @property
     def drive(self) -> Drive:
-        """What moves the blocks."""
+        """Commands and cycles of the blocks."""
         return Drive(self.times, self.frequency, in_plane(self.cycles))
 
     def combine(
         self, columns: Complex[Array, "*shape 3"]
     ) -> Complex[Array, "*shape coefficient"]:
-        """What each coefficient makes of columns along x, along y and of time."""
+        """Column of each coefficient, from those along x, along y and of time."""
         gains = in_plane(jnp.swapaxes(self.gains, 1, 2))
         drifts = in_plane(self.drifts)
         by_gain = columns[..., :2] @ gains.T
@@ -167,7 +167,7 @@ class CommandedPath(NamedTuple):
 
 
 class Design(eqx.Module):
-    """What a candidate makes of a track, as arrays.
+    """A track as a candidate sees it, as arrays.
 
     Attributes:
         blocks: the track.
@@ -257,9 +257,9 @@ class Whitened(eqx.Module):
     """The least-squares problem that the filter leaves.
 
     Attributes:
-        rows: of the coefficients, gains before drifts; zero columns where absent.
-        field: of the weights of a field.
-        target: of the observed positions, x above y.
+        rows: columns of gains and then drifts; zero where absent.
+        field: columns of the weights of a field.
+        target: observed positions, x above y.
         log_variance: sum over the innovations of one axis.
         count: number of innovations of one axis.
     """
@@ -369,7 +369,7 @@ def evidence_and_coefficients(
 
     Args:
         theta: nonlinear parameters.
-        regressors: of the candidate, moved by its commands.
+        regressors: those of the candidate, moved by its commands.
         field: displacements by a field; none unless given.
 
     Returns:

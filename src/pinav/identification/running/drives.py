@@ -97,9 +97,9 @@ class CommandHistory(eqx.Module):
     r"""Held commands, and $C(t) = \int s(f) n(\theta) dt$ at the time of each.
 
     Attributes:
-        times: of the commands [s].
+        times: time of each command [s].
         rates: effective velocity per gain from each on, by response [Hz].
-        integrals: of the rates up to each [cycles].
+        integrals: integral of the rates up to each command [cycles].
     """
 
     times: Float[np.ndarray, " command"]

@@ -99,9 +99,9 @@ class RunningFit(eqx.Module):
         bank: their states; none until the robot was driven for `SCALE_TIME`.
         history: the last seconds of commands; none before the first frame.
         frames: those that belong to no block that is closed.
-        since: when the robot was first driven [s]; none before.
+        since: time at which the robot was first driven [s]; none before.
         scale: rough speed per frequency [L per cycle].
-        block_begin: when the open block began [s].
+        block_begin: beginning of the open block [s].
         block_time: mean time of the last closed block [s].
         cycles: mean of the integrated commands in that block, of each drive; none
             where positions begin anew.
@@ -137,7 +137,7 @@ class RunningFit(eqx.Module):
         frequency: float,
         heading: float,
     ) -> "RunningFit":
-        """What is known after one more frame.
+        """The fit after one more frame.
 
         Args:
             time: later than that of the frame before [s].
@@ -167,7 +167,7 @@ class RunningFit(eqx.Module):
         frequency: float,
         heading: float,
     ) -> "RunningFit":
-        """What is known after a frame that does not go on from those before it.
+        """The fit after a frame that does not go on from those before it.
 
         The gain and all else that was learned are kept; where the robot is, how it
         wandered and what was commanded before are not.
