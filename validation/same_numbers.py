@@ -82,7 +82,7 @@ STEPS: dict[str, tuple[str, ...]] = {
     "design": ("design", "shear", "--from=1,5", "--to=9,5", *COARSE, *SHORT),
     "navigate": ("navigate", "fit-noisy", "--from=1,1", "--to=3,2", *SHORT),
     "navigate-online": (
-        *("navigate", "--learn-online", "--task", "barrier-weak"),
+        *("navigate", "--learn-online", "barrier-weak"),
         *("--seeds", "1", "--visits", "1", "--time-limit", "10"),
     ),
     "heat-learn": ("heat", "learn", "learn.toml"),
@@ -93,7 +93,12 @@ STEPS: dict[str, tuple[str, ...]] = {
 WITHIN = {"evaluate": "fit-noisy", "analyse": "fit-noisy", "discover": "fit-noisy"}
 """Steps that add to the run of another one."""
 
-OLD_WORDS: dict[str, tuple[str, ...]] = {}
+OLD_WORDS: dict[str, tuple[str, ...]] = {
+    "navigate-online": (
+        *("navigate", "--learn-online", "--task", "barrier-weak"),
+        *("--seeds", "1", "--visits", "1", "--time-limit", "10"),
+    ),
+}
 """Words of steps in the version before, where they were others."""
 
 EXTRACTS = {

@@ -10,12 +10,12 @@ import pytest
 
 from pinav import cli
 from pinav.codec import encode
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.online import online_task, with_prior
 from pinav.commands.navigate.online_sections import online_sections
 from pinav.dynamics import paper_black_box
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap
+from pinav.learning.learned import Learned
 from pinav.navigation import (
     AbstractNavigation,
     AdaptiveController,
@@ -33,48 +33,27 @@ from pinav.runs import RunFolder
 from pinav.systems import Units
 
 REFUSALS = {
-    "task alone": (["--task", "vortex"], "expected it together with --task or with"),
-    "flag alone": (["--learn-online"], "expected it together with --task or with"),
-    "two worlds": (
-        ["--learn-online", "--task", "vortex", "--system", "paper"],
-        "expected it together with --task or with",
-    ),
     "nothing": ([], "RUN: expected the folder of a fit, or --learn-online"),
-    "a run": (
-        ["somewhere", "--learn-online", "--task", "vortex"],
-        "--learn-online: expected no RUN",
-    ),
-    "a prior without learning": (
-        ["somewhere", "--prior", "elsewhere", "--from=1,1", "--to=2,2"],
-        "--prior: expected it together with --learn-online",
-    ),
-    "a prior that is no run": (
-        ["--learn-online", "--task", "vortex", "--prior", "nowhere"],
-        "nowhere",
-    ),
-    "places": (
-        ["--learn-online", "--task", "vortex", "--from", "1,1"],
-        "--task: expected no --from or --to",
-    ),
-    "a system without places": (
-        ["--learn-online", "--system", "paper"],
+    "a run without places": (["somewhere"], "--from, --to: expected the places"),
+    "a prior that is no run": (["nowhere", "--learn-online", "vortex"], "nowhere"),
+    "half of the places": (
+        ["--learn-online", "vortex-current", "--from", "1,1"],
         "--from, --to: expected the places",
     ),
+    "a system without places": (
+        ["--learn-online", "paper"],
+        "task 'paper' is unknown; choose one of: barrier-",
+    ),
     "an unknown system": (
-        ["--learn-online", "--system", "maze", "--from=1,1", "--to=2,2"],
+        ["--learn-online", "maze", "--from=1,1", "--to=2,2"],
         "maze",
     ),
     "a system in space": (
-        ["--learn-online", "--system", "wall", "--from=1,1", "--to=2,2"],
+        ["--learn-online", "wall", "--from=1,1", "--to=2,2"],
         "system: expected a swimmer in the plane, got 'wall'",
     ),
-    "a run without places": (["somewhere"], "--from, --to: expected the places"),
-    "an unknown task": (
-        ["--learn-online", "--task", "maze"],
-        "task 'maze' is unknown; choose one of: barrier-strong",
-    ),
     "a path": (
-        ["--learn-online", "--task", "follow-line"],
+        ["--learn-online", "follow-line"],
         "expected a place to reach, got FollowPath",
     ),
 }
@@ -163,7 +142,7 @@ def test_flights_come_back_from_their_files(tmp_path):
 @pytest.mark.slow
 def test_a_task_is_learned_from_no_data_to_a_report(tmp_path, capsys):
     out = tmp_path / "out"
-    words = ["navigate", "--learn-online", "--task", "vortex", "--seeds", "1"]
+    words = ["navigate", "--learn-online", "vortex", "--seeds", "1"]
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         assert cli.run([*words, "--visits", "1", "--json", "--out", str(out)]) == 0
     rows = json.loads(capsys.readouterr().out)["controllers"]
@@ -215,7 +194,7 @@ samples = 101
 def test_a_system_of_the_users_own_is_learned_with_what_it_knows(tmp_path, capsys):
     file, out = tmp_path / "own.toml", tmp_path / "out"
     file.write_text(OWN, encoding="utf-8")
-    words = ["navigate", "--learn-online", "--system", str(file), "--seeds", "1"]
+    words = ["navigate", "--learn-online", str(file), "--seeds", "1"]
     words += ["--from=1,1", "--to=9,9", "--visits", "1", "--noise", "0.02", "--json"]
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         assert cli.run([*words, "--out", str(out)]) == 0
@@ -234,7 +213,7 @@ def adaptive_of(name):
 
 
 def test_a_fit_is_taken_over_with_its_posterior(fitted_run):
-    run = FittedRun.open(fitted_run("kernel")[0])
+    run = Learned.open(fitted_run("kernel")[0])
     adaptive = with_prior(adaptive_of("barrier-weak"), run, Units())
     places = np.array([[2.0, 2.0], [4.0, 4.5]])
     first = Frame(0.0, places[0], 0.02, np.zeros(2))
@@ -248,10 +227,10 @@ def test_a_fit_is_taken_over_with_its_posterior(fitted_run):
 
 
 def test_a_fit_that_cannot_be_a_prior_is_refused(fitted_run):
-    inertial = FittedRun.open(fitted_run("kernel")[0])
+    inertial = Learned.open(fitted_run("kernel")[0])
     with pytest.raises(InputError, match="swimmer without inertia in 2 dimensions"):
         with_prior(adaptive_of("vortex"), inertial, Units())
-    network = FittedRun.open(fitted_run("network")[0])
+    network = Learned.open(fitted_run("network")[0])
     with pytest.raises(InputError, match="expected a fit with a posterior, got"):
         with_prior(adaptive_of("barrier-weak"), network, Units())
     other = dataclasses.replace(

@@ -1,12 +1,14 @@
 """Results of `pinav navigate`: with a learned model, or learning on the way."""
 
 import dataclasses
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from pinav.navigation.adaptive.scores import Outcome
-from pinav.navigation.adaptive.swimmer import ShownFlight
+from pinav.navigation.adaptive.scores import Outcome, judge_controllers
+from pinav.navigation.adaptive.steering import AdaptiveController
+from pinav.navigation.adaptive.swimmer import ShownFlight, SwimmerFlights
 from pinav.navigation.maps import Course, ForceMaps
 from pinav.navigation.suggestion import Suggestion
 from pinav.navigation.trials.closed_loop import Episodes
@@ -146,3 +148,45 @@ class OnlineNavigation(AbstractNavigation):
     controllers: dict[str, Outcome]
     paths: dict[str, tuple[Float[np.ndarray, "_ 2"], ...]]
     shown: ShownFlight
+
+    @classmethod
+    def of(
+        cls,
+        adaptive: AdaptiveController,
+        swimmers: Sequence[SwimmerFlights],
+        *,
+        own_limit: float,
+        units: Mapping[str, str],
+    ) -> "OnlineNavigation":
+        """The result of the flights of some swimmers.
+
+        Args:
+            adaptive: the controller, as it began.
+            swimmers: their flights; the first one with what is shown.
+            own_limit: time limit of the task itself [T].
+            units: units of the channels, and the order of the dynamics.
+        """
+        task, shown = adaptive.task, swimmers[0].shown
+        assert shown is not None
+        flights = {
+            name: [one.flights[name] for one in swimmers]
+            for name in swimmers[0].flights
+        }
+        return cls(
+            task=task.name,
+            position_noise=task.sensor_noise,
+            delay=task.delay,
+            time_limit=task.time_limit,
+            own_limit=own_limit,
+            thrust=adaptive.thrust,
+            step=task.step,
+            prior=adaptive.known is not None,
+            units=dict(units),
+            course=Course.of(task),
+            controllers=judge_controllers(flights, own_limit),
+            paths={
+                name: tuple(flight.path for flight in some)
+                for name, some in flights.items()
+            },
+            shown=shown,
+        )

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pinav.figures.identification import (
     growth_figure,
     horizons_figure,
-    overlay_figure,
+    pixels_figure,
     rollouts_figure,
     speed_figure,
 )
@@ -143,7 +143,7 @@ def _track(
     if track.law is not None:
         blocks.append(speed_figure(track.law, f"speed-{index}", units))
     if track.image_paths is not None:
-        blocks.append(overlay_figure(track.image_paths, f"image-{index}"))
+        blocks.append(pixels_figure(track.image_paths, f"image-{index}"))
     return blocks
 
 

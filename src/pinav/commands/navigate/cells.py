@@ -13,12 +13,12 @@ from typing import TypeVar
 
 import msgspec
 
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.online import OnlineProblem, online_problem
 from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.sweep import Sweep
 from pinav.errors import InputError
+from pinav.learning.learned import Learned
 from pinav.navigation import (
     AbstractController,
     Attempt,
@@ -150,10 +150,8 @@ def do_loops(cell: Cell, folder: Path) -> None:
     except InputError as error:
         loops = Loops(None, str(error))
     else:
-        keys, numbers = (
-            episode_keys(settings.seed, settings.seeds),
-            range(one.first, one.last + 1),
-        )
+        keys = episode_keys(settings.seed, settings.seeds)
+        numbers = range(one.first, one.last + 1)
         loops = Loops(problem.attempt(steering, keys, numbers))
     RunFolder(folder).store(FILE, loops)
 
@@ -161,7 +159,7 @@ def do_loops(cell: Cell, folder: Path) -> None:
 @functools.lru_cache(maxsize=1)
 def _problem(run: str, settings: str) -> NavigationProblem:
     decoded = msgspec.json.decode(settings, type=NavigateSettings)
-    return navigation_problem(decoded, FittedRun.open(Path(run)))
+    return navigation_problem(decoded, Learned.open(Path(run)))
 
 
 @functools.lru_cache(maxsize=3)
@@ -186,9 +184,9 @@ def sweep_flights(
     Raises:
         InputError: workers cannot do anything, or have failed.
     """
-    system = Path(online.system or "")
+    system = Path(online.learn_online or "")
     if system.is_file():  # a worker may have another working directory
-        online = msgspec.structs.replace(online, system=str(system.absolute()))
+        online = msgspec.structs.replace(online, learn_online=str(system.absolute()))
     one = FlightsCell(
         _json(settings),
         _json(online),
@@ -199,7 +197,7 @@ def sweep_flights(
         Cell.of(
             "pinav.commands.navigate.cells:do_flights",
             one,
-            system=online.task or online.system or "",
+            system=online.learn_online or "",
             seed=number,
             label=f"swimmer {number}",
         )
@@ -236,11 +234,17 @@ def _json(settings: msgspec.Struct) -> str:
     return msgspec.json.encode(settings).decode()
 
 
+OF_A_FIT = (
+    *("", "model.eqx", "posterior.json", "posterior.npz", "data.npz", "system.toml"),
+)
+"""The file itself, and files of a run that a fit is made of."""
+
+
 def _digest(*paths: Path | None) -> str:
     """Digest of files, and of everything that fits are made of."""
     digest = hashlib.sha256()
     for path in paths:
-        for name in ("", "model.eqx", "posterior.npz", "data.npz", "system.toml"):
+        for name in OF_A_FIT:
             if path is not None and (path / name).is_file():
                 digest.update((path / name).read_bytes())
     return digest.hexdigest()[:16]

@@ -3,25 +3,25 @@
 from functools import partial
 
 from pinav.commands.command import CommandResult
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate import NAVIGATE
 from pinav.commands.navigate.cells import sweep_flights, sweep_loops
-from pinav.commands.navigate.online import judge_swimmers, online_problem
+from pinav.commands.navigate.online import online_problem
 from pinav.commands.navigate.settings import NavigateOptions
 from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.results import keep
 from pinav.commands.start import start_run
 from pinav.commands.sweep import start_sweep
 from pinav.commands.worker_settings import WorkerSettings
-from pinav.navigation import navigate
+from pinav.learning.learned import Learned
+from pinav.navigation import OnlineNavigation, navigate
 
 
 def run(options: NavigateOptions) -> CommandResult:
     """Navigate as the command line does."""
-    if options.run is None:
-        return _learn_online(options)
     settings, run = options.settings, options.run
-    problem = navigation_problem(settings, FittedRun.open(run))
+    if run is None or options.online.learn_online is not None:
+        return _learn_online(options)
+    problem = navigation_problem(settings, Learned.open(run))
     compare = partial(navigate, problem, seeds=settings.seeds, seed=settings.seed)
     if options.workers == WorkerSettings():
         folder = start_run(NAVIGATE, options, settings, fitted=run.name)
@@ -34,12 +34,16 @@ def run(options: NavigateOptions) -> CommandResult:
 
 
 def _learn_online(options: NavigateOptions) -> CommandResult:
-    settings, learning, prior = options.settings, options.online, options.prior
+    settings, learning, prior = options.settings, options.online, options.run
     problem = online_problem(settings, learning, prior)
     identity = {} if prior is None else {"prior": prior.name}
     with start_sweep(
         NAVIGATE, options, options.workers, settings, learning, **identity
     ) as sweep:
-        swimmers = sweep_flights(sweep, settings, learning, prior)
-        found = judge_swimmers(problem, learning, swimmers, prior=prior is not None)
+        found = OnlineNavigation.of(
+            problem.adaptive,
+            sweep_flights(sweep, settings, learning, prior),
+            own_limit=problem.own_limit,
+            units=problem.units,
+        )
         return keep(NAVIGATE, sweep.folder, found)

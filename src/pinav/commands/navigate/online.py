@@ -1,28 +1,20 @@
 """`pinav navigate --learn-online`: a task done without any data beforehand."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.steering import observe_positions, system_task
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-from pinav.navigation import (
-    AdaptiveController,
-    Course,
-    OnlineNavigation,
-    SwimmerFlights,
-    Task,
-    judge_controllers,
-    task,
-)
+from pinav.learning.learned import Learned
+from pinav.navigation import TASKS, AdaptiveController, Task, task
 from pinav.navigation.adaptive.prior import with_prior_of
 from pinav.scenarios import find_system
-from pinav.systems import Units
+from pinav.systems import System, Units
 from pinav.units import with_order
 
 
@@ -42,37 +34,24 @@ def online_task(name: str, *, position_noise: float, delay: float | None) -> Tas
     return observe_positions(delayed, position_noise)
 
 
-def task_to_learn(settings: NavigateSettings, online: OnlineSettings) -> Task:
-    """The task that the options ask for, before its observation is changed.
+def system_to_learn(settings: NavigateSettings, name: str) -> System | None:
+    """The system that the options name beside its places; none for a named task.
 
     Raises:
-        InputError: the task or the system is unknown, or the system cannot be steered
-            through.
+        InputError: the system is unknown, or there is neither a task nor a place.
     """
-    if online.system is not None:
-        return system_task(settings, find_system(online.system))
-    known = task(online.task or "")
-    if settings.delay is None:
-        return known
-    return dataclasses.replace(known, delay=settings.delay)
-
-
-def units_of(online: OnlineSettings) -> Units:
-    """Units of the places and forces of the task; the package's tasks have none."""
-    return Units() if online.system is None else find_system(online.system).base_units
-
-
-def channel_units(
-    online: OnlineSettings, adaptive: AdaptiveController
-) -> Mapping[str, str]:
-    """Units of the channels of the task, and the order of its dynamics."""
-    units = units_of(online)
-    order = 2 if adaptive.task.inertial else 1
-    return with_order(units.of_channels(("x", "y")), order, units.force)
+    if settings.start is None and settings.goal is None:
+        if name not in TASKS:
+            raise InputError(
+                f"--learn-online: task {name!r} is unknown; choose one of: "
+                f"{', '.join(TASKS)}; or state a system, with --from and --to"
+            )
+        return None
+    return find_system(name)
 
 
 def with_prior(
-    adaptive: AdaptiveController, run: FittedRun, units: Units
+    adaptive: AdaptiveController, run: Learned, units: Units
 ) -> AdaptiveController:
     """The controller that begins with the force and the posterior of a fit.
 
@@ -87,18 +66,17 @@ def with_prior(
     """
     if run.system.base_units != units:
         raise InputError(
-            f"--prior: expected a fit in {_words(units)}, got one in "
+            f"RUN: expected a fit in {_words(units)}, got one in "
             f"{_words(run.system.base_units)}; fit and task must have the same units"
         )
     model, path = run.model, run.folder.path
     if not isinstance(model, Swimmer | OverdampedSwimmer):
         raise InputError(
-            f"--prior: expected a fitted swimmer, got the model {run.choice.name} of "
-            f"{path}"
+            f"RUN: expected a fitted swimmer, got the model {run.choice.name} of {path}"
         )
     if run.posterior is None:
         raise InputError(
-            f"--prior: expected a fit with a posterior, got {path}, which has none; "
+            f"RUN: expected a fit with a posterior, got {path}, which has none; "
             "fit with --recipe bayes"
         )
     dim = run.data.dim
@@ -117,10 +95,12 @@ class OnlineProblem:
     Attributes:
         adaptive: the controller, with the task.
         own_limit: time limit of the task itself [T].
+        units: units of the channels, and the order of the dynamics.
     """
 
     adaptive: AdaptiveController
     own_limit: float
+    units: Mapping[str, str]
 
 
 def online_problem(
@@ -137,49 +117,21 @@ def online_problem(
         InputError: the task or the system is unknown, or the system cannot be steered
             through, or the fit does not suit it.
     """
-    known = task_to_learn(settings, online)
-    observed = observe_positions(known, online.position_noise)
+    name = online.learn_online or ""
+    system = system_to_learn(settings, name)
+    if system is not None:
+        known, units = system_task(settings, system), system.base_units
+        observed = observe_positions(known, online.position_noise)
+    else:  # the package's tasks have no units
+        known, units = task(name), Units()
+        observed = online_task(
+            name, position_noise=online.position_noise, delay=settings.delay
+        )
     adaptive = AdaptiveController.of(observed)
     if prior is not None:
-        adaptive = with_prior(adaptive, FittedRun.open(prior), units_of(online))
-    return OnlineProblem(adaptive, known.time_limit)
-
-
-def judge_swimmers(
-    problem: OnlineProblem,
-    online: OnlineSettings,
-    swimmers: Sequence[SwimmerFlights],
-    *,
-    prior: bool,
-) -> OnlineNavigation:
-    """The result of the flights of all swimmers.
-
-    Args:
-        problem: the task.
-        online: settings of learning.
-        swimmers: the first one with what is shown.
-        prior: True where the first visit began with a fit.
-    """
-    adaptive, flown, shown = problem.adaptive, problem.adaptive.task, swimmers[0].shown
-    assert shown is not None
-    flights = {
-        name: [one.flights[name] for one in swimmers] for name in swimmers[0].flights
-    }
-    return OnlineNavigation(
-        task=flown.name,
-        position_noise=online.position_noise,
-        delay=flown.delay,
-        time_limit=flown.time_limit,
-        own_limit=problem.own_limit,
-        thrust=adaptive.thrust,
-        step=flown.step,
-        prior=prior,
-        units=dict(channel_units(online, adaptive)),
-        course=Course.of(flown),
-        controllers=judge_controllers(flights, problem.own_limit),
-        paths={
-            name: tuple(flight.path for flight in some)
-            for name, some in flights.items()
-        },
-        shown=shown,
+        adaptive = with_prior(adaptive, Learned.open(prior), units)
+    channels = units.of_channels(("x", "y"))
+    order = 2 if observed.inertial else 1
+    return OnlineProblem(
+        adaptive, known.time_limit, with_order(channels, order, units.force)
     )

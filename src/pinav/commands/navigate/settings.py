@@ -34,31 +34,20 @@ class NavigateSettings(SteeringSettings, frozen=True):
 
 
 class OnlineSettings(Settings, frozen=True):
-    """How a task is done without any data beforehand.
+    """Learning of a force on the way.
 
     Attributes:
-        learn_online: Learn the force while steering; needs no run, but --task or
-            --system.
-        task: Name of a task, such as barrier-weak, with places of its own.
-        system: A system file, or the name of a built-in system, whose true environment
-            the swimmer does not know; needs --from and --to.
+        learn_online: Learn the force while steering: name of a task, such as
+            barrier-weak, with places of its own; or, with --from and --to, a system
+            (a file, or the name of a built-in one) whose true environment the swimmer
+            does not know.
         position_noise: Standard deviation of the observed positions.
         visits: How often each swimmer does the task, with the map kept.
     """
 
-    learn_online: bool = False
-    task: str | None = None
-    system: str | None = None
+    learn_online: str | None = None
     position_noise: Annotated[float, Range(above=0)] = 0.02
     visits: Annotated[int, Range(1)] = 2
-
-    def check_together(self) -> None:
-        worlds = [w for w in (self.task, self.system) if w is not None]
-        if len(worlds) != self.learn_online:
-            raise InputError(
-                "--learn-online: expected it together with --task or with --system, "
-                "such as --learn-online --task barrier-weak"
-            )
 
 
 class NavigateOptions(ResumableOptions, frozen=True, kw_only=True):
@@ -71,43 +60,27 @@ class NavigateOptions(ResumableOptions, frozen=True, kw_only=True):
     same controller with the truth are tried beside it. The run also suggests the
     trajectory that would tell most about the force along the route. Writes
     metrics.json, report.html, figures and an animation. A negative number takes an
-    equals sign: --from=-1,2. With --learn-online there is no run: the force of a named
-    task, or of a system, is learned on the way, from noisy positions alone.
+    equals sign: --from=-1,2. With --learn-online the force of a named task, or of a
+    system, is learned on the way, from noisy positions alone; RUN, where it is given,
+    is a fit with a posterior, whose force is the first guess.
 
     Attributes:
-        run: Folder of pinav fit, of trajectories or of a recording; none with
-            --learn-online.
-        prior: Folder of pinav fit, with a posterior: the force that it found is the
-            first guess of --learn-online.
+        run: Folder of pinav fit, of trajectories or of a recording; with --learn-online
+            of a fit to begin with, or none.
         workers: Who does the closed loops of all seeds.
     """
 
     run: tyro.conf.Positional[Path | None] = None
     settings: NavigateSettings = NavigateSettings()
     online: OnlineSettings = OnlineSettings()
-    prior: Path | None = None
     workers: WorkerSettings = WorkerSettings()
 
     def check_together(self) -> None:
-        if self.prior is not None and not self.online.learn_online:
+        if self.online.learn_online is not None:
+            return
+        if self.run is None:
             raise InputError(
-                "--prior: expected it together with --learn-online; a run that is not "
-                "to learn on the way is given as RUN"
+                "RUN: expected the folder of a fit, or --learn-online with the name of "
+                "a task or a system, such as --learn-online barrier-weak"
             )
-        if self.run is None and not self.online.learn_online:
-            raise InputError(
-                "RUN: expected the folder of a fit, or --learn-online with --task or "
-                "--system"
-            )
-        if self.run is not None and self.online.learn_online:
-            raise InputError(
-                "--learn-online: expected no RUN, because the force is learned on the "
-                "way; a fit to begin with is given as --prior RUN"
-            )
-        if self.online.task is None:
-            self.settings.places()
-        elif self.settings.start or self.settings.goal:
-            raise InputError(
-                "--task: expected no --from or --to, for the task has its own places; "
-                "leave them out"
-            )
+        self.settings.places()
