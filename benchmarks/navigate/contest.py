@@ -17,17 +17,12 @@ from pinav.commands.fitted_run import FittedRun
 from pinav.commands.system_choice import choose_system
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-from pinav.navigation.control.controller import AbstractController
+from pinav.navigation.control.controller import AbstractController, StraightLine
 from pinav.navigation.control.default import controller
-from pinav.navigation.control.simple import (
-    StraightLine,
-    physics_only,
-    steered_swimmer,
-)
 from pinav.navigation.task.catalogue import TASKS, task, training
 from pinav.navigation.task.objectives import FollowPath
-from pinav.navigation.task.steering import SteeredSwimmer
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.steering import SteeredSwimmer, physics_only
+from pinav.navigation.task.task import Task, steered_swimmer
 from pinav.navigation.trials.closed_loop import (
     Episodes,
     concatenate_episodes,
