@@ -18,9 +18,7 @@ from matplotlib.figure import Figure
 
 from pinav.commands.command import Command, CommandResult
 from pinav.commands.dispatch import execute
-from pinav.commands.fitted_run import ModelHeader, build_model, write_model
-from pinav.commands.matching import CurriculumSettings, matching
-from pinav.commands.progress import BayesReporter, FitReporter
+from pinav.commands.progress import Reporter
 from pinav.commands.results import keep
 from pinav.commands.settings import Range, RecipeName, ResumableOptions, Settings
 from pinav.commands.start import start_run
@@ -59,6 +57,9 @@ from pinav.fitting import Outcome, fit_bayes
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice, learned_part
 from pinav.fitting.environments.summary import summarise_data, summarise_for
+from pinav.learning.learned import ModelHeader, build_model, write_model
+from pinav.learning.matching import matching
+from pinav.learning.recipes import Curriculum, Paper
 from pinav.report import Paragraph, Section, Table, number
 from pinav.runs import RunFolder
 from pinav.scenarios import paper
@@ -209,8 +210,9 @@ def _fit_ude(
     summary = summarise_data(data)
     model = build(choice, paper().swimmer, summary)
     recipe = "paper" if paper_recipe else "curriculum"
-    method = matching(CurriculumSettings(recipe, settings.max_steps), data, model)
-    with FitReporter(folder, "ude") as report:
+    steps = Curriculum(settings.max_steps)
+    method = matching(Paper() if recipe == "paper" else steps, data, model)
+    with Reporter(folder, "ude") as report:
         (result,) = method.fit(
             [model],
             data,
@@ -228,7 +230,7 @@ def _fit_kernel(
 ) -> tuple[ModelHeader, AbstractDynamics]:
     choice = ModelChoice()
     summary = summarise_for(choice, data)
-    with BayesReporter(folder, choice.name) as report:
+    with Reporter(folder, choice.name) as report:
         result = fit_bayes(
             build(choice, paper().swimmer, summary),
             data,

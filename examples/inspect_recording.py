@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pinav.figures import recording_figure
-from pinav.recordings import labels, read_recording
+from pinav.recordings import Reading, labels, read_recording
 from pinav.recordings.quality.report import quality
 
 MPP, DELAY, GAIN = 0.345, 0.2, 4.0  # um/px, s, um/s/Hz
@@ -33,7 +33,7 @@ with tempfile.TemporaryDirectory() as folder:
     table = np.column_stack([times, pixels, frequency, heading - np.pi / 2])
     header = "t_s,x_px,y_px,freq_hz,alpha_rad"
     np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.6f")
-    recording = read_recording(path, mpp=MPP, heading_offset=np.pi / 2)
+    recording = read_recording(path, Reading(mpp=MPP, heading_offset=np.pi / 2))
 
 found = quality(recording)
 run = found.runs[0]

@@ -19,6 +19,7 @@ ORDER = [
     "numerics",
     "threads",
     "units",
+    "settings",
     "sweeps",
     "arguments",
     "codec",
@@ -30,17 +31,18 @@ ORDER = [
     "trajectories",
     "recordings",
     "fitting",
+    "checkpoints",
+    "manifest",
+    "runs",
     "evaluation",
     "identification",
+    "learning",
     "analysis",
     "navigation",
     "thermal",
     "live",
     "report",
     "figures",
-    "checkpoints",
-    "manifest",
-    "runs",
     "commands",
     "regressor",
     "cli",
@@ -133,7 +135,7 @@ def test_a_command_does_not_import_another_command():
     assert not tangles
 
 
-KEYS_TOO = {"data"}
+KEYS_TOO = {"data", "fit"}
 """Commands whose names are keys of files as well, which other modules must spell."""
 
 

@@ -7,13 +7,14 @@ import re
 from functools import cache
 from pathlib import Path
 
+import msgspec
 import pytest
 from validation.truth import TRUTH
 
 from pinav.commands import COMMANDS
-from pinav.commands.command import Command
+from pinav.commands.command import Command, resolve
 from pinav.commands.dispatch import execute
-from pinav.commands.parsing import parse
+from pinav.commands.parsing import parse, tagged_members
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOK = ROOT / "docs" / "notebook"
@@ -55,7 +56,7 @@ FOREIGN = {
 
 
 @cache
-def help_of(name: str) -> str:
+def help_of(name: str, *words: str) -> str:
     """What `pinav NAME --help` or that of another program prints."""
     text = io.StringIO()
     with contextlib.redirect_stdout(text):
@@ -67,13 +68,27 @@ def help_of(name: str) -> str:
             assert parse(module.Options, ["--help"], prog=name) is None
         else:
             (command,) = (c for c in COMMANDS if c.name == name)
-            execute(command, ["--help"])
+            execute(command, [*words, "--help"])
     return text.getvalue()
 
 
 def options_of(name: str) -> set[str]:
     """The options that a command takes."""
-    return set(OPTION.findall(help_of(name)))
+    texts = [help_of(name), *(help_of(name, *words) for words in tags_of(name))]
+    return set(OPTION.findall("".join(texts)))
+
+
+def tags_of(name: str) -> list[tuple[str, str]]:
+    """The words that choose among options of a command, such as `--recipe paper`."""
+    commands = [command for command in COMMANDS if command.name == name]
+    members = [
+        member
+        for command in commands
+        for field in msgspec.structs.fields(resolve(command.options))
+        for member in tagged_members(field.type).values()
+    ]
+    configs = [member.__struct_config__ for member in members]
+    return [(f"--{config.tag_field}", str(config.tag)) for config in configs]
 
 
 MOST_OPTIONS = 298

@@ -33,13 +33,13 @@ def table():
 
 def test_an_array_gives_the_fit_of_the_command_line(regressor, tmp_path):
     from pinav import cli
-    from pinav.commands.fitted_run import FittedRun
+    from pinav.learning.learned import Learned
 
     data, out = tmp_path / "data.npz", tmp_path / "run"
     save(crossings(61).only(("x", "y")), data)
     words = ["fit", str(data), "--system", "barrier-crossings", "--structure", "free"]
     assert cli.run([*words, "--out", str(out)]) == 0
-    run = FittedRun.open(out)
+    run = Learned.open(out)
     points = np.array([[5.0, 5.0], [4.0, 6.5]])
     force, sd = regressor.predict(points, return_std=True)
     np.testing.assert_allclose(sd, run.posterior.force_sd(points), rtol=1e-6)

@@ -23,6 +23,7 @@ from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.mean_drag import with_tensor_drag
 from pinav.fitting.environments.summary import summarise_for
 from pinav.forces import KernelMixture, KernelPotential
+from pinav.learning.learn import open_run
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.trajectories import simulate
@@ -146,10 +147,10 @@ def covered_share(folder, seed):
     assert cli.run(["simulate", "brownian", "--out", data, *drawn]) == 0
     learn = ["--recipe", "langevin", "--observation", "learn"]
     assert cli.run(["fit", data, "--out", run, *learn]) == 0
-    arrays = RunFolder.open(folder / "run").read_arrays("results.npz")
-    near = arrays["field/distance"] < VISITED
-    truth, sd = arrays["field/true"][near], arrays["field/sd"][near]
+    maps = open_run(folder / "run").findings.force
+    near = maps.learned.distance < VISITED
+    truth, sd = maps.true[near], maps.sd[near]
     size = np.sqrt(np.mean(truth**2))
     acts = np.linalg.norm(truth, axis=1) > 0.1 * size
-    miss = np.abs(arrays["field/learned"][near] - truth)
+    miss = np.abs(maps.learned.force[near] - truth)
     return float(np.mean(miss[acts] < 1.96 * sd[acts]))

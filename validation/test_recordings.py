@@ -34,7 +34,7 @@ from pinav.identification.findings import interval, positive_interval
 from pinav.identification.restoring import restoring_force
 from pinav.identification.rollouts import errors
 from pinav.identification.selection import split
-from pinav.recordings import read_recording
+from pinav.recordings import Reading, read_recording
 from pinav.trajectories import Trajectories
 
 ROOT = Path(__file__).parents[1]
@@ -51,7 +51,7 @@ def recorded(name: str, **options) -> Trajectories:
     path = FOLDER / name
     if not path.is_file():
         pytest.skip(f"{path} is missing")
-    return read_recording(path, **options)
+    return read_recording(path, Reading(**options))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ import numpy as np
 
 from benchmarks.fit.contestants import Effort
 from benchmarks.fit.problem import Problem, Trained, network_arrays
-from pinav.commands.matching import CurriculumSettings, matching
 from pinav.dynamics import FixedStep
 from pinav.fitting import (
     Fit,
@@ -25,6 +24,8 @@ from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice, learned_part
 from pinav.fitting.environments.summary import summarise_data, summarise_for_matching
 from pinav.forces import KernelPotential
+from pinav.learning.matching import matching
+from pinav.learning.recipes import Curriculum
 from pinav.scenarios import scenario
 from pinav.trajectories import Trajectories, load
 
@@ -117,7 +118,7 @@ def _by_default(
     data, known = _data(problem)
     choice = ModelChoice(name, seed=seed)
     model = build(choice, known, summarise_for_matching(choice, known, data))
-    settings = CurriculumSettings(max_steps=effort.gauss_newton_steps)
+    settings = Curriculum(effort.gauss_newton_steps)
     recipe = matching(settings, data, model).recipes[0]
     return _fit(problem, data, model, recipe, exact=True)
 

@@ -10,13 +10,11 @@ import numpy as np
 from benchmarks.navigate.gaussian_process import gaussian_process
 from benchmarks.navigate.line_of_sight import LineOfSight
 from pinav.codec import encode
-from pinav.commands.fit.job import fit
-from pinav.commands.fit.plan import plan_fit
-from pinav.commands.fit.settings import FitSettings, ModelName
-from pinav.commands.fitted_run import FittedRun
-from pinav.commands.system_choice import choose_system
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
+from pinav.learning.learn import learn
+from pinav.learning.learned import Learned
+from pinav.learning.recipes import ModelName
 from pinav.navigation.control.controller import AbstractController, StraightLine
 from pinav.navigation.control.default import controller
 from pinav.navigation.task.catalogue import TASKS, task, training
@@ -74,14 +72,11 @@ def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
     """Fit a task's time_cost; a fit that the folder holds is read."""
     source = TASKS[name][1]
     data = training(name, jax.random.key(1000 + draw))
-    settings = FitSettings(model=MODELS.get(source, "kernel-potential"))
     path = folder.path / "fits" / f"{source}-{draw}"
-    run_folder = RunFolder.resume(
-        path, {"run": {"command": "fit"}, "model": settings.model}
-    )
-    if not run_folder.has("metrics.json"):
-        fit(plan_fit(settings, choose_system(None, data), data), run_folder)
-    fitted = FittedRun.open(path)
+    chosen = MODELS.get(source, "kernel-potential")
+    if not (path / "metrics.json").exists():
+        learn(None, data, model=chosen).save(path, overwrite=True)
+    fitted = Learned.open(path)
     model: Any = fitted.model
     drawn: list[Any] = []
     if samples and fitted.posterior is not None:

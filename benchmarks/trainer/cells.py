@@ -13,7 +13,6 @@ import msgspec
 
 from benchmarks._sweep import write_measurement
 from benchmarks.trainer.systems import CENTER, BenchmarkSystem, benchmark_system
-from pinav.commands.matching import CurriculumSettings, matching
 from pinav.dynamics import Swimmer
 from pinav.evaluation import (
     field_map,
@@ -34,6 +33,8 @@ from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice, learned_part
 from pinav.fitting.environments.summary import summarise_for_matching
 from pinav.forces import GaussianSwirl, KernelPotential, SumForce
+from pinav.learning.matching import matching
+from pinav.learning.recipes import Curriculum, Paper
 from pinav.sweeps import Cell
 from pinav.systems import System
 from pinav.trajectories import Trajectories, simulate
@@ -115,7 +116,9 @@ def _by_matching(model: str, recipe: str) -> Callable[[Any, Trajectories, int], 
         choice = ModelChoice(model, seed=seed)
         summary = summarise_for_matching(choice, known, data)
         untrained = build(choice, known, summary)
-        method = matching(CurriculumSettings(recipe), data, untrained)
+        method = matching(
+            Paper() if recipe == "paper" else Curriculum(), data, untrained
+        )
         (result,) = method.fit(
             [untrained],
             data,

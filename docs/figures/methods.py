@@ -10,7 +10,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from pinav.analysis import Analysis, Discovery
-from pinav.evaluation import BASELINE, ErrorCurve, Evaluation, FieldMap
+from pinav.evaluation import BASELINE, ErrorCurve, Evaluation
 from pinav.figures.analysis import growth_map
 from pinav.figures.errors import error_over_time
 from pinav.figures.heat import perfusion_law, place_names, probe_curves
@@ -38,6 +38,8 @@ from pinav.figures.style import (
 )
 from pinav.identification import Identification
 from pinav.identification.rollouts import HORIZONS
+from pinav.learning.findings import ForceMaps
+from pinav.learning.learn import open_run
 from pinav.navigation import OnlineNavigation
 from pinav.runs import RunFolder
 from pinav.thermal.learned_tissue import LearnedTissue
@@ -53,6 +55,13 @@ def read(folder: Path, name: str) -> Arrays:
     """The arrays of a file of a run."""
     with np.load(folder / name) as stored:
         return dict(stored)
+
+
+def maps_of(folder: Path) -> ForceMaps:
+    """The maps of the learned force of a run."""
+    maps = open_run(folder).findings.force
+    assert maps is not None  # data are planar
+    return maps
 
 
 def observed_paths(folder: Path) -> Float[np.ndarray, "_ 2"]:
@@ -73,9 +82,10 @@ def models(workshop: Workshop) -> Figure:
     """The true force of `swirl`, and the errors of three models of it."""
     names = ("kernel-potential", "kernel-force", "kernel-mixture")
     folders = [swirl(workshop, name) for name in names]
-    arrays = [read(folder, "results.npz") for folder in folders]
-    maps = [FieldMap.of_arrays(a, "learned") for a in arrays]
-    true, path = FieldMap.of_arrays(arrays[0], "true"), observed_paths(folders[0])
+    forces = [maps_of(folder) for folder in folders]
+    maps = [force.learned for force in forces]
+    true, path = forces[0].truth, observed_paths(folders[0])
+    assert true is not None  # the truth of a scenario is known
     figure = new_figure(WIDTH, 6.2)
     axes = np.ravel(figure.subplots(2, 2))
     map_panel(true, true.force, FORCE, shade=False, path=path, ax=axes[0])
@@ -144,7 +154,7 @@ def evaluation(workshop: Workshop) -> Figure:
     curves: dict[str, ErrorCurve] = {}
     styles = dict(zip(folders, map(style_of, ("ude", "kernel-force")), strict=True))
     for name, folder in folders.items():
-        edges, errors = error_by_distance(read(folder, "results.npz"))
+        edges, errors = error_by_distance(maps_of(folder))
         look = {"color": styles[name].color, "ls": styles[name].dash, "lw": 1.5}
         above.stairs(errors, edges, label=name, **look)
         scored = RunFolder.open(folder).load("evaluation", Evaluation)
@@ -163,12 +173,14 @@ def evaluation(workshop: Workshop) -> Figure:
 
 
 def error_by_distance(
-    arrays: Arrays, count: int = 12
+    maps: ForceMaps, count: int = 12
 ) -> tuple[Float[np.ndarray, " edge"], Float[np.ndarray, " bin"]]:
     """Relative L2 error of a force over the distance from the data."""
-    distance = arrays["field/distance"]
-    error = np.sum((arrays["field/learned"] - arrays["field/true"]) ** 2, axis=-1)
-    size = np.sum(arrays["field/true"] ** 2, axis=-1)
+    learned, true = maps.learned, maps.true
+    assert true is not None  # the truth of a scenario is known
+    distance = learned.distance
+    error = np.sum((learned.force - true) ** 2, axis=-1)
+    size = np.sum(true**2, axis=-1)
     edges = np.concatenate([[0.0, 0.35, 1.0], np.linspace(2.0, 7.0, count - 6)])
     sums = [
         np.histogram(distance, edges, weights=values)[0] for values in (error, size)

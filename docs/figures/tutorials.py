@@ -4,11 +4,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from docs.figures.methods import WIDTH, observed_paths, read
+from docs.figures.methods import WIDTH, maps_of, observed_paths
 from docs.figures.workshop import Workshop
 from matplotlib.figure import Figure
 
-from pinav.evaluation import FieldMap
 from pinav.figures import force_comparison
 from pinav.figures.maps import ERROR, FORCE, map_panel, one_legend
 from pinav.figures.style import new_figure, title_panel
@@ -24,12 +23,9 @@ def from_tutorial(name: str, run: str, figure: str) -> Callable[[Workshop], Path
 def swimmer(workshop: Workshop) -> Figure:
     """The figure `force.png` of the run, narrower, so that it is small enough."""
     run = workshop.tutorial("swimmer") / "runs" / "my"
-    arrays = read(run, "results.npz")
+    maps = maps_of(run)
     figure = force_comparison(
-        FieldMap.of_arrays(arrays, "learned"),
-        true=FieldMap.of_arrays(arrays, "true"),
-        sd=arrays["field/sd"],
-        path=observed_paths(run),
+        maps.learned, true=maps.truth, sd=maps.sd, path=observed_paths(run)
     )
     figure.set_size_inches(WIDTH, 6.4)
     figure.draw_without_rendering()  # places the panels in the new size
@@ -39,9 +35,9 @@ def swimmer(workshop: Workshop) -> Figure:
 def one_shot(workshop: Workshop) -> Figure:
     """The true force, that of a network with time, its error, and that of kernels."""
     runs = workshop.tutorial("wrong-force") / "runs"
-    network, kernels = (read(runs / n, "results.npz") for n in ("ude", "kernel"))
-    true = FieldMap.of_arrays(network, "true")
-    learned, other = (FieldMap.of_arrays(a, "learned") for a in (network, kernels))
+    network, kernels = (maps_of(runs / name) for name in ("ude", "kernel"))
+    learned, other, true = network.learned, kernels.learned, network.truth
+    assert true is not None  # the truth of a scenario is known
     figure = new_figure(WIDTH, 6.2)
     axes = np.ravel(figure.subplots(2, 2))
     path = observed_paths(runs / "ude")

@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from pinav.analysis import discover as discover
     from pinav.commands.explore.job import explorer as explorer
     from pinav.commands.export.datatree import datatree_of as datatree_of
-    from pinav.commands.fitted_run import FittedRun as FittedRun
     from pinav.dynamics import OverdampedSwimmer as OverdampedSwimmer
     from pinav.dynamics import Swimmer as Swimmer
     from pinav.dynamics import rollout as rollout
@@ -36,6 +35,10 @@ if TYPE_CHECKING:
     from pinav.forces import RollingPropulsion as RollingPropulsion
     from pinav.forces import ZeroForce as ZeroForce
     from pinav.identification import identify as identify
+    from pinav.learning.learn import learn as learn
+    from pinav.learning.learn import open_run as open_run
+    from pinav.learning.learned import Learned as Learned
+    from pinav.recordings import Reading as Reading
     from pinav.recordings import read_recording as read_recording
     from pinav.scenarios import find_system as find_system
     from pinav.scenarios import scenario as scenario
@@ -54,7 +57,6 @@ _PUBLIC = {
     "analysis": ("analyse", "discover"),
     "commands.explore.job": ("explorer",),
     "commands.export.datatree": ("datatree_of",),
-    "commands.fitted_run": ("FittedRun",),
     "dynamics": ("OverdampedSwimmer", "Swimmer", "rollout"),
     "errors": ("FitError", "InputError"),
     "evaluation": ("estimate_starts", "evaluate", "field_map", "predict", "score"),
@@ -64,8 +66,10 @@ _PUBLIC = {
         *("KernelForce", "KernelPotential", "LinearDrag", "RollingPropulsion"),
         "ZeroForce",
     ),
+    "learning.learn": ("learn", "open_run"),
+    "learning.learned": ("Learned",),
     "identification": ("identify",),
-    "recordings": ("read_recording",),
+    "recordings": ("Reading", "read_recording"),
     "scenarios": ("find_system", "scenario"),
     "systems": ("System", "read_system", "write_system"),
     "trajectories": ("Trajectories", "load", "save", "simulate", "split"),

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, Vector, check_positive
+from pinav.arguments import Scalar, Vector, check_positive, dimension
 from pinav.errors import InputError
 
 
@@ -36,7 +36,7 @@ class RotatingField(AbstractField):
     """
 
     amplitude: Scalar
-    frequency: Scalar
+    frequency: Scalar = eqx.field(metadata=dimension("rad T-1"))
 
     def __call__(self, t: Scalar) -> Float[Array, "3"]:
         phase = self.frequency * jnp.asarray(t)
@@ -73,7 +73,7 @@ class SaturatingResponse(AbstractResponse):
         InputError: `corner` is a number <= 0.
     """
 
-    corner: Scalar
+    corner: Scalar = eqx.field(metadata=dimension("Hz"))
 
     def __check_init__(self) -> None:
         check_positive(self, "corner")
@@ -99,7 +99,7 @@ class SlippingResponse(AbstractResponse):
         InputError: `corner` is a number <= 0, or `residual` one outside (0, 1).
     """
 
-    corner: Scalar
+    corner: Scalar = eqx.field(metadata=dimension("Hz"))
     residual: Scalar
 
     def __check_init__(self) -> None:
@@ -133,7 +133,7 @@ class StepOutResponse(AbstractResponse):
         Adler, Proc. IRE 34, 351 (1946).
     """
 
-    corner: Scalar
+    corner: Scalar = eqx.field(metadata=dimension("Hz"))
 
     def __check_init__(self) -> None:
         check_positive(self, "corner")
@@ -180,7 +180,7 @@ class RollingActuator(AbstractActuator):
         response: $s(f)$, the effective frequency.
     """
 
-    gain: Float[Array, "dim dim"]
+    gain: Float[Array, "dim dim"] = eqx.field(metadata=dimension("L"))
     response: AbstractResponse
 
     def __call__(self, command: Command) -> Vector:

@@ -1,6 +1,7 @@
 """Checks and conversions of arguments that several packages share."""
 
 import dataclasses
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -84,3 +85,39 @@ def check_positive(module: eqx.Module, *names: str) -> None:
             raise InputError(
                 f"{type(module).__name__}.{name}: expected > 0, got {value}"
             )
+
+
+def dimension(text: str) -> dict[str, str]:
+    """The metadata of a field that holds a quantity of a dimension, such as "L2 T-1".
+
+    What is learned is printed in a unit of this dimension: `pinav.units.unit_of`.
+
+    Args:
+        text: powers of L (length), T (time) and F (force); "1" of a plain number.
+    """
+    return {"dimension": text}
+
+
+def dimension_of(part: Any, path: str) -> str:
+    """The dimension of a number of a module, "?" where its field states none.
+
+    Args:
+        part: a module, or its class.
+        path: from the module to the number, such as `terms[0].height`.
+    """
+    stated = "?"
+    for place, name in _STEPS.findall(path):
+        if name:
+            kind = part if isinstance(part, type) else type(part)
+            fields = getattr(kind, "__dataclass_fields__", {})
+            if name not in fields:
+                return stated
+            stated = fields[name].metadata.get("dimension", "?")
+            part = getattr(part, name, None)
+        else:
+            part = part[int(place)] if isinstance(part, tuple | list) else None
+    return stated
+
+
+_STEPS = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
+"""Steps of a path: a place in a tuple, in brackets, or the name of a field."""

@@ -1,8 +1,6 @@
 """`ForceRegressor`: the fit of `pinav fit` with the interface of scikit-learn."""
 
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, final
 
 import jax
@@ -10,17 +8,10 @@ import msgspec
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from pinav.commands.export.spots import exact_forces, learned_force
-from pinav.commands.fit import FIT
-from pinav.commands.fit.job import fit as fit_into
-from pinav.commands.fit.plan import plan_fit
-from pinav.commands.fit.settings import FitOptions, FitSettings
-from pinav.commands.fitted_run import FittedRun
-from pinav.commands.start import start_run
-from pinav.commands.system_choice import choose_system
 from pinav.errors import InputError
 from pinav.evaluation import estimate_starts, predict, without_first
-from pinav.systems import System
+from pinav.learning.learn import learn
+from pinav.learning.recipes import ModelName, Suited
 from pinav.trajectories import Trajectories, with_all_channels
 
 try:
@@ -55,7 +46,7 @@ class ForceRegressor(BaseEstimator):
         structure: "search" for a structure of the force, or "free" kernels alone.
         columns: what the columns of an array are; a table of pandas or polars, or
             `Trajectories`, says it itself.
-        run_: the fitted run; its `model` and `posterior` are those of a fit.
+        run_: the fit, a `pinav.Learned`.
         constants_: learned constants with their standard deviations.
     """
 
@@ -87,21 +78,14 @@ class ForceRegressor(BaseEstimator):
             InputError: the table is none of these, or cannot be fitted.
             FitError: the data do not determine the force.
         """
-        given = {"noise": self.noise, "structure": self.structure, "model": self.model}
+        given = {"noise": self.noise, "structure": self.structure}
         try:
-            settings = msgspec.convert(given, FitSettings)
+            model = msgspec.convert(self.model, ModelName | None)
+            recipe = msgspec.convert(given | {"recipe": "default"}, Suited)
         except msgspec.ValidationError as error:
             raise InputError(f"ForceRegressor: {error}") from error
         data = self._tracks(X)
-        with jax.enable_x64(new_val=True), tempfile.TemporaryDirectory() as folder:
-            system = self.system
-            if not isinstance(system, System):
-                system = choose_system(system, data)
-            plan = plan_fit(settings, system, data)
-            options = FitOptions(data=(Path("data"),), out=Path(folder) / "run")
-            run_folder = start_run(FIT, options, plan.settings)
-            fit_into(plan, run_folder)
-            self.run_ = FittedRun.open(run_folder.path)
+        self.run_ = learn(self.system, data, model=model, recipe=recipe)
         self.constants_ = self.run_.constants
         return self
 
@@ -132,7 +116,7 @@ class ForceRegressor(BaseEstimator):
                 f"predict: expected positions of {self.run_.data.dim} coordinates, one "
                 f"a row, got an array of shape {places.shape}"
             )
-        force = exact_forces(learned_force(self.run_), places, np.zeros(len(places)))
+        force = self.run_.force(places)
         if not return_std:
             return force
         if self.run_.posterior is None:

@@ -1,5 +1,6 @@
 """The units of data, the order of the dynamics, and the unit of a force."""
 
+import re
 from collections.abc import Mapping
 
 ORDER = "order"
@@ -46,3 +47,35 @@ def force_unit(units: Mapping[str, str], *, lengths: int = 1) -> str:
         "" if time == "1" else time + rate,
     )
     return " ".join(part for part in parts if part) or "1"
+
+
+_POWER = re.compile(r"([^\d-]+)(-?\d+)?")
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def unit_of(dimension: str, units: Mapping[str, str]) -> str:
+    """The unit of a quantity, such as "um² s⁻¹" of the dimension "L2 T-1".
+
+    Args:
+        dimension: powers of symbols such as L (length), T (time) and F (force), or of
+            units that are no symbol, such as rad; "1" of a plain number, "?" unknown.
+        units: by symbol; "1" is dimensionless.
+
+    Returns:
+        The unit; "1" where it has none, "?" where it is not known.
+    """
+    powers: dict[str, int] = {}
+    for word in dimension.split():
+        match = _POWER.fullmatch(word)
+        symbol, power = (word, "1") if match is None else (match[1], match[2] or "1")
+        unit = units.get(symbol, symbol)
+        if unit == "?":
+            return "?"
+        if unit != "1":
+            powers[unit] = powers.get(unit, 0) + int(power)
+    parts = [
+        unit + ("" if power == 1 else str(power).translate(_SUPERSCRIPTS))
+        for unit, power in powers.items()
+        if power
+    ]
+    return " ".join(parts) or "1"

@@ -7,9 +7,9 @@ from pinav import cli
 from pinav.analysis import EntropyProduction
 from pinav.analysis.effects import produce_entropy
 from pinav.commands.analyse.sections import entropy_sentence
-from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
 from pinav.fitting import Estimate
+from pinav.learning.learned import Learned
 
 TRAP = """
 name = "trap"
@@ -57,11 +57,11 @@ def test_a_trap_is_not_out_of_equilibrium_and_a_potential_is_left_out(tmp_path):
     data, run = str(tmp_path / "data.npz"), tmp_path / "run"
     assert cli.run(["simulate", str(tmp_path / "trap.toml"), "--out", data]) == 0
     assert cli.run(["fit", data, "--out", str(run)]) == 0
-    fitted = FittedRun.open(run)
+    fitted = Learned.open(run)
     entropy = produce_entropy(fitted)
     assert abs(entropy.rate.value) < 3 * entropy.rate.sd
     assert entropy.current.shape == entropy.positions.shape
     potential = ["fit", data, "--out", str(run), "--model", "kernel-potential"]
     assert cli.run([*potential, "--overwrite"]) == 0
     with pytest.raises(InputError, match="the model is a potential"):
-        produce_entropy(FittedRun.open(run))
+        produce_entropy(Learned.open(run))

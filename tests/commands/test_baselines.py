@@ -1,18 +1,15 @@
 """Baselines in the tables, and runs whose kernels were refined."""
 
 import jax
-import msgspec
 import numpy as np
 import pytest
 
-from pinav.commands.fit.metrics import FitMetrics
-from pinav.commands.fit.remarks import REMARKS
-from pinav.commands.fitted_run import FittedRun, ModelHeader, build_model
 from pinav.evaluation import evaluate
 from pinav.fitting import Refinement
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.summary import summarise_for
+from pinav.learning.learned import Learned, ModelHeader, build_model
 from pinav.scenarios import scenario
 from pinav.trajectories import load, simulate
 
@@ -46,18 +43,11 @@ def test_models_without_kernels_keep_their_summary(crossings):
     assert summary.with_kernels_of(network) is summary
 
 
-def test_a_coarse_fit_says_so():
-    metrics = FitMetrics("m", "bayes", "under-resolved", {"total": 0.1}, {})
-    coarse = REMARKS[metrics.outcome]
-    assert coarse in msgspec.structs.replace(metrics, remarks=(coarse,)).text()
-    assert "smaller region" in coarse
-
-
 @pytest.mark.slow
 def test_an_evaluation_has_physics_alone_beside_its_models(tiny_fit):
     run, data = tiny_fit
     with jax.numpy_dtype_promotion("standard"):
-        scores = evaluate(FittedRun.open(run), load(data))
+        scores = evaluate(Learned.open(run), load(data))
     for table in (scores.rmse, scores.rollouts, scores.force):
         assert list(table) == ["model", "physics-only"]
     for region in scores.force["physics-only"].values():

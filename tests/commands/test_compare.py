@@ -12,14 +12,13 @@ from pinav import cli
 from pinav.commands.compare.job import check_settings, positions_alone, text, verdicts
 from pinav.commands.compare.metrics import Candidate, CompareMetrics
 from pinav.commands.compare.settings import CompareSettings
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.fitted_run import ModelHeader, build_model
 from pinav.errors import InputError
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.mean_drag import mean_drag, with_tensor_drag
 from pinav.fitting.environments.summary import summarise_data, summarise_for
 from pinav.forces import tensor_matrix
+from pinav.learning.learned import Learned, ModelHeader, build_model
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.trajectories import Trajectories
@@ -86,21 +85,6 @@ def test_one_model_is_nothing_to_compare():
         CompareSettings(models=("kernel-force",)).check()
 
 
-def test_settings_refuse_what_a_recipe_cannot_learn():
-    for settings, message in (
-        (FitSettings(recipe="langevin", train=("gain",)), "no constant but diffusion"),
-        (FitSettings(recipe="langevin", model="ude"), "expected a kernel model"),
-        (
-            FitSettings(recipe="bayes", observation="learn"),
-            "only the recipe langevin uses it",
-        ),
-        (FitSettings(train=("drag", "damping")), "takes the place of damping"),
-        (FitSettings(recipe="paper", train=("drag",)), "only the recipe bayes does"),
-    ):
-        with pytest.raises(InputError, match=message):
-            settings.check()
-
-
 @pytest.mark.parametrize("model", ["kernel-mixture", "kernel-potential-time"])
 def test_a_model_file_describes_its_kernels(model):
     data = positions("paper", ("x", "y", "vx", "vy"))
@@ -135,8 +119,8 @@ def test_comparison_of_stochastic_paths_from_the_command_line(tmp_path, capsys):
     assert "nats" in (run / "report.html").read_text()
     langevin = ["--recipe", "langevin", "--out", str(tmp_path / "fit")]
     assert cli.run(["fit", str(data), *langevin]) == 0
-    learned = RunFolder.open(tmp_path / "fit").read_json("metrics.json")["learned"]
-    assert learned["diffusion"]["value"] == pytest.approx(0.245, rel=0.2)
+    learned = Learned.open(tmp_path / "fit").constants
+    assert learned["diffusion"].value == pytest.approx(0.245, rel=0.2)
     assert (
         cli.run(["fit", str(data), *langevin[:-1], str(run), "--system", "paper"]) == 2
     )

@@ -8,11 +8,11 @@ import pytest
 from pinav import cli
 from pinav.commands.evaluate import EVALUATE
 from pinav.commands.evaluate.sections import error_name, purpose, sections
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.results import sections_of
 from pinav.errors import InputError
 from pinav.evaluation import Evaluation, Regions, evaluate, held_out
 from pinav.evaluation.setting import true_system
+from pinav.learning.learned import Learned
 from pinav.report import Table
 from pinav.report.text import as_text, sections_text
 from pinav.runs import RunFolder
@@ -160,7 +160,7 @@ def test_a_fit_from_its_own_starts_says_so(tiny_fit, capsys):
 def test_data_of_other_channels_are_refused(judged, tmp_path):
     path = tmp_path / "other.csv"
     path.write_text("t,x\n0,0\n1,1\n")
-    fit = FittedRun.open(judged)
+    fit = Learned.open(judged)
     with pytest.raises(InputError, match="expected the channels x, y, vx, vy of the"):
         evaluate(fit, load(path))
     with pytest.raises(InputError, match="expected 0 < visited < near"):

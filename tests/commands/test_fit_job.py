@@ -1,5 +1,4 @@
 import json
-from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -7,63 +6,24 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.fit import job, remarks
-from pinav.commands.fit.metrics import FitMetrics
-from pinav.commands.fit.plan import plan_fit
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.fitted_run import FittedRun
-from pinav.errors import FitError, InputError
-from pinav.evaluation import FieldMap, field_map, force_errors
-from pinav.fitting import Cause, Outcome
-from pinav.runs import RunFolder
+from pinav.errors import InputError
+from pinav.evaluation import field_map, force_errors
+from pinav.learning.learned import Learned
+from pinav.learning.plan import plan_fit
+from pinav.learning.recipes import Bayes
 from pinav.scenarios import barrier_crossings, scenario
 from pinav.trajectories import Trajectories, load, save, simulate
 
 
 def test_fit_learns_and_reports_what_was_asked(tiny_fit):
     run, _ = tiny_fit
-    metrics = RunFolder.open(run).read_json("metrics.json")
-    assert metrics["loss"]["end"] < metrics["loss"]["start"]
-    assert metrics["outcome"] == "completed"
-    assert metrics["learned"].keys() == {"damping"}
-    assert metrics["learned"]["damping"]["value"] != pytest.approx(0.36, abs=1e-6)
-    assert metrics["learned"]["damping"]["sd"] is None
-
-
-def test_a_fit_that_misses_the_data_says_the_likely_cause(monkeypatch):
-    truth = scenario("paper")
-    data = simulate(truth)
-    monkeypatch.setattr(remarks, "diagnose", lambda model, data: Cause.CHAOS)
-    far, near = {"total": 0.5}, {"total": 1e-6}
-    model = truth.true_swimmer
-    (sentence,) = remarks.likely_cause(data, model, "stalled", far)
-    assert sentence.startswith("The likely cause of the failure: the motion is chaotic")
-    assert remarks.likely_cause(data, model, "converged", far) == ()
-    assert remarks.likely_cause(data, model, "stalled", near) == ()
-
-
-def test_independent_rollouts_confirm_that_a_fit_converged():
-    data = simulate(scenario("paper"))
-    assert remarks.confirm_outcome("converged", 1e-9, data, {"total": 0.5}) == "stalled"
-    assert (
-        remarks.confirm_outcome("converged", 1e-9, data, {"total": 1e-5}) == "converged"
-    )
-    assert remarks.confirm_outcome("misfit", 1e-9, data, {"total": 0.5}) == "misfit"
-
-
-@pytest.mark.parametrize(("model", "says"), [("potential", True), ("force", False)])
-def test_a_potential_that_diverged_names_the_model_that_turns(
-    monkeypatch, tmp_path, model, says
-):
-    """A vortex, fitted by a potential, ends so."""
-    diverged = SimpleNamespace(outcome=Outcome.DIVERGED)
-    monkeypatch.setattr(job, "fit_bayes", lambda *_, **__: diverged)
-    truth = barrier_crossings(jax.random.key(0))
-    settings = FitSettings(model=f"kernel-{model}", structure="free")
-    plan = plan_fit(settings, truth, simulate(truth, key=jax.random.key(0)))
-    with pytest.raises(FitError, match="the fit diverged: the states depart") as error:
-        job._infer(plan, RunFolder.create(tmp_path / "run", {}, overwrite=False))
-    assert ("choose --model kernel-mixture" in str(error.value)) == says
+    fit = Learned.open(run)
+    assert fit.losses.values[0, -1] < fit.losses.values[0, 0]
+    assert fit.outcome == "completed"
+    assert fit.findings.constants.keys() == {"damping"}
+    damping = fit.findings.constants["damping"]
+    assert damping.value != pytest.approx(0.36, abs=1e-6)
+    assert np.isnan(damping.sd)
 
 
 @pytest.mark.slow
@@ -72,7 +32,7 @@ def test_evaluate_scores_the_stored_model(tiny_fit, capsys):
     capsys.readouterr()
     assert cli.run(["evaluate", str(run), str(data), "--json"]) == 0
     rmse = json.loads(capsys.readouterr().out)["rmse"]["model"]
-    fitted = RunFolder.open(run).read_json("metrics.json")["rmse"]
+    fitted = Learned.open(run).findings.rmse
     assert {name: rmse[name] for name in fitted} == fitted
     assert cli.run(["evaluate", str(run), str(data)]) == 0
     heading = capsys.readouterr().out.splitlines()[0]
@@ -157,31 +117,30 @@ def inferred(noisy_positions):
 
 @pytest.mark.slow
 def test_positions_alone_give_a_force_and_its_uncertainty(inferred):
-    metrics = RunFolder.open(inferred).read_json("metrics.json")
-    assert (metrics["model"], metrics["recipe"]) == ("kernel-potential", "bayes")
-    assert metrics["noise"] == pytest.approx(0.02, rel=0.15)
-    damping = metrics["learned"]["damping"]
-    assert abs(damping["value"] - 0.36) < 4 * damping["sd"] < 0.1
-    assert metrics["rmse"]["position"] == pytest.approx(0.02, rel=0.2)
-    arrays = RunFolder.open(inferred).read_arrays("results.npz")
+    found = Learned.open(inferred).findings
+    assert (found.model, found.recipe) == ("kernel-potential", "bayes")
+    assert found.noise == pytest.approx(0.02, rel=0.15)
+    damping = found.constants["damping"]
+    assert abs(damping.value - 0.36) < 4 * damping.sd < 0.1
+    assert damping.low < damping.value < damping.high
+    assert found.rmse["position"] == pytest.approx(0.02, rel=0.2)
     truth = barrier_crossings().truth.environment
-    data = load(inferred / "data.npz")
-    true = field_map(truth, data)
-    learned = FieldMap(true.x, true.y, arrays["field/learned"], true.distance)
+    true = field_map(truth, load(inferred / "data.npz"))
+    learned = found.force.learned
+    np.testing.assert_array_equal(learned.distance, true.distance)
     assert force_errors(learned, true)["visited"] < 0.1
     near = true.distance < 0.35
     miss = np.abs(learned.force - true.force)[near]
-    assert np.mean(miss < 3 * arrays["field/sd"][near]) > 0.8
+    assert np.mean(miss < 3 * found.force.sd[near]) > 0.8
     page = (inferred / "report.html").read_text()
     assert "What the evidence chose" in page
     assert "Constants learned" in page
 
 
 def test_the_stored_posterior_is_that_of_the_fit(inferred):
-    fitted = FittedRun.open(inferred)
+    fitted = Learned.open(inferred)
     posterior = fitted.posterior
-    metrics = fitted.folder.read_metrics("metrics.json", FitMetrics)
-    damping = metrics.learned["damping"].value
+    damping = fitted.findings.constants["damping"].value
     assert float(posterior.model.drag.damping) == pytest.approx(damping, rel=1e-12)
     assert len(posterior.samples(3, key=jax.random.key(0))) == 3
 
@@ -202,7 +161,9 @@ def test_evaluation_shows_the_force_error_where_the_truth_is_known(tmp_path, cap
     assert cli.run(["simulate", "barrier-crossings", "--out", str(data)]) == 0
     argv = ["fit", str(data), "--out", str(tmp_path / "run")]
     assert cli.run(argv) == 0
-    assert "force error (truth of the system): visited 0." in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "visited (%)  near (%)" in out
+    assert "Relative L2 error of the force against the system's truth" in out
 
 
 @pytest.mark.parametrize(
@@ -228,4 +189,4 @@ def test_physics_of_another_kind_is_refused(name, channels, message):
         provenance={"scenario": name},
     )
     with pytest.raises(InputError, match=message):
-        plan_fit(FitSettings(recipe="bayes", train=("damping",)), scenario(name), data)
+        plan_fit(scenario(name), data, recipe=Bayes(), train=("damping",))

@@ -9,10 +9,6 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.fit.metrics import FitMetrics
-from pinav.commands.fit.plan import plan_fit
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.fitting import (
@@ -22,11 +18,13 @@ from pinav.fitting import (
     Observation,
 )
 from pinav.forces import KernelTensor, ZeroForce
-from pinav.runs import RunFolder
+from pinav.learning.learned import Learned
+from pinav.learning.plan import plan_fit
+from pinav.learning.recipes import Langevin
 from pinav.systems import System, parse_system, system_text
 from pinav.trajectories import Trajectories
 
-LEARN = FitSettings(recipe="langevin", observation="learn")
+LEARN = Langevin(observation="learn")
 
 
 def system(dim=3, **parts):
@@ -43,9 +41,10 @@ def walk(dim=3):
     )
 
 
-def plan(known=None, data=None, **options):
-    settings = msgspec.structs.replace(LEARN, **options)
-    return plan_fit(settings, known or system(), walk() if data is None else data)
+def plan(known=None, data=None, model=None, **options):
+    recipe = msgspec.structs.replace(LEARN, **options)
+    data = walk() if data is None else data
+    return plan_fit(known or system(), data, model=model, recipe=recipe)
 
 
 def test_words_become_values():
@@ -108,7 +107,7 @@ reference = "z"
 def test_a_system_file_states_the_same_words():
     stated = parse_system(FILE)
     assert parse_system(system_text(stated)).thermal == stated.thermal
-    by_file = plan_fit(FitSettings(recipe="langevin"), stated, walk())
+    by_file = plan_fit(stated, walk(), recipe=Langevin())
     by_options = plan(
         model="kernel-force",
         diffusion="tensor",
@@ -117,10 +116,10 @@ def test_a_system_file_states_the_same_words():
         warp=("z",),
         reference="z",
     )
-    assert by_file.settings == by_options.settings
+    assert by_file.recipe == by_options.recipe
     other = plan(stated, diffusion="constant")
-    assert other.settings.diffusion == "constant"
-    assert other.settings.coordinates == ("y", "z")
+    assert other.recipe.diffusion == "constant"
+    assert other.recipe.coordinates == ("y", "z")
 
 
 @pytest.mark.parametrize(
@@ -168,11 +167,6 @@ def test_inertia_has_no_thermal_motion():
         (
             {"coordinates": ("z",), "model": "kernel-mixture"},
             "--model kernel-mixture: a force that depends on --coordinates",
-        ),
-        ({"recipe": "bayes"}, "--observation: only the recipe langevin uses it"),
-        (
-            {"recipe": "bayes", "observation": None, "reference": "z"},
-            "--reference: only the recipe langevin uses it; drop it",
         ),
     ],
 )
@@ -238,14 +232,14 @@ def test_a_ring_is_fitted_by_a_system_file_and_known_blur(tmp_path):
     assert cli.run(["simulate", str(tmp_path / "ring.toml"), "--out", data]) == 0
     learn = ["--observation", "known", "--diffusion", "field"]
     assert cli.run(["fit", data, "--out", str(run), *learn]) == 0
-    metrics = RunFolder.open(run).read_metrics("metrics.json", FitMetrics)
-    diffusion = metrics.learned["diffusion"]
+    fitted = Learned.open(run)
+    metrics = fitted.findings
+    diffusion = metrics.constants["diffusion"]
     assert abs(diffusion.value - 0.2684) < 3 * diffusion.sd < 0.03
     assert metrics.force_error["at the samples"] < 0.15
     assert metrics.thermal.observed[0].exposure.value == pytest.approx(0.6)
     page = (run / "report.html").read_text()
     assert "Diffusion along x through the middle of the data" in page
-    fitted = FittedRun.open(run)
     force = jax.vmap(lambda x: fitted.model.environment(0.0, x, x))
     places = jnp.linspace(0.0, 12.0, 20)[:, None]
     np.testing.assert_allclose(force(places), force(places + 24.0), atol=1e-9)
@@ -261,13 +255,12 @@ def test_a_wall_is_fitted_with_a_tensor_and_a_reference(tmp_path):
     wall = ["--diffusion", "tensor", "--coordinates", "z", "--warp", "z"]
     options = ["--observation", "learn", "--reference", "z", *wall]
     assert cli.run(["fit", data, "--out", str(run), *options]) == 0
-    checks = RunFolder.open(run).read_metrics("metrics.json", FitMetrics).thermal
+    checks = Learned.open(run).findings.thermal
     along, normal = checks.observed
     assert (along.channels, normal.channels) == (("x", "y"), ("z",))
-    assert 0.05 < along.range[0] < along.range[1] < 0.142 * 1.2
-    assert normal.range[1] < along.range[1]
+    assert 0.05 < along.low < along.high < 0.142 * 1.2
+    assert normal.high < along.high
     assert checks.einstein
-    assert checks.reference.channel == "z"
-    arrays = RunFolder.open(run).read_arrays("thermal.npz")
-    rising = arrays["diffusion/z/values"][:, 2]
+    assert checks.reference.axis == 2
+    rising = checks.lines["z"].values[:, 2]
     assert rising[5] < rising[25] < rising[50]

@@ -10,7 +10,7 @@ import pytest
 
 from pinav import cli
 from pinav.errors import InputError
-from pinav.recordings import image_positions, read_recording
+from pinav.recordings import Reading, image_positions, read_recording
 from pinav.trajectories import Trajectories, save
 
 
@@ -128,7 +128,7 @@ def test_paths_are_drawn_over_a_still_of_the_film(circles, tmp_path, capsys):
 
 @pytest.mark.parametrize("y_down", [True, False])
 def test_positions_go_back_to_the_pixels_of_the_file(circles, y_down):
-    data = read_recording(circles, mpp=0.345, y_down=y_down)
+    data = read_recording(circles, Reading(mpp=0.345, y_down=y_down))
     text = circles.read_text().splitlines()[1:401]
     pixels = np.array([line.split(",")[4:6] for line in text], float)
     again = image_positions(data, data.trajectory(0).states)

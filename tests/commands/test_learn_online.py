@@ -10,12 +10,12 @@ import pytest
 
 from pinav import cli
 from pinav.codec import encode
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.online import online_task, with_prior
 from pinav.commands.navigate.online_sections import online_sections
 from pinav.dynamics import paper_black_box
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap
+from pinav.learning.learned import Learned
 from pinav.navigation import (
     AbstractNavigation,
     AdaptiveController,
@@ -213,7 +213,7 @@ def adaptive_of(name):
 
 
 def test_a_fit_is_taken_over_with_its_posterior(fitted_run):
-    run = FittedRun.open(fitted_run("kernel")[0])
+    run = Learned.open(fitted_run("kernel")[0])
     adaptive = with_prior(adaptive_of("barrier-weak"), run, Units())
     places = np.array([[2.0, 2.0], [4.0, 4.5]])
     first = Frame(0.0, places[0], 0.02, np.zeros(2))
@@ -227,10 +227,10 @@ def test_a_fit_is_taken_over_with_its_posterior(fitted_run):
 
 
 def test_a_fit_that_cannot_be_a_prior_is_refused(fitted_run):
-    inertial = FittedRun.open(fitted_run("kernel")[0])
+    inertial = Learned.open(fitted_run("kernel")[0])
     with pytest.raises(InputError, match="swimmer without inertia in 2 dimensions"):
         with_prior(adaptive_of("vortex"), inertial, Units())
-    network = FittedRun.open(fitted_run("network")[0])
+    network = Learned.open(fitted_run("network")[0])
     with pytest.raises(InputError, match="expected a fit with a posterior, got"):
         with_prior(adaptive_of("barrier-weak"), network, Units())
     other = dataclasses.replace(

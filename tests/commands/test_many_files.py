@@ -70,7 +70,9 @@ def test_several_files_get_a_run_each_and_one_table(fitted_run, tmp_path, capsys
     assert float(good["rmse x"]) > 0.0
     assert "bad.csv" in bad["failure"]
     assert (out / good["run"] / "report.html").exists()
-    assert json.loads((out / good["run"] / "metrics.json").read_text())["learned"]
+    assert json.loads((out / good["run"] / "metrics.json").read_text())["value"][
+        "constants"
+    ]
     table = (out / "runs.csv").read_bytes()
     assert cli.run([*argv, "--resume", "--workers", "2"]) == 0
     assert (out / "runs.csv").read_bytes() == table

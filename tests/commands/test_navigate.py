@@ -11,7 +11,6 @@ import pytest
 from pinav import cli
 from pinav.actuation import AbstractProgramme, RollingActuator, SaturatingResponse
 from pinav.codec import encode
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate import NAVIGATE
 from pinav.commands.navigate.sections import controller_table, sentences
 from pinav.commands.navigate.settings import NavigateSettings
@@ -31,6 +30,7 @@ from pinav.forces import (
     WallMobility,
     ZeroForce,
 )
+from pinav.learning.learned import Learned
 from pinav.navigation import (
     AbstractNavigation,
     Course,
@@ -196,7 +196,7 @@ def rolling_run(tmp_path, **propulsion):
     )
     system = System("robot", robot, 2)
     choice = ModelChoice()
-    return FittedRun(folder, system, data, {"model": robot}, choice, None)
+    return Learned(folder, system, data, {"model": robot}, choice, None)
 
 
 def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
@@ -269,7 +269,7 @@ def space_run(tmp_path, mobility=1.0):
         tmp_path / "run", {"run": {"command": "fit"}}, overwrite=True
     )
     system = System("water", swimmer, 3)
-    return FittedRun(folder, system, data, {"model": swimmer}, ModelChoice(), None)
+    return Learned(folder, system, data, {"model": swimmer}, ModelChoice(), None)
 
 
 IN_SPACE = {"start": "0,0,0", "goal": "2,1,1", "time_limit": 8.0}

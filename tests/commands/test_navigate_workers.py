@@ -12,13 +12,13 @@ from tests.sweeps.here import here
 
 from pinav import cli
 from pinav.commands import sweep
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate import NAVIGATE, cells
 from pinav.commands.navigate.cells import sweep_loops
 from pinav.commands.navigate.settings import NavigateOptions, NavigateSettings
 from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.sweep import start_sweep
 from pinav.commands.worker_settings import WorkerSettings
+from pinav.learning.learned import Learned
 from pinav.navigation import Episodes, Flight, SwimmerFlights
 from pinav.navigation.comparison import try_model
 from pinav.navigation.problem import PHYSICS
@@ -107,7 +107,7 @@ def test_loops_of_cells_are_those_of_the_command(
             return dict(sweep_loops(of, settings, run, [PHYSICS]))[PHYSICS]
 
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        problem = navigation_problem(settings, FittedRun.open(run))
+        problem = navigation_problem(settings, Learned.open(run))
         _, here = try_model(problem, PHYSICS, settings.seeds, settings.seed)
         first = swept(resume=False)
         stays, goes = sorted(CellStore.of_run(out).path.glob("*/outcome.json"))

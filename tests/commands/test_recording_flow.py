@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.fitted_run import FittedRun
+from pinav.learning.learned import Learned
 from pinav.systems import read_system
 from pinav.trajectories import Trajectories, save
 
@@ -61,7 +61,7 @@ def test_a_recording_goes_through_all_commands_on_the_same_runs(tmp_path, capsys
         metrics = read_evaluation(tmp_path / name)
         assert "whiteness" not in metrics
         assert metrics["coverage"]["observations of the data"]["visited"] > 0.8
-    run = FittedRun.open(tmp_path / "I")
+    run = Learned.open(tmp_path / "I")
     assert run.posterior is not None
     np.testing.assert_allclose(
         run.model.propulsion.gain, system.swimmer.propulsion.gain

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.fit import plan
-from pinav.commands.system_choice import choose_system
 from pinav.errors import InputError
 from pinav.fitting.environments.summary import DataSummary
+from pinav.learning import plan
+from pinav.learning.system_choice import choose_system
 from pinav.trajectories import Trajectories
 
 

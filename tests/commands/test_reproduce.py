@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from tests.fitted_runs import reproduced
 
 from pinav import cli, figures, files
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.reproduce import report as reproduction_report
 from pinav.commands.reproduce import table2
+from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
 
 
@@ -79,7 +79,7 @@ def test_a_stored_model_predicts_what_was_scored(run):
     from pinav.evaluation import predict
     from pinav.trajectories import load
 
-    model = FittedRun.open(run.path).models["model-ude-42"]
+    model = Learned.open(run.path).models["model-ude-42"]
     predicted, _ = predict(model, load(run.path / "data.npz"))
     stored = run.read_arrays("results.npz")["ude-42"]
     np.testing.assert_array_equal(predicted[0], stored)

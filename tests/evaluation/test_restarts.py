@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from pinav.commands.fit.metrics import RestartRow
 from pinav.dynamics import OverdampedSwimmer
 from pinav.evaluation import restart_errors
 from pinav.forces import UniformFlow, ZeroForce
@@ -40,12 +39,3 @@ def test_errors_of_a_model_without_the_drift_are_the_drift(duration):
 
 def test_a_short_film_has_none():
     assert restart_errors(still(), film(8.0)) is None
-    assert RestartRow.of_errors(None) is None
-
-
-def test_the_errors_are_said_by_length():
-    row = RestartRow.of_errors(restart_errors(still(), film(35.0)))
-    assert row.text({"x": "um", "t": "s"}) == (
-        "error of rollouts from observed positions, median of 3: 0.500 um after "
-        "1.00 s, 2.50 um after 5.00 s, 5.00 um after 10.0 s"
-    )

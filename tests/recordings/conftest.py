@@ -2,7 +2,7 @@
 
 import pytest
 
-from pinav.recordings import read_recording
+from pinav.recordings import Reading, read_recording
 
 
 @pytest.fixture
@@ -12,6 +12,6 @@ def read(tmp_path):
     def write_and_read(content, name="tracks.csv", **reading):
         path = tmp_path / name
         path.write_bytes(content.encode() if isinstance(content, str) else content)
-        return read_recording(path, **{"strict": True, **reading})
+        return read_recording(path, Reading(**{"strict": True, **reading}))
 
     return write_and_read

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pinav.errors import InputError
-from pinav.recordings import read_recording
+from pinav.recordings import Reading, read_recording
 
 
 def course(rows=400):
@@ -45,7 +45,7 @@ OPTIONS = {
 
 def test_the_offset_of_the_clocks_is_found_with_its_interval(files):
     tracks, log = files(ahead=7.3)
-    data = read_recording(tracks, commands=log, **OPTIONS)
+    data = read_recording(tracks, Reading(commands=log, **OPTIONS))
     said = data.provenance["commands"]["offset of its clock"]
     assert said["low"] < -7.3 < said["high"]
     assert abs(said["value"] + 7.3) < 0.11  # within a frame of the film
@@ -61,7 +61,7 @@ def test_the_offset_of_the_clocks_is_found_with_its_interval(files):
 def test_frames_are_joined_as_they_are(files):
     tracks, log = files(0.0, header="frame,alpha [rad],freq [Hz]")
     frames = {**OPTIONS, "columns": {"frame": "frame", "x": "x", "y": "y"}}
-    data = read_recording(tracks, commands=log, fps=10.0, **frames)
+    data = read_recording(tracks, Reading(commands=log, fps=10.0, **frames))
     _, heading, frequency, _ = course()
     np.testing.assert_allclose(data.commands["frequency"][0], frequency, atol=1e-4)
     np.testing.assert_allclose(data.commands["heading"][0], heading, atol=1e-4)
@@ -71,7 +71,7 @@ def test_delay_and_offset_of_the_heading_apply_to_a_log(files):
     tracks, log = files(0.0, header="frame,alpha [rad],freq [Hz]")
     frames = {**OPTIONS, "columns": {"frame": "frame", "x": "x", "y": "y"}}
     data = read_recording(
-        tracks, commands=log, fps=10.0, delay=0.2, heading_offset=1.0, **frames
+        tracks, Reading(commands=log, fps=10.0, delay=0.2, heading_offset=1.0, **frames)
     )
     _, heading, frequency, _ = course()
     np.testing.assert_allclose(
@@ -99,7 +99,7 @@ def test_a_log_that_cannot_be_joined_is_refused(files, text, options, message):
     tracks, log = files(0.0)
     log.write_text(text)
     with pytest.raises(InputError, match=message):
-        read_recording(tracks, commands=log, **{**OPTIONS, **options})
+        read_recording(tracks, Reading(commands=log, **{**OPTIONS, **options}))
 
 
 def test_a_file_with_commands_takes_no_log(files, tmp_path):
@@ -107,4 +107,4 @@ def test_a_file_with_commands_takes_no_log(files, tmp_path):
     tidy = tmp_path / "tidy.csv"
     tidy.write_text("t_s,x_um,y_um,freq_hz,alpha_rad\n0,0,0,1,0\n1,1,0,1,0\n")
     with pytest.raises(InputError, match="commands: the file has commands itself"):
-        read_recording(tidy, commands=log)
+        read_recording(tidy, Reading(commands=log))

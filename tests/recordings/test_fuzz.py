@@ -8,7 +8,7 @@ from tests.recordings.formats.test_trackmate import GOOD
 from tests.recordings.test_text_damage import SAMPLES
 
 from pinav.errors import InputError
-from pinav.recordings import read_recording
+from pinav.recordings import Reading, read_recording
 
 FILES = {
     **{name: sample.text(sample.lines()) for name, sample in SAMPLES.items()},
@@ -48,7 +48,7 @@ def test_damaged_text_is_read_or_refused_with_one_line(tmp_path_factory, name, d
     format = data.draw(st.sampled_from([None, FORMATS[name]]))
     complaint = ""
     try:
-        read_recording(path, format=format, **reading)
+        read_recording(path, Reading(format=format, **reading))
     except InputError as error:
         complaint = str(error)
     assert "\n" not in complaint

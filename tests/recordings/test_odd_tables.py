@@ -12,7 +12,7 @@ import pytest
 from pinav.commands.data_file import read_data
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.errors import InputError
-from pinav.recordings import read_recording
+from pinav.recordings import Reading, read_recording
 from pinav.recordings.synonyms import example_of_columns
 
 TXY = {"t": "t", "x": "x", "y": "y"}
@@ -78,7 +78,7 @@ def test_durations_of_a_workbook_are_times(tmp_path):
     for i in range(3):
         book.active.append([datetime.timedelta(seconds=i / 2), 1.0 + i, 2.0 + i])
     book.save(tmp_path / "a.xlsx")
-    data = read_recording(tmp_path / "a.xlsx", columns=TXY, **UM)
+    data = read_recording(tmp_path / "a.xlsx", Reading(columns=TXY, **UM))
     np.testing.assert_allclose(data.trajectory(0).times, [0, 0.5, 1])
 
 

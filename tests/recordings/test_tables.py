@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from tests.recordings.synthetic import EXAMPLE, check, rows_of, tracks
 
 from pinav.errors import InputError
-from pinav.recordings import labels, read_recording
+from pinav.recordings import Reading, labels, read_recording
 
 
 def trackpy_frame(truth):
@@ -36,7 +36,12 @@ def test_trackpy_comes_back_whole(tmp_path_factory, truth):
     (folder / "a.csv").write_text(shuffled.to_csv())
     (folder / "a.parquet").write_bytes(parquet(frame))
     for source in (folder / "a.csv", folder / "a.parquet", shuffled):
-        check(read_recording(source, fps=20.0, mpp=0.345), truth, mpp=0.345, fps=20.0)
+        check(
+            read_recording(source, Reading(fps=20.0, mpp=0.345)),
+            truth,
+            mpp=0.345,
+            fps=20.0,
+        )
         check(read_recording(source), truth)
 
 
@@ -98,7 +103,7 @@ def test_imagej_comes_back_whole(tmp_path_factory, truth):
     for index, (name, frame, x, y) in enumerate(rows_of(truth), start=1):
         lines.append(f"{index}\t{name}\t{frame}\t{x!r}\t{y!r}\t-1\t-1\t90")
     path.write_bytes("\n".join(lines).encode("latin-1"))
-    data = read_recording(path, fps=10.0)
+    data = read_recording(path, Reading(fps=10.0))
     check(data, truth, fps=10.0)
     assert data.units["x"] == "px"
     one = truth[:1]
@@ -106,10 +111,10 @@ def test_imagej_comes_back_whole(tmp_path_factory, truth):
     for index, (_, frame, x, y) in enumerate(rows_of(one), start=1):
         lines.append(f"{index},12,{x!r},{y!r},0,0,{frame}")
     path.write_text("\n".join(lines))
-    data = read_recording(path, fps=10.0, mpp=2.0)
+    data = read_recording(path, Reading(fps=10.0, mpp=2.0))
     check(data, [one[0]._replace(name="1")], mpp=2.0, fps=10.0)
     assert read_recording(path).units["x"] == "?"
-    assert read_recording(path, units={"x": "um"}).units["x"] == "um"
+    assert read_recording(path, Reading(units={"x": "um"})).units["x"] == "um"
 
 
 def test_imagej_results_of_several_particles_need_tracks(read):
@@ -231,11 +236,11 @@ def test_text_of_numpy_comes_back_whole(tmp_path_factory, truth):
     folder = tmp_path_factory.mktemp("text")
     for delimiter in " ,":
         np.savetxt(folder / "a.txt", rows, "%.17g", delimiter)
-        check(read_recording(folder / "a.txt", columns=COLUMNS), truth)
+        check(read_recording(folder / "a.txt", Reading(columns=COLUMNS)), truth)
         header = delimiter.join(["Robot", "Frame", "Centroid_x", "Centroid_y"])
         np.savetxt(folder / "b.txt", rows, "%.17g", delimiter, header=header)
         names = dict(zip(COLUMNS, header.split(delimiter), strict=True))
-        check(read_recording(folder / "b.txt", columns=names), truth)
+        check(read_recording(folder / "b.txt", Reading(columns=names)), truth)
 
 
 def test_comments_above_the_header_are_passed_over(tmp_path):

@@ -4,7 +4,8 @@ import contextlib
 import io
 import itertools
 import tomllib
-from collections.abc import Sequence
+import typing
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,23 +15,37 @@ import tyro
 from pinav.commands.plain_help import plain_help
 from pinav.errors import InputError
 
+Content = dict[str, Any]
+"""Settings as TOML holds them, or arguments by keyword."""
+
 Options = TypeVar("Options", bound=msgspec.Struct)
 
 
 def parse(options: type[Options], argv: Sequence[str], prog: str) -> Options | None:
     """Options from words; None where help was asked for and printed.
 
+    A field that may be one of several tagged structs is chosen by the option that has
+    the name of their tag, such as `--recipe paper`, by the same key of `--config`, or
+    by an option that one of them alone has; the others then have no options.
+
     Raises:
         InputError: tyro refuses the words; its boxed message becomes one line.
     """
     complaint = io.StringIO()
+    content = _file_content(argv)
+    words, chosen, foreign = list(argv), options, {}
+    for field in msgspec.structs.fields(options):
+        if members := tagged_members(field.type):
+            words, member = _choose(members, words, content)
+            chosen = _narrow(chosen, field.name, member)
+            foreign |= _foreign(members, member)
     try:
         with contextlib.redirect_stderr(complaint):
             return tyro.cli(
-                options,
-                args=list(argv),
+                chosen,
+                args=words,
                 prog=prog,
-                **_defaults(options, argv),
+                **_defaults(chosen, argv, content),
                 config=(
                     tyro.conf.OmitArgPrefixes,
                     tyro.conf.FlagCreatePairsOff,
@@ -41,9 +56,94 @@ def parse(options: type[Options], argv: Sequence[str], prog: str) -> Options | N
     except SystemExit as stop:
         if not stop.code:
             return None
+        for word in words:
+            if advice := foreign.get(word.partition("=")[0]):
+                raise InputError(advice) from stop
         raise InputError(
             f"{_one_line(complaint.getvalue())}; see {prog} --help"
         ) from stop
+
+
+def tagged_members(annotation: Any) -> dict[str, type[msgspec.Struct]]:
+    """The structs of a union by their tags; none of another annotation."""
+    members = [one for one in typing.get_args(annotation) if isinstance(one, type)]
+    return {
+        str(one.__struct_config__.tag): one
+        for one in members
+        if issubclass(one, msgspec.Struct) and one.__struct_config__.tag is not None
+    }
+
+
+Members = Mapping[str, type[msgspec.Struct]]
+
+
+def _choose(
+    members: Members, words: list[str], content: Content
+) -> tuple[list[str], type[msgspec.Struct]]:
+    """The words without the option that names a member, and that member.
+
+    Raises:
+        InputError: no member has the name that is given.
+    """
+    first = next(iter(members.values()))
+    key = str(first.__struct_config__.tag_field)
+    option, name, rest = f"--{key}", content.get(key), []
+    remaining = iter(words)
+    for word in remaining:
+        if word == option:
+            name = next(remaining, "")
+        elif word.startswith(f"{option}="):
+            name = word.removeprefix(f"{option}=")
+        else:
+            rest.append(word)
+    if name is None:
+        given = {word.partition("=")[0] for word in words}
+        only = [one for one in members.values() if given & _only_of(one, members)]
+        return rest, only[0] if only else first
+    if name not in members:
+        raise InputError(
+            f"{option}: expected one of {', '.join(members)}, got {name!r}"
+        )
+    return rest, members[str(name)]
+
+
+def _options_of(member: type[msgspec.Struct]) -> set[str]:
+    return {f"--{name.replace('_', '-')}" for name in member.__struct_fields__}
+
+
+def _only_of(member: type[msgspec.Struct], members: Members) -> set[str]:
+    """The options that no other member has."""
+    others = (_options_of(one) for one in members.values() if one is not member)
+    return _options_of(member).difference(*others)
+
+
+def _foreign(members: Members, chosen: type[msgspec.Struct]) -> dict[str, str]:
+    """The advice for each option that other members have."""
+    owners: dict[str, list[str]] = {}
+    for name, one in members.items():
+        for option in _options_of(one) - _options_of(chosen):
+            owners.setdefault(option, []).append(name)
+    key = chosen.__struct_config__.tag_field
+    return {
+        option: f"{option}: only the {key} {' or '.join(names)} uses it; drop it or "
+        f"choose --{key} {names[-1]}"
+        for option, names in owners.items()
+    }
+
+
+def _narrow(
+    options: type[Options], name: str, member: type[msgspec.Struct]
+) -> type[Options]:
+    """The options whose field of that name is of one class."""
+    narrow: Any = msgspec.defstruct(
+        options.__name__,
+        [(name, member, member())],
+        bases=(options,),
+        frozen=True,
+        kw_only=True,
+    )
+    narrow.__doc__ = options.__doc__
+    return narrow
 
 
 def _one_line(box: str) -> str:
@@ -53,29 +153,42 @@ def _one_line(box: str) -> str:
     return message.partition("For full helptext")[0].strip().rstrip(".")
 
 
-def _defaults(options: type[Options], argv: Sequence[str]) -> dict[str, Any]:
+def _file_content(argv: Sequence[str]) -> Content:
+    """The settings of `--config`; none where it is not given.
+
+    Raises:
+        InputError: the file is missing or not TOML.
+    """
+    path = _config_path(argv)
+    if path is None:
+        return {}
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"--config {path}: cannot be read: {error}") from error
+    content.pop(RUN_TABLE, None)
+    return content
+
+
+def _defaults(options: type[Options], argv: Sequence[str], content: Content) -> Content:
     """Keyword `default` of tyro: the settings of `--config`, where it is given.
 
     Raises:
-        InputError: the file is missing, not TOML, or holds an unknown setting.
+        InputError: the file holds an unknown setting.
     """
     path = _config_path(argv)
     fields = {field.name: field for field in msgspec.structs.fields(options)}
     if path is None or "config" not in fields:
         return {}
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-        content.pop(RUN_TABLE, None)
         from_file = _group(content, fields)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"--config {path}: cannot be read: {error}") from error
     except msgspec.ValidationError as error:
         raise InputError(f"--config {path}: {error}") from error
     required = {n: tyro.MISSING for n, field in fields.items() if field.required}
     return {"default": options(**required, **from_file)}
 
 
-def _group(content: dict[str, Any], fields: dict[str, Any]) -> dict[str, Any]:
+def _group(content: Content, fields: Content) -> Content:
     """Each group of settings from those entries of a file that are its own.
 
     Raises:
@@ -86,7 +199,10 @@ def _group(content: dict[str, Any], fields: dict[str, Any]) -> dict[str, Any]:
         for name, field in fields.items()
         if isinstance(field.type, type) and issubclass(field.type, msgspec.Struct)
     }
-    names = {name: set(kind.__struct_fields__) for name, kind in groups.items()}
+    names = {
+        name: {*kind.__struct_fields__, kind.__struct_config__.tag_field}
+        for name, kind in groups.items()
+    }
     known = set.union(*names.values())
     return {
         name: msgspec.convert(

@@ -1,6 +1,5 @@
 """Progress of a fit: a bar for people, a line of JSON for the record."""
 
-import abc
 from types import TracebackType
 from typing import Any
 
@@ -8,13 +7,14 @@ import numpy as np
 from tqdm import tqdm
 
 from pinav.fitting import EvidenceProgress, FitProgress
+from pinav.learning.learn import Progress, RoundProgress
 from pinav.runs import RunFolder
 
 OPEN_END = "{desc}: {n_fmt} steps [{elapsed}{postfix}]"
 """Format of a bar whose end is not known."""
 
 
-class AbstractReporter(abc.ABC):
+class Reporter:
     """A bar while a fit runs, closed whatever ends it, and its record in the run.
 
     Attributes:
@@ -32,7 +32,7 @@ class AbstractReporter(abc.ABC):
             bar_format=OPEN_END,
         )
 
-    def __enter__(self) -> "AbstractReporter":
+    def __enter__(self) -> "Reporter":
         return self
 
     def __exit__(
@@ -43,69 +43,57 @@ class AbstractReporter(abc.ABC):
     ) -> None:
         self.bar.close()
 
-    @abc.abstractmethod
-    def __call__(self, progress: Any) -> None:
-        """Take note of what was done since the last call."""
+    def __call__(self, progress: Progress) -> None:
+        """Take note of a step, a chunk of steps or a round."""
+        if isinstance(progress, FitProgress):
+            self._note_chunk(progress)
+        elif isinstance(progress, EvidenceProgress):
+            self._note_step(progress)
+        else:
+            self._note_round(progress)
 
-
-class FitReporter(AbstractReporter):
-    """Shows a fit's stage, loss and time left, and appends its losses to the run."""
-
-    def __call__(self, progress: FitProgress) -> None:
-        """Take note of one finished chunk."""
+    def _note_chunk(self, progress: FitProgress) -> None:
+        """The stage, the loss and the time left."""
         last = progress.losses[:, -1]
         if self.bar.total is None:
             done_before = progress.done - progress.losses.shape[1]
             self.bar.bar_format = None
             self.bar.reset(total=progress.total)
             self.bar.initial = self.bar.n = done_before  # resumed: rate without it
-        self.bar.set_description(f"{self.label} {progress.phase}", refresh=False)
-        self.bar.set_postfix_str(f"loss {np.median(last):.3g}", refresh=False)
-        self.bar.update(progress.done - self.bar.n)
-        self.folder.append_record(
-            {
-                "model": self.label,
-                "phase": progress.phase,
-                "step": progress.done,
-                "loss": last,
-            }
+        self._show(
+            f"{self.label} {progress.phase}",
+            f"loss {np.median(last):.3g}",
+            progress.done - self.bar.n,
         )
+        self._record(self.label, progress.done, phase=progress.phase, loss=last)
 
-
-class BayesReporter(AbstractReporter):
-    """Shows the steps of a Bayesian fit, and appends them to the run."""
-
-    def __call__(self, progress: EvidenceProgress) -> None:
-        """Take note of one step."""
+    def _note_step(self, progress: EvidenceProgress) -> None:
         label = progress.force or self.label
-        self.bar.set_description_str(label, refresh=False)
-        self.bar.set_postfix_str(
+        self._show(
+            label,
             f"{progress.parameters} unknowns, noise {progress.noise:.3g}, log evidence "
             f"{progress.log_evidence:.1f}, defect {progress.defect:.0e}",
-            refresh=False,
         )
-        self.bar.update(1)
-        self.folder.append_record(
-            {
-                "model": label,
-                "step": progress.done,
-                "unknowns": progress.parameters,
-                "noise": progress.noise,
-                "log_evidence": progress.log_evidence,
-                "defect": progress.defect,
-            }
+        self._record(
+            label,
+            progress.done,
+            unknowns=progress.parameters,
+            noise=progress.noise,
+            log_evidence=progress.log_evidence,
+            defect=progress.defect,
         )
 
+    def _note_round(self, progress: RoundProgress) -> None:
+        """A round in which noise and prior of a field are chosen in turn."""
+        label = self.label if progress.field else "without a field"
+        likelihood = progress.log_likelihood
+        self._show(label, f"log likelihood {likelihood:.1f}")
+        self._record(label, progress.done, log_likelihood=likelihood)
 
-class RoundReporter(AbstractReporter):
-    """Shows the rounds in which noise and prior of a field are chosen in turn."""
+    def _show(self, label: str, state: str, steps: int = 1) -> None:
+        self.bar.set_description_str(label, refresh=False)
+        self.bar.set_postfix_str(state, refresh=False)
+        self.bar.update(steps)
 
-    def __call__(self, progress: tuple[int, float]) -> None:
-        """Take note of one round: its number and the log likelihood."""
-        done, likelihood = progress
-        self.bar.set_description_str(self.label, refresh=False)
-        self.bar.set_postfix_str(f"log likelihood {likelihood:.1f}", refresh=False)
-        self.bar.update(1)
-        self.folder.append_record(
-            {"model": self.label, "step": done, "log_likelihood": likelihood}
-        )
+    def _record(self, label: str, step: int, **numbers: Any) -> None:
+        self.folder.append_record({"model": label, "step": step, **numbers})

@@ -70,28 +70,18 @@ class RecordingSettings(Settings, frozen=True):
         Raises:
             InputError: a setting makes no sense, or the file is damaged.
         """
-        from pinav.recordings import read_recording
+        from pinav.recordings import Reading, read_recording
 
-        return read_recording(
-            path,
-            format=self.format,
+        # The same names, but for those that a command line writes as words.
+        words = ("columns", "units", "y")
+        plain = (name for name in self.__struct_fields__ if name not in words)
+        reading = Reading(
+            **{name: getattr(self, name) for name in plain},
             columns=_pairs("columns", self.columns),
             units=self.stated_units(),
-            fps=self.fps,
-            mpp=self.mpp,
             y_down=None if self.y is None else self.y == "down",
-            heading_offset=self.heading_offset,
-            delay=self.delay,
-            jump=self.jump,
-            gap=self.gap,
-            likelihood=self.likelihood,
-            runs=self.runs,
-            particles=self.particles,
-            sheet=self.sheet,
-            skip=self.skip,
-            strict=self.strict,
-            commands=self.commands,
         )
+        return read_recording(path, reading)
 
 
 def _pairs(name: str, words: Sequence[str]) -> dict[str, str] | None:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray, PyTree
 
-from pinav.arguments import Scalar, State
+from pinav.arguments import Scalar, State, dimension
 from pinav.forces import (
     AbstractFlow,
     AbstractForce,
@@ -98,7 +98,9 @@ class OverdampedSwimmer(AbstractDynamics):
 
     propulsion: AbstractForce
     environment: AbstractForce
-    mobility: AbstractTensorField = eqx.field(converter=as_tensor)
+    mobility: AbstractTensorField = eqx.field(
+        metadata=dimension("L T-1 F-1"), converter=as_tensor
+    )
     flow: AbstractFlow = ZeroFlow()
     known_force: AbstractForce = ZeroForce()
 

@@ -7,7 +7,14 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, Vector, check_positive, point, refuse_text
+from pinav.arguments import (
+    Scalar,
+    Vector,
+    check_positive,
+    dimension,
+    point,
+    refuse_text,
+)
 from pinav.errors import InputError
 from pinav.forces.surfaces import Bifurcation, Tube
 
@@ -38,8 +45,8 @@ class ShearFlow(AbstractFlow):
         origin: $y_0$, where the fluid is at rest [L].
     """
 
-    rate: Scalar
-    origin: Scalar = 0.0
+    rate: Scalar = eqx.field(metadata=dimension("T-1"))
+    origin: Scalar = eqx.field(metadata=dimension("L"), default=0.0)
 
     def __call__(self, t: Scalar, x: Vector) -> Vector:
         return jnp.stack([self.rate * (x[1] - self.origin), jnp.zeros_like(x[0])])
@@ -60,9 +67,9 @@ class PoiseuilleFlow(AbstractFlow):
         InputError: `half_width` is a number <= 0.
     """
 
-    peak: Scalar
-    middle: Scalar
-    half_width: Scalar
+    peak: Scalar = eqx.field(metadata=dimension("L T-1"))
+    middle: Scalar = eqx.field(metadata=dimension("L"))
+    half_width: Scalar = eqx.field(metadata=dimension("L"))
 
     def __check_init__(self) -> None:
         check_positive(self, "half_width")
@@ -84,9 +91,11 @@ class VortexFlow(AbstractFlow):
         InputError: `center` is not a point in the plane, or `width` a number <= 0.
     """
 
-    rate: Scalar
-    center: Float[Array, "2"] = eqx.field(converter=point("VortexFlow.center", 2))
-    width: Scalar
+    rate: Scalar = eqx.field(metadata=dimension("rad T-1"))
+    center: Float[Array, "2"] = eqx.field(
+        metadata=dimension("L"), converter=point("VortexFlow.center", 2)
+    )
+    width: Scalar = eqx.field(metadata=dimension("L"))
 
     def __check_init__(self) -> None:
         check_positive(self, "width")
@@ -105,8 +114,8 @@ class SampledFlow(AbstractFlow):
         velocities: at those times [L T⁻¹]; the first and the last hold beyond.
     """
 
-    times: Float[Array, " time"]
-    velocities: Float[Array, "time dim"]
+    times: Float[Array, " time"] = eqx.field(metadata=dimension("T"))
+    velocities: Float[Array, "time dim"] = eqx.field(metadata=dimension("L T-1"))
 
     def __call__(self, t: Scalar, x: Vector) -> Vector:
         components = [
@@ -136,7 +145,9 @@ class UniformFlow(AbstractFlow):
         velocity: of the fluid [L T⁻¹].
     """
 
-    velocity: Vector = eqx.field(converter=point("UniformFlow.velocity"))
+    velocity: Vector = eqx.field(
+        metadata=dimension("L T-1"), converter=point("UniformFlow.velocity")
+    )
 
     def __call__(self, t: Scalar, x: Vector) -> Vector:
         return self.velocity.astype(x.dtype)
@@ -161,7 +172,7 @@ class TubeFlow(AbstractFlow):
         Womersley, J. Physiol. 127, 553 (1955).
     """
 
-    peak: Scalar
+    peak: Scalar = eqx.field(metadata=dimension("L T-1"))
     tube: Tube
     pulse: Scalar = 0.0
     frequency: Scalar = 1.0
@@ -202,7 +213,7 @@ class BifurcationFlow(AbstractFlow):
             to 1.
     """
 
-    peak: Scalar
+    peak: Scalar = eqx.field(metadata=dimension("L T-1"))
     wall: Bifurcation
     shares: Float[Array, " branch"] = eqx.field(converter=jnp.asarray)
     pulse: Scalar = 0.0

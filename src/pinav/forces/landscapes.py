@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, Vector, check_positive, point
+from pinav.arguments import Scalar, Vector, check_positive, dimension, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce, AbstractPotentialForce
 
@@ -29,9 +29,11 @@ class PowerHill(AbstractPotentialForce):
         InputError: `center` is not a point, or `core` or `exponent` is a number <= 0.
     """
 
-    height: Scalar
-    center: Vector = eqx.field(converter=point("PowerHill.center"))
-    core: Scalar
+    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
+    center: Vector = eqx.field(
+        metadata=dimension("L"), converter=point("PowerHill.center")
+    )
+    core: Scalar = eqx.field(metadata=dimension("L"))
     exponent: Scalar
 
     def __check_init__(self) -> None:
@@ -56,9 +58,11 @@ class CompactHill(AbstractPotentialForce):
         InputError: `center` is not a point, or `radius` is a number <= 0.
     """
 
-    height: Scalar
-    center: Vector = eqx.field(converter=point("CompactHill.center"))
-    radius: Scalar
+    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
+    center: Vector = eqx.field(
+        metadata=dimension("L"), converter=point("CompactHill.center")
+    )
+    radius: Scalar = eqx.field(metadata=dimension("L"))
 
     def __check_init__(self) -> None:
         check_positive(self, "radius")
@@ -83,10 +87,12 @@ class RingBarrier(AbstractPotentialForce):
         InputError: `center` is not a point, or `radius` or `width` is a number <= 0.
     """
 
-    height: Scalar
-    center: Vector = eqx.field(converter=point("RingBarrier.center"))
-    radius: Scalar
-    width: Scalar
+    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
+    center: Vector = eqx.field(
+        metadata=dimension("L"), converter=point("RingBarrier.center")
+    )
+    radius: Scalar = eqx.field(metadata=dimension("L"))
+    width: Scalar = eqx.field(metadata=dimension("L"))
 
     def __check_init__(self) -> None:
         check_positive(self, "radius", "width")
@@ -118,10 +124,10 @@ class SoftWall(AbstractPotentialForce):
         InputError: `width` is a number <= 0.
     """
 
-    height: Scalar
-    angle: Scalar
-    offset: Scalar
-    width: Scalar
+    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
+    angle: Scalar = eqx.field(metadata=dimension("rad"))
+    offset: Scalar = eqx.field(metadata=dimension("L"))
+    width: Scalar = eqx.field(metadata=dimension("L"))
 
     def __check_init__(self) -> None:
         check_positive(self, "width")
@@ -149,9 +155,15 @@ class PlaneWaves(AbstractForce):
         Rahimi and Recht, NeurIPS 2007, random Fourier features.
     """
 
-    amplitudes: Float[Array, " wave"] = eqx.field(converter=jnp.asarray)
-    wave_vectors: Float[Array, "wave dim"] = eqx.field(converter=jnp.asarray)
-    phases: Float[Array, " wave"] = eqx.field(converter=jnp.asarray)
+    amplitudes: Float[Array, " wave"] = eqx.field(
+        metadata=dimension("L2 T-2"), converter=jnp.asarray
+    )
+    wave_vectors: Float[Array, "wave dim"] = eqx.field(
+        metadata=dimension("rad L-1"), converter=jnp.asarray
+    )
+    phases: Float[Array, " wave"] = eqx.field(
+        metadata=dimension("rad"), converter=jnp.asarray
+    )
 
     def __check_init__(self) -> None:
         shapes = [jnp.shape(part) for part in (self.amplitudes, self.phases)]
@@ -181,8 +193,12 @@ class LinearForce(AbstractForce):
         InputError: `center` is not a point, or `matrix` is not square of its size.
     """
 
-    matrix: Float[Array, "dim dim"] = eqx.field(converter=jnp.asarray)
-    center: Vector = eqx.field(converter=point("LinearForce.center"))
+    matrix: Float[Array, "dim dim"] = eqx.field(
+        metadata=dimension("T-2"), converter=jnp.asarray
+    )
+    center: Vector = eqx.field(
+        metadata=dimension("L"), converter=point("LinearForce.center")
+    )
 
     def __check_init__(self) -> None:
         size = jnp.shape(self.center)[0]

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, Vector, check_positive, point
+from pinav.arguments import Scalar, Vector, check_positive, dimension, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce, AbstractPotentialForce
 
@@ -30,11 +30,13 @@ class GaussianRidge(AbstractPotentialForce):
             number <= 0.
     """
 
-    height: Scalar
-    center: Float[Array, "2"] = eqx.field(converter=point("GaussianRidge.center", 2))
-    length: Scalar
-    width: Scalar
-    angle: Scalar
+    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
+    center: Float[Array, "2"] = eqx.field(
+        metadata=dimension("L"), converter=point("GaussianRidge.center", 2)
+    )
+    length: Scalar = eqx.field(metadata=dimension("L"))
+    width: Scalar = eqx.field(metadata=dimension("L"))
+    angle: Scalar = eqx.field(metadata=dimension("rad"))
 
     def __check_init__(self) -> None:
         check_positive(self, "length", "width")
@@ -63,9 +65,11 @@ class GaussianSwirl(AbstractForce):
         InputError: `center` is not a point in the plane, or `width` a number <= 0.
     """
 
-    strength: Scalar
-    center: Float[Array, "2"] = eqx.field(converter=point("GaussianSwirl.center", 2))
-    width: Scalar
+    strength: Scalar = eqx.field(metadata=dimension("L2 T-2"))
+    center: Float[Array, "2"] = eqx.field(
+        metadata=dimension("L"), converter=point("GaussianSwirl.center", 2)
+    )
+    width: Scalar = eqx.field(metadata=dimension("L"))
 
     def __check_init__(self) -> None:
         check_positive(self, "width")
@@ -134,9 +138,11 @@ class GaussianBarrier(AbstractForce):
         PI-NAV paper, eq. (1); its centre is (5, 5).
     """
 
-    height: Scalar
-    center: Vector = eqx.field(converter=point("GaussianBarrier.center"))
-    width: Scalar
+    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
+    center: Vector = eqx.field(
+        metadata=dimension("L"), converter=point("GaussianBarrier.center")
+    )
+    width: Scalar = eqx.field(metadata=dimension("L"))
 
     def __check_init__(self) -> None:
         check_positive(self, "width")
@@ -161,8 +167,10 @@ class HarmonicTrap(AbstractForce):
         InputError: `center` is not a point.
     """
 
-    stiffness: Scalar
-    center: Vector = eqx.field(converter=point("HarmonicTrap.center"))
+    stiffness: Scalar = eqx.field(metadata=dimension("T-2"))
+    center: Vector = eqx.field(
+        metadata=dimension("L"), converter=point("HarmonicTrap.center")
+    )
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(t, x)$ [L² T⁻²], here the same at all times."""
@@ -191,7 +199,9 @@ class LinearMotion(AbstractMotion):
         InputError: `velocity` is not a vector.
     """
 
-    velocity: Vector = eqx.field(converter=point("LinearMotion.velocity"))
+    velocity: Vector = eqx.field(
+        metadata=dimension("L T-1"), converter=point("LinearMotion.velocity")
+    )
 
     def __call__(self, t: Scalar) -> Vector:
         return self.velocity * t
@@ -206,9 +216,9 @@ class CircularMotion(AbstractMotion):
         phase: $\varphi$ [rad].
     """
 
-    radius: Scalar
-    frequency: Scalar
-    phase: Scalar = 0.0
+    radius: Scalar = eqx.field(metadata=dimension("L"))
+    frequency: Scalar = eqx.field(metadata=dimension("rad T-1"))
+    phase: Scalar = eqx.field(metadata=dimension("rad"), default=0.0)
 
     def __call__(self, t: Scalar) -> Vector:
         angle = jnp.asarray(self.frequency * t + self.phase)

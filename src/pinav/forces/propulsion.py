@@ -18,7 +18,7 @@ from pinav.actuation import (
     RollingActuator,
     follow,
 )
-from pinav.arguments import Scalar, Vector, point
+from pinav.arguments import Scalar, Vector, dimension, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractCommandedForce, AbstractForce
 
@@ -58,7 +58,7 @@ class MagneticPropulsion(AbstractForce):
     moment: Float[Array, "3"] = eqx.field(
         converter=point("MagneticPropulsion.moment", 3)
     )
-    gain: Scalar
+    gain: Scalar = eqx.field(metadata=dimension("L-1"))
     axis: Vector = eqx.field(converter=point("MagneticPropulsion.axis"))
 
     def torque(self, t: Scalar) -> Float[Array, "3"]:
@@ -79,7 +79,9 @@ class ConstantForce(AbstractForce):
         InputError: `force` is not a vector.
     """
 
-    force: Vector = eqx.field(converter=point("ConstantForce.force"))
+    force: Vector = eqx.field(
+        metadata=dimension("L T-2"), converter=point("ConstantForce.force")
+    )
 
     @classmethod
     def of(cls, magnitude: float, degrees: float) -> "ConstantForce":
@@ -114,11 +116,11 @@ class RollingPropulsion(AbstractCommandedForce):
         Sokolich et al., arXiv:2406.02722, eq. (1), with scalar gain and no delay.
     """
 
-    gain: Gain = eqx.field(converter=_as_gain)
+    gain: Gain = eqx.field(metadata=dimension("L"), converter=_as_gain)
     response: AbstractResponse = LinearResponse()
     programme: AbstractProgramme | None = None
-    delay: Scalar = 0.0
-    lag: Scalar = 0.0
+    delay: Scalar = eqx.field(metadata=dimension("s"), default=0.0)
+    lag: Scalar = eqx.field(metadata=dimension("s"), default=0.0)
 
     def __check_init__(self) -> None:
         if self.programme is not None and not _is_zero(self.lag):
@@ -219,11 +221,11 @@ class ScheduledThrust(AbstractForce):
         lag: of a first-order follower [T].
     """
 
-    times: Float[Array, " time"]
-    asked: Float[Array, "time dim"]
-    reached: Float[Array, "time dim"]
-    delay: Scalar
-    lag: Scalar
+    times: Float[Array, " time"] = eqx.field(metadata=dimension("T"))
+    asked: Float[Array, "time dim"] = eqx.field(metadata=dimension("F"))
+    reached: Float[Array, "time dim"] = eqx.field(metadata=dimension("F"))
+    delay: Scalar = eqx.field(metadata=dimension("T"))
+    lag: Scalar = eqx.field(metadata=dimension("T"))
 
     @property
     def jumps(self) -> Float[Array, " time"]:

@@ -12,7 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, Vector, check_positive, point, refuse_text
+from pinav.arguments import (
+    Scalar,
+    Vector,
+    check_positive,
+    dimension,
+    point,
+    refuse_text,
+)
 from pinav.errors import InputError
 from pinav.forces.flows import AbstractFlow
 from pinav.forces.force import AbstractForce
@@ -71,7 +78,7 @@ class ConstantDirector(AbstractDirector):
         angle: angle to the x axis [rad].
     """
 
-    angle: Scalar
+    angle: Scalar = eqx.field(metadata=dimension("rad"))
 
     def __call__(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         return jnp.asarray(self.angle, x.dtype)
@@ -89,10 +96,10 @@ class WavyDirector(AbstractDirector):
         InputError: `wavevector` has not two components.
     """
 
-    angle: Scalar
-    amplitude: Scalar
+    angle: Scalar = eqx.field(metadata=dimension("rad"))
+    amplitude: Scalar = eqx.field(metadata=dimension("rad"))
     wavevector: Float[Array, "2"] = eqx.field(
-        converter=point("WavyDirector.wavevector", 2)
+        metadata=dimension("rad L-1"), converter=point("WavyDirector.wavevector", 2)
     )
 
     def __call__(self, x: Float[Array, "2"]) -> Float[Array, ""]:
@@ -200,10 +207,10 @@ class BrinkmanTensor(AbstractTensorField):
     """
 
     clear: Scalar
-    radius: Scalar
-    screening: Float[Array, " region"]
-    centers: Float[Array, "region dim"]
-    width: Scalar
+    radius: Scalar = eqx.field(metadata=dimension("L"))
+    screening: Float[Array, " region"] = eqx.field(metadata=dimension("L-1"))
+    centers: Float[Array, "region dim"] = eqx.field(metadata=dimension("L"))
+    width: Scalar = eqx.field(metadata=dimension("L"))
 
     def __check_init__(self) -> None:
         check_positive(self, "clear", "width")
@@ -248,7 +255,7 @@ class LinearDrag(AbstractForce):
         PI-NAV paper, eq. (2).
     """
 
-    damping: Scalar
+    damping: Scalar = eqx.field(metadata=dimension("T-1"))
 
     def __check_init__(self) -> None:
         if isinstance(self.damping, float | int) and self.damping < 0:
@@ -269,7 +276,7 @@ class TensorDrag(AbstractForce):
         tensor: $\Gamma$ [T⁻¹].
     """
 
-    tensor: AbstractTensorField
+    tensor: AbstractTensorField = eqx.field(metadata=dimension("T-1"))
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return -self.tensor(x, v)

@@ -6,3 +6,4 @@ from pinav.recordings.overlays import image_positions as image_positions
 from pinav.recordings.reading import FORMATS as FORMATS
 from pinav.recordings.reading import read_recording as read_recording
 from pinav.recordings.rows import COMMAND_UNITS as COMMAND_UNITS
+from pinav.recordings.rows import Reading as Reading

@@ -91,7 +91,7 @@ def _particle(
     rows, twice = _order_by_frame(tracks, rows)
     rows, late = _not_before(tracks, times, rows)
     faults = (*twice, *late)
-    if faults and (reading.layout.strict or len(faults) > WORST * len(rows)):
+    if faults and (reading.strict or len(faults) > WORST * len(rows)):
         raise InputError(faults[0])
     kept = rows[np.concatenate([[True], np.diff(times[rows]) > 0])]
     repeats = len(rows) - len(kept)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
 
 from pinav.errors import InputError
 from pinav.recordings.assembly import assemble
@@ -55,27 +54,12 @@ FORMATS: tuple[AbstractFormat, ...] = (
 )
 """The formats, in the order in which a file is tried."""
 
+PLAIN = Reading()
+"""A file that says everything of itself."""
+
 
 def read_recording(
-    path: str | os.PathLike[str] | DataFrame,
-    *,
-    format: str | None = None,
-    columns: Mapping[str, str] | None = None,
-    units: Mapping[str, str] | None = None,
-    fps: float | None = None,
-    mpp: float | None = None,
-    y_down: bool | None = None,
-    heading_offset: float = 0.0,
-    delay: float = 0.0,
-    jump: float | None = None,
-    gap: int = 10,
-    likelihood: float = 0.6,
-    runs: Sequence[str] = (),
-    particles: Sequence[str] = (),
-    sheet: str | None = None,
-    skip: int | None = None,
-    strict: bool = False,
-    commands: str | os.PathLike[str] | None = None,
+    path: str | os.PathLike[str] | DataFrame, reading: Reading = PLAIN
 ) -> Trajectories:
     r"""A recording as one trajectory for each run, particle and segment.
 
@@ -88,46 +72,12 @@ def read_recording(
 
     Args:
         path: the file, gzip is unpacked; or a DataFrame.
-        format: name of the format; found from the content unless given.
-        columns: the file's name of each quantity, for tables of any make.
-        units: unit of a quantity in such a table, where it is not the usual one.
-        fps: frames per second [1/s]; times become frame / fps.
-        mpp: scale of positions in pixels [um/px].
-        y_down: whether y grows downwards in the file; what is usual for the format
-            unless given.
-        heading_offset: added to the logged heading [rad]; never guessed.
-        delay: by which commands act late [s].
-        jump: displacement from row to row that splits a track, in px or um as the
-            file has it, before `mpp`; 40 px or 15 um unless given.
-        gap: frames without the particle that split a track.
-        likelihood: below which a position counts as lost, where the file has one.
-        runs: names of the runs that are kept; all unless given.
-        particles: names of the particles that are kept; all unless given.
-        sheet: name of the sheet of a workbook.
-        skip: rows above the header; titles are found by their widths unless given.
-        strict: refuse a bad row; it is left out and counted unless given.
-        commands: a log of commands of its own, by time or frame; `columns` names its
-            columns too.
+        reading: what the file does not say of itself.
 
     Raises:
         InputError: the file cannot be read as a recording; the message names the file,
             the row and the column.
     """
-    reading = Reading(
-        columns=columns,
-        units=units,
-        fps=fps,
-        mpp=mpp,
-        y_down=y_down,
-        heading_offset=heading_offset,
-        delay=delay,
-        jump=jump,
-        gap=gap,
-        likelihood=likelihood,
-        runs=runs,
-        particles=particles,
-        layout=Layout(sheet, skip, strict),
-    )
     name = "DataFrame" if isinstance(path, DataFrame) else os.fspath(path)
     try:
         source = (
@@ -135,14 +85,15 @@ def read_recording(
             if isinstance(path, DataFrame)
             else Source.read(path, reading.layout)
         )
+        commands = reading.commands
         tracked = reading if commands is None else _without_commands(reading)
-        chosen = _format(format, source, tracked)
+        chosen = _format(source, tracked)
         recording = assemble(
             chosen.tracks(source, tracked), tracked, source, chosen.name
         )
         if commands is None:
             return recording
-        log = read_log(Source.read(commands, Layout(None, None, strict)), reading)
+        log = read_log(Source.read(commands, Layout(strict=reading.strict)), reading)
         return with_commands(recording, log, reading)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
@@ -153,8 +104,9 @@ def read_recording(
         ) from error
 
 
-def _format(name: str | None, source: Source, reading: Reading) -> AbstractFormat:
-    """The format of that name, or the first that suits the content."""
+def _format(source: Source, reading: Reading) -> AbstractFormat:
+    """The stated format, or the first that suits the content."""
+    name = reading.format
     by_name = {format.name: format for format in FORMATS}
     if name is None and reading.columns and "variable" not in reading.columns:
         name = MappedTable.name

@@ -1,6 +1,7 @@
 """What every format comes down to: rows of positions, in the file's own conventions."""
 
 import dataclasses
+import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
@@ -9,7 +10,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from pinav.errors import InputError
 from pinav.recordings import units
-from pinav.recordings.layout import STRICT, Layout
+from pinav.recordings.layout import Layout
 
 FRAMES = "frame"
 """Unit of times that are only numbers of frames."""
@@ -113,30 +114,35 @@ class Tracks:
 @final
 @dataclasses.dataclass(frozen=True)
 class Reading:
-    """How a recording is to be read; what a format needs of it, it takes.
+    """How a recording is to be read: what its file does not say.
 
     Attributes:
+        format: name of the format; found from the content unless given.
         columns: the file's name of each quantity, for tables of any make.
         units: unit of a quantity, where it is not the usual one.
-        fps: frames per second; times become frame / fps.
-        mpp: micrometres per pixel.
+        fps: frames per second [1/s]; times become frame / fps.
+        mpp: scale of positions in pixels [um/px].
         y_down: whether y grows downwards in the file; as is usual for the format
             unless given.
-        heading_offset: added to the logged heading [rad].
+        heading_offset: added to the logged heading [rad]; never guessed.
         delay: by which commands act late [s].
-        jump: displacement from row to row beyond which a particle counts as lost and
-            another found, in the file's unit of length; that of the format unless
-            given.
-        gap: frames without the particle that part two segments.
+        jump: displacement from row to row that splits a track, in px or um as the
+            file has it, before `mpp`; 40 px or 15 um unless given.
+        gap: frames without the particle that split a track.
         likelihood: below which a position counts as lost, where the file has one.
         runs: names of the runs that are kept; all unless given.
         particles: names of the particles that are kept; all unless given.
-        layout: how a table stands in its file, and whether bad rows are refused.
+        sheet: name of the sheet of a workbook; the only one unless given.
+        skip: rows above the header; titles are found by their widths unless given.
+        strict: refuse a bad row; it is left out and counted unless given.
+        commands: file of a log of commands of its own, by time or frame; `columns`
+            names its columns too.
 
     Raises:
         InputError: a number is not positive, or `delay` is negative.
     """
 
+    format: str | None = None
     columns: Mapping[str, str] | None = None
     units: Mapping[str, str] | None = None
     fps: float | None = None
@@ -149,7 +155,15 @@ class Reading:
     likelihood: float = 0.6
     runs: Sequence[str] = ()
     particles: Sequence[str] = ()
-    layout: Layout = STRICT
+    sheet: str | None = None
+    skip: int | None = None
+    strict: bool = False
+    commands: str | os.PathLike[str] | None = None
+
+    @property
+    def layout(self) -> Layout:
+        """How a table stands in the file."""
+        return Layout(self.sheet, self.skip, self.strict)
 
     def __post_init__(self) -> None:
         for name in ("fps", "mpp", "jump", "gap"):

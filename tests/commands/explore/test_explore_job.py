@@ -23,9 +23,9 @@ from pinav.commands.explore.job import explorer
 from pinav.commands.explore.plan import plan_of
 from pinav.commands.explore.printing import pack_array
 from pinav.commands.explore.warmth import heat_payload
-from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
 from pinav.forces import AbstractForce, ZeroForce
+from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
 from pinav.thermal.heated_run import FOLLOWED, HeatedRun, Plane, cuts_through
 from pinav.thermal.protocols import Piecewise
@@ -41,7 +41,7 @@ def run(fitted_runs, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def content(run):
-    return payload.payload_of(FittedRun.open(run))
+    return payload.payload_of(Learned.open(run))
 
 
 @given(st.text())
@@ -95,7 +95,7 @@ class StrangeForce(AbstractForce):
 
 
 def test_a_force_that_is_not_printed_is_shown_from_a_table(run):
-    fitted = FittedRun.open(run)
+    fitted = Learned.open(run)
     strange = fitted.model.with_environment(StrangeForce())
     shown = dataclasses.replace(fitted, models={"model": strange}, evidence=None)
     held = payload.payload_of(shown)
@@ -104,7 +104,7 @@ def test_a_force_that_is_not_printed_is_shown_from_a_table(run):
 
 
 def test_a_propulsion_that_is_not_printed_is_refused(run):
-    fitted = FittedRun.open(run)
+    fitted = Learned.open(run)
     strange = dataclasses.replace(fitted.model, propulsion=StrangeForce())
     shown = dataclasses.replace(fitted, models={"model": strange}, evidence=None)
     with pytest.raises(InputError, match="has the operation 'sort' of JAX"):
@@ -119,7 +119,7 @@ def test_packed_numbers_are_those_of_the_array():
 
 
 def test_a_factor_of_few_directions_keeps_the_field(run):
-    fit = FittedRun.open(run)
+    fit = Learned.open(run)
     factor, kept = posterior.directions(fit.posterior, (0.0, 10.0, 0.0, 10.0))
     assert factor.shape[1] < len(fit.posterior.mean)
     assert kept > 0.9999
@@ -132,7 +132,7 @@ def test_a_factor_of_few_directions_keeps_the_field(run):
 
 
 def test_a_factor_has_no_more_numbers_than_a_page_may_hold(run, monkeypatch):
-    fit = FittedRun.open(run)
+    fit = Learned.open(run)
     monkeypatch.setattr(posterior, "NUMBERS", 3 * len(fit.posterior.mean))
     factor, kept = posterior.directions(fit.posterior, (0.0, 10.0, 0.0, 10.0))
     assert factor.shape == (len(fit.posterior.mean), 3)
@@ -146,7 +146,7 @@ def test_a_page_that_would_be_huge_is_refused(content, monkeypatch):
 
 
 def test_a_run_that_is_no_plane_is_refused(run, monkeypatch):
-    fit = FittedRun.open(run)
+    fit = Learned.open(run)
     monkeypatch.setattr(type(fit.data), "dim", property(lambda self: 1))
     with pytest.raises(InputError, match="explore draws a plane, got the coordinates"):
         payload.payload_of(fit)
@@ -280,7 +280,7 @@ def test_a_damaged_run_gives_one_line(file, fitted_run, capsys):
 
 
 def test_without_an_environment_the_title_is_the_system_alone(run, content):
-    fitted = FittedRun.open(run)
+    fitted = Learned.open(run)
     assert content["title"] == f"{fitted.system.name}: kernel-potential"
     bare = {"model": fitted.model.with_environment(ZeroForce())}
     plain = dataclasses.replace(fitted, models=bare, evidence=None)

@@ -21,8 +21,8 @@ from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.plan import LEVELS
 from pinav.commands.explore.printing import pack_array
 from pinav.commands.explore.warmth import heat_payload
-from pinav.commands.fitted_run import FittedRun
 from pinav.evaluation import square
+from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
 
 pytestmark = [
@@ -49,7 +49,7 @@ def pages(fitted_runs, tmp_path_factory):
     def page(name):
         if name not in made:
             folder = fitted_runs.copy(name, tmp_path_factory.mktemp(name))[0]
-            run = FittedRun.open(folder)
+            run = Learned.open(folder)
             content = payload_of(run)
             if name == "kernel":
                 content["title"] = '</script><script>alert("title")</script>'

@@ -24,8 +24,8 @@ from pinav.commands.explore.printing import (
     number,
     print_function,
 )
-from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import FixedStep, drive_by_commands, rollout
+from pinav.learning.learned import Learned
 
 pytestmark = needs_node
 
@@ -264,7 +264,7 @@ ASK = """
     "name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "kernel")) for n in RUNS]
 )
 def test_paths_and_bands_are_those_of_the_package(name, fitted_runs, tmp_path):
-    run = FittedRun.open(fitted_runs.copy(name, tmp_path)[0])
+    run = Learned.open(fitted_runs.copy(name, tmp_path)[0])
     content = payload_of(run)
     programs = content.pop("programs")
     page = answer(ASK.replace("TEXT", json.dumps(script_json(content))), programs)

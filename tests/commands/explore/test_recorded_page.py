@@ -9,8 +9,8 @@ from tests.commands.explore.chromium import Chromium, find_chromium
 from tests.fitted_runs import cheap_residual_fields
 
 from pinav import cli
-from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import drive_by_commands, rollout
+from pinav.learning.learned import Learned
 
 pytestmark = [
     pytest.mark.slow,
@@ -62,7 +62,7 @@ def end(page):
 
 
 def test_it_shows_the_recording_in_its_units(page, recorded):
-    run = FittedRun.open(recorded)
+    run = Learned.open(recorded)
     assert page.run("explorer.run.units.x") == "um"
     assert page.run("explorer.run.tracks.length") == len(run.data)
     track = page.run("[...explorer.experiment.tracks[0].x]")
@@ -76,7 +76,7 @@ def test_recorded_commands_move_it_as_in_the_package(page, recorded):
     page.run("explorer.goToTrack(0)")
     end(page)
     assert page.run("explorer.conditions.replay")
-    run = FittedRun.open(recorded)
+    run = Learned.open(recorded)
     piece = next(iter(run.data))
     first = run.models[page.run("explorer.run.models[0].name")]
     times = np.array(page.run("[...explorer.times]"))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from tests.recordings.synthetic import EXAMPLE, check, tracks
 
 from pinav.errors import InputError
-from pinav.recordings import labels, read_recording
+from pinav.recordings import Reading, labels, read_recording
 
 SCORER = "DLC_resnet50_robots"
 
@@ -80,9 +80,9 @@ def test_csv_and_hdf5_come_back_whole(tmp_path_factory, owner, truth):
     frame = table(truth, owner=owner)
     prefix = f"{owner} part " if owner else "part "
     frame.to_csv(folder / "a.csv")
-    compared(read_recording(folder / "a.csv", fps=10.0), truth, prefix)
+    compared(read_recording(folder / "a.csv", Reading(fps=10.0)), truth, prefix)
     to_hdf5(frame, folder / "a.h5")
-    compared(read_recording(folder / "a.h5", fps=10.0), truth, prefix)
+    compared(read_recording(folder / "a.h5", Reading(fps=10.0)), truth, prefix)
 
 
 def test_likelihood_decides_what_is_lost(tmp_path):
@@ -90,7 +90,7 @@ def test_likelihood_decides_what_is_lost(tmp_path):
     frame.to_csv(tmp_path / "a.csv")
     with pytest.raises(InputError, match="the longest of 0 segments"):
         read_recording(tmp_path / "a.csv")
-    data = read_recording(tmp_path / "a.csv", likelihood=0.5)
+    data = read_recording(tmp_path / "a.csv", Reading(likelihood=0.5))
     assert "3 positions of likelihood < 0.5 are lost" in data.provenance["notes"]
     whole = [track for track in EXAMPLE if track.name == "1"]
     check(data.select([1]), [whole[0]._replace(name="part 1")])

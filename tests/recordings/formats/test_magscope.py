@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from tests.recordings.synthetic import EXAMPLE, check, tracks
 
 from pinav.errors import InputError
-from pinav.recordings import labels, read_recording
+from pinav.recordings import Reading, labels, read_recording
 
 ACTIONS = ["Frame", "Bx", "By", "Bz", "Alpha", "Gamma", "Rolling Frequency", "Psi"]
 LATER = ["Gradient?", "Acoustic Frequency", "Sensor Bx", "Sensor By", "Sensor Bz"]
@@ -75,7 +75,7 @@ def test_every_dialect_comes_back_whole(tmp_path_factory, dialect, truth):
     path = tmp_path_factory.mktemp("magscope") / "run.xlsx"
     path.write_bytes(workbook(sheets(truth, dialect)))
     mpp = None if dialect == "2025" else 0.345
-    data = read_recording(path, mpp=mpp)
+    data = read_recording(path, Reading(mpp=mpp))
     if dialect == "2024":  # whose time starts with the robot
         starts = [track.frames[0] / 8 for track in truth]
     else:
@@ -274,7 +274,7 @@ def test_truncated_workbook_is_refused(read, content, message):
 )
 def test_real_workbook_reproduces_its_tidy_file(recording, workbook, tidy, run, robots):
     """Positions within 5e-4 px, times within 5e-6 s, commands joined on the frame."""
-    raw = read_recording(recording(workbook), mpp=0.345)
+    raw = read_recording(recording(workbook), Reading(mpp=0.345))
     known = read_recording(recording(tidy))
     chosen = [i for i, label in enumerate(labels(known)) if label["run"] == run]
     known = known.select(chosen)

@@ -10,7 +10,7 @@ from scipy.io import savemat
 from tests.recordings.synthetic import EXAMPLE, check, rows_of, tracks
 
 from pinav.errors import InputError
-from pinav.recordings import labels, read_recording
+from pinav.recordings import Reading, labels, read_recording
 
 
 def matrix(truth):
@@ -37,12 +37,12 @@ def cells(truth):
 def test_matrix_and_cells_come_back_whole(tmp_path_factory, truth):
     path = tmp_path_factory.mktemp("matlab") / "tracks.mat"
     path.write_bytes(saved(tr=matrix(truth), fps=20.0, note="a"))
-    check(read_recording(path, fps=20.0, mpp=0.1), truth, fps=20.0, mpp=0.1)
+    check(read_recording(path, Reading(fps=20.0, mpp=0.1)), truth, fps=20.0, mpp=0.1)
     wide = np.insert(matrix(truth), 2, 7.0, axis=1)  # brightness, radius...
     path.write_bytes(saved(anything=wide))
-    check(read_recording(path, fps=20.0), truth, fps=20.0)
+    check(read_recording(path, Reading(fps=20.0)), truth, fps=20.0)
     path.write_bytes(saved(tracks=cells(truth)))
-    data = read_recording(path, units={"x": "um", "t": "s"})
+    data = read_recording(path, Reading(units={"x": "um", "t": "s"}))
     check(data, truth)
     assert data.units == {"x": "um", "y": "um", "t": "s"}
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -50,7 +50,7 @@ def test_matrix_and_cells_come_back_whole(tmp_path_factory, truth):
     content = bytearray(path.read_bytes())
     content[:10] = b"MATLAB 7.3"
     path.write_bytes(content)
-    check(read_recording(path, fps=20.0), truth, fps=20.0)
+    check(read_recording(path, Reading(fps=20.0)), truth, fps=20.0)
 
 
 def test_variable_can_be_chosen(read):

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pinav.errors import InputError
-from pinav.recordings import COMMAND_UNITS, groups, labels, read_recording
+from pinav.recordings import COMMAND_UNITS, Reading, groups, labels, read_recording
 from pinav.trajectories import concatenate
 
 HEADER = "run,particle,segment,frame,t_s,x_um,y_um,freq_hz,alpha_rad"
@@ -198,7 +198,7 @@ def test_every_digit_survives(tmp_path_factory, points, mpp):
     path = tmp_path_factory.mktemp("tidy") / "a.csv"
     lines = [f"{i},{x!r},{y!r}" for i, (x, y) in enumerate(points)]
     path.write_text("\n".join(["t_s,x_px,y_px", *lines]))
-    data = read_recording(path, mpp=mpp, jump=1e9)
+    data = read_recording(path, Reading(mpp=mpp, jump=1e9))
     expected = mpp * np.array(points) * [1, -1]
     np.testing.assert_array_equal(data.states[0], expected)
 

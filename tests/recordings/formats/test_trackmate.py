@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from tests.recordings.synthetic import EXAMPLE, check, rows_of, tracks
 
 from pinav.errors import InputError
-from pinav.recordings import groups, labels, read_recording
+from pinav.recordings import Reading, groups, labels, read_recording
 
 NAMES = "LABEL,ID,TRACK_ID,POSITION_X,POSITION_Y,POSITION_Z,POSITION_T,FRAME"
 LONG = "Label,Spot ID,Track ID,X,Y,Z,T,Frame"
@@ -30,7 +30,7 @@ def test_spots_come_back_whole(tmp_path_factory, raw, truth):
     path = tmp_path_factory.mktemp("trackmate") / "spots.csv"
     path.write_text(spots(truth, raw=raw))
     by_name = sorted(truth, key=lambda track: track.name)
-    data = read_recording(path, fps=20.0, mpp=0.656)
+    data = read_recording(path, Reading(fps=20.0, mpp=0.656))
     order = np.argsort([label["particle"] for label in labels(data)])
     check(data.select(order), by_name, mpp=0.656, fps=20.0)
 
@@ -108,7 +108,9 @@ def xml(truth, *, space="pixel", time="sec", interval="0.05"):
 def test_xml_comes_back_whole(tmp_path_factory, truth):
     path = tmp_path_factory.mktemp("trackmate") / "tracks.xml"
     path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n' + xml(truth))
-    check(read_recording(path, fps=20.0, mpp=0.656), truth, mpp=0.656, fps=20.0)
+    check(
+        read_recording(path, Reading(fps=20.0, mpp=0.656)), truth, mpp=0.656, fps=20.0
+    )
     own = read_recording(path)
     assert own.units == {"x": "px", "y": "px", "t": "s"}
     frames = np.array(truth[0].frames)
@@ -219,7 +221,7 @@ REAL = "ecoli_pillars_trackmate/{}dev1-pil{}-rep1-02022024.csv"
 def test_real_spots(recording, name, spots, ids):
     """Counts and ids as its README states them; 20 frames in a second."""
     path = recording(name)
-    data = read_recording(path, fps=20.0, mpp=0.656)
+    data = read_recording(path, Reading(fps=20.0, mpp=0.656))
     lost = len(data.provenance["segments left out"])
     assert int(data.lengths.sum()) + lost == spots
     found = {label["particle"] for label in labels(data)}

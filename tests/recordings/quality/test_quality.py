@@ -7,7 +7,7 @@ import pytest
 
 from pinav.codec import decode, encode
 from pinav.errors import InputError
-from pinav.recordings import read_recording
+from pinav.recordings import Reading, read_recording
 from pinav.recordings.quality.commands import WARNINGS, drive
 from pinav.recordings.quality.report import Quality, quality
 from pinav.trajectories import Trajectories
@@ -161,7 +161,7 @@ def test_real_sessions_tell_the_delay_only_on_random_paths(recording):
     """As its README measured, every delay fits the circles and 0.3 s the two others."""
     data = read_recording(
         recording("magscope_cellbot_sessions/sessions.csv.gz"),
-        heading_offset=np.pi / 2,
+        Reading(heading_offset=np.pi / 2),
     )
     for run in quality(data).runs:
         confounded = WARNINGS["delay"] in run.warnings

@@ -6,13 +6,13 @@ from pinav.analysis import analyse
 from pinav.commands.analyse import ANALYSE
 from pinav.commands.analyse.settings import AnalyseOptions
 from pinav.commands.command import CommandResult
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.results import keep
+from pinav.learning.learned import Learned
 
 
 def run(options: AnalyseOptions) -> CommandResult:
     """Analyse as the command line does."""
     options.settings.check()
-    fit = FittedRun.open(options.run)
+    fit = Learned.open(options.run)
     analysis = analyse(fit, **msgspec.structs.asdict(options.settings))
     return keep(ANALYSE, fit.folder, analysis)

@@ -8,10 +8,8 @@ from pinav.commands.command import CommandResult
 from pinav.commands.compare import COMPARE
 from pinav.commands.compare.metrics import Candidate, CompareMetrics, Verdict
 from pinav.commands.compare.settings import CompareOptions, CompareSettings
-from pinav.commands.constants import rotational_part
-from pinav.commands.progress import BayesReporter
+from pinav.commands.progress import Reporter
 from pinav.commands.start import fingerprint, start_run
-from pinav.commands.system_choice import choose_system
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.fitting import EvidenceFit, Outcome, fit_bayes, fit_langevin, model_evidence
@@ -24,6 +22,8 @@ from pinav.fitting.environments.mean_drag import (
 )
 from pinav.fitting.environments.summary import DataSummary, summarise_for
 from pinav.fitting.evidence.model_evidence import DECISIVE
+from pinav.learning.constants import rotational_part
+from pinav.learning.system_choice import choose_system
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System
@@ -153,7 +153,7 @@ def fit_model(
     model = build(choice, swimmer, summary)
     if known.thermal_energy is not None:
         return fit_langevin(model, data).regression
-    with BayesReporter(folder, name) as report:
+    with Reporter(folder, name) as report:
         return fit_bayes(
             model,
             inputs,

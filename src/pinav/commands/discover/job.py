@@ -4,11 +4,11 @@ from pinav.analysis import discover
 from pinav.commands.command import CommandResult
 from pinav.commands.discover import DISCOVER
 from pinav.commands.discover.settings import DiscoverOptions
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.results import keep
+from pinav.learning.learned import Learned
 
 
 def run(options: DiscoverOptions) -> CommandResult:
     """Find laws as the command line does."""
-    fit = FittedRun.open(options.run)
+    fit = Learned.open(options.run)
     return keep(DISCOVER, fit.folder, discover(fit, refits=options.refits))

@@ -7,9 +7,9 @@ from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.evaluate import EVALUATE
 from pinav.commands.evaluate.settings import EvaluateOptions
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.results import keep
 from pinav.evaluation import Evaluation, Regions, evaluate
+from pinav.learning.learned import Learned
 from pinav.report import Cell
 from pinav.runs import RunFolder
 
@@ -23,7 +23,7 @@ def run(options: EvaluateOptions) -> CommandResult:
     Raises:
         InputError: the run holds no model, or a file cannot be read or scored.
     """
-    fit = FittedRun.open(options.run)
+    fit = Learned.open(options.run)
     further = options.calibrate
     evaluation = evaluate(
         fit,

@@ -15,8 +15,8 @@ from pinav.commands.explore.plan import fit_of_plan, is_plan, plan_of
 from pinav.commands.explore.printing import Tree
 from pinav.commands.explore.settings import ExploreOptions
 from pinav.commands.explore.warmth import heat_payload, is_heated
-from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
+from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
 
 
@@ -86,8 +86,8 @@ def _payload(folder: RunFolder, options: ExploreOptions) -> Tree:
     if options.fit is not None and not plans:
         raise InputError(f"--fit: {options.run} is no plan on another run; drop it")
     if plans:
-        fit = FittedRun.open(fit_of_plan(folder, options.fit))
+        fit = Learned.open(fit_of_plan(folder, options.fit))
         return payload_of(fit, plan_of(folder))
     if is_heated(folder):
         return heat_payload(folder)
-    return payload_of(FittedRun.open(options.run))
+    return payload_of(Learned.open(options.run))

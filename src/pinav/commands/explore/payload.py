@@ -12,7 +12,6 @@ from pinav.commands.explore.force_table import TableBox
 from pinav.commands.explore.posterior import directions
 from pinav.commands.explore.printing import Tree, pack_array
 from pinav.commands.explore.programs import Controls, Programs
-from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import (
     AbstractDynamics,
     OverdampedSwimmer,
@@ -23,6 +22,7 @@ from pinav.dynamics.commanded import unbound
 from pinav.errors import InputError
 from pinav.evaluation import extent, square
 from pinav.forces import ZeroForce, as_learned_force
+from pinav.learning.learned import Learned
 from pinav.scenarios import source_system
 from pinav.systems import System
 from pinav.trajectories import Trajectories, Trajectory
@@ -37,7 +37,7 @@ MODELS = 6
 """Models of a run at most."""
 
 
-def payload_of(run: FittedRun, plan: Tree | None = None) -> Tree:
+def payload_of(run: Learned, plan: Tree | None = None) -> Tree:
     """A run as the page takes it.
 
     Args:
@@ -97,7 +97,7 @@ def payload_of(run: FittedRun, plan: Tree | None = None) -> Tree:
     }
 
 
-def _title(run: FittedRun, model: AbstractDynamics) -> str:
+def _title(run: Learned, model: AbstractDynamics) -> str:
     """System and model; the system alone where nothing stands for an environment."""
     name = run.system.name
     if isinstance(_part(model, "environment"), ZeroForce):
@@ -116,7 +116,7 @@ def _union(
     return x - half, x + half, y - half, y + half
 
 
-def _shown_models(run: FittedRun) -> list[str]:
+def _shown_models(run: Learned) -> list[str]:
     """Names of the models, those that hold the known physics first."""
     swims = Swimmer | OverdampedSwimmer
     order = sorted(run.models, key=lambda n: not isinstance(run.models[n], swims))
@@ -133,7 +133,7 @@ def _times(data: Trajectories) -> tuple[float, float]:
     return float(times.min()), float(times.max())
 
 
-def _kicks(run: FittedRun) -> float:
+def _kicks(run: Learned) -> float:
     r"""Strength of the noise that moves the swimmer, $\sqrt{2D}$ [L T^(-1/2)].
 
     That of a velocity that wanders is taken for white, which it is over times long
@@ -155,7 +155,7 @@ def _without_environment(model: AbstractDynamics, system: System) -> AbstractDyn
     return (model if swims else system.swimmer).without_environment()
 
 
-def _true_swimmer(run: FittedRun) -> Swimmer | OverdampedSwimmer | None:
+def _true_swimmer(run: Learned) -> Swimmer | OverdampedSwimmer | None:
     """The true swimmer, where the system or the data state it."""
     source = source_system(run.data.provenance)
     for system in (run.system, source):
@@ -171,7 +171,7 @@ def _part(model: AbstractDynamics, name: str) -> Any:
     return ZeroForce() if name == "propulsion" else None
 
 
-def _controls(run: FittedRun, model: AbstractDynamics) -> Controls:
+def _controls(run: Learned, model: AbstractDynamics) -> Controls:
     """The commands that the propulsion takes: as many as the track with most has."""
     if not takes_commands(model):
         return Controls(None)
@@ -210,7 +210,7 @@ def _response(model: AbstractDynamics, tracks: list[Tree]) -> Tree | None:
 
 
 def _posterior(
-    run: FittedRun, box: tuple[float, float, float, float], times: tuple[float, float]
+    run: Learned, box: tuple[float, float, float, float], times: tuple[float, float]
 ) -> Tree | None:
     """The posterior by its leading directions; none where nothing is learned."""
     posterior = run.posterior
@@ -228,7 +228,7 @@ def _posterior(
     }
 
 
-def _tracks(run: FittedRun) -> list[Tree]:
+def _tracks(run: Learned) -> list[Tree]:
     """The tracks, longest ones where there are many, thinned where they are long."""
     data = run.data
     order = sorted(range(len(data)), key=lambda i: -int(data.lengths[i]))[:TRACKS]
@@ -238,7 +238,7 @@ def _tracks(run: FittedRun) -> list[Tree]:
     return [_track(run, i, pieces[i], every) for i in sorted(order)]
 
 
-def _track(run: FittedRun, index: int, piece: Trajectory, every: int) -> Tree:
+def _track(run: Learned, index: int, piece: Trajectory, every: int) -> Tree:
     is_observed = piece.observed[:, : run.data.dim].all(axis=1)
     shown = np.flatnonzero(is_observed)[::every]
     start = run.start(index)

@@ -13,12 +13,12 @@ from pinav.commands.export.spots import (
     learned_force,
     result_units,
 )
-from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
 from pinav.evaluation import extent, require_x64
 from pinav.fitting import Posterior
 from pinav.fitting.engine.parametric_model import parameter_names
 from pinav.forces import AbstractForce
+from pinav.learning.learned import Learned
 from pinav.trajectories import POSITION_CHANNELS
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ CHAIN = ("chain", "draw")
 
 
 def datatree_of(
-    run: FittedRun, *, draws: int = 100, points: int = 41, seed: int = 0
+    run: Learned, *, draws: int = 100, points: int = 41, seed: int = 0
 ) -> "DataTree":
     """The posterior of a run, what it predicts, and the data that it was fitted to.
 
@@ -105,7 +105,7 @@ def _posterior(
 
 
 def _predictions(
-    run: FittedRun, points: int, samples: Sequence[AbstractForce]
+    run: Learned, points: int, samples: Sequence[AbstractForce]
 ) -> "Dataset":
     """The force on a grid around the data."""
     from xarray import Dataset
@@ -131,7 +131,7 @@ def _predictions(
     return Dataset(variables, {**coordinates, "axis": list(axes)})
 
 
-def _grid(run: FittedRun, points: int) -> list[Float[np.ndarray, " point"]]:
+def _grid(run: Learned, points: int) -> list[Float[np.ndarray, " point"]]:
     """Coordinates of a grid over the box of the data, equally spaced."""
     data = run.data
     is_observed = data.positions[data.observed[..., : data.dim].all(axis=-1)]
@@ -141,7 +141,7 @@ def _grid(run: FittedRun, points: int) -> list[Float[np.ndarray, " point"]]:
     return [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
 
 
-def _data(run: FittedRun) -> "dict[str, Dataset]":
+def _data(run: Learned) -> "dict[str, Dataset]":
     """What was observed, and when, under which commands."""
     from xarray import Dataset
 

@@ -7,9 +7,9 @@ from pinav.commands.command import CommandResult
 from pinav.commands.export.datatree import MISSING, datatree_of
 from pinav.commands.export.settings import ExportOptions
 from pinav.commands.export.spots import SpotTable, napari_csv, spot_table, trackmate_csv
-from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
 from pinav.files import atomic_write, check_destination
+from pinav.learning.learned import Learned
 
 
 def run(options: ExportOptions) -> CommandResult:
@@ -20,7 +20,7 @@ def run(options: ExportOptions) -> CommandResult:
             that writes the format is not installed.
     """
     check_destination(options.out, overwrite=options.overwrite)
-    fit = FittedRun.open(options.run)
+    fit = Learned.open(options.run)
     table = spot_table(fit)
     content = _content(fit, table, options)
 
@@ -33,7 +33,7 @@ def run(options: ExportOptions) -> CommandResult:
     return CommandResult(written, f"{options.out}: {spots} spots, {options.to}")
 
 
-def _content(fit: FittedRun, table: SpotTable, options: ExportOptions) -> bytes:
+def _content(fit: Learned, table: SpotTable, options: ExportOptions) -> bytes:
     """The bytes of the file."""
     if options.to == "napari":
         return napari_csv(table).encode()

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import with_dtype
 from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.forces import AbstractForce, as_learned_force, forces_at
+from pinav.learning.learned import Learned
 from pinav.trajectories import POSITION_CHANNELS
 from pinav.units import force_unit
 
@@ -41,7 +41,7 @@ class SpotTable(NamedTuple):
     units: tuple[str, str, str]
 
 
-def spot_table(run: FittedRun) -> SpotTable:
+def spot_table(run: Learned) -> SpotTable:
     """The learned force at the observed positions of the data that were fitted.
 
     Raises:
@@ -58,7 +58,7 @@ def spot_table(run: FittedRun) -> SpotTable:
     return SpotTable(trajectory, frame, time, position, values, sd, result_units(run))
 
 
-def learned_force(run: FittedRun) -> AbstractForce:
+def learned_force(run: Learned) -> AbstractForce:
     """The force that stands for the unknown in the model of a run.
 
     Raises:
@@ -103,7 +103,7 @@ def force_sds(
     return sd
 
 
-def result_units(run: FittedRun) -> tuple[str, str, str]:
+def result_units(run: Learned) -> tuple[str, str, str]:
     """Units of length, time and the learned force; "?" where not stated."""
     return run.units["x"], run.units["t"], force_unit(run.units)
 

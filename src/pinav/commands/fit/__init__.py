@@ -8,6 +8,8 @@ FIT = Command(
     options="pinav.commands.fit.settings:FitOptions",
     run="pinav.commands.fit.job:run",
     title="A fitted model",
-    report="pinav.commands.fit.report:fit_sections",
+    result="pinav.learning.findings:Findings",
+    file="metrics",
+    sections="pinav.commands.fit.sections:sections",
     resumable=True,
 )

@@ -4,13 +4,11 @@ import dataclasses
 
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.fitted_run import DATA_FILE, ModelHeader, save_data, write_fit
 from pinav.commands.identify import IDENTIFY
 from pinav.commands.identify.settings import IdentifyOptions
 from pinav.commands.many_files import run_files
 from pinav.commands.results import keep
 from pinav.commands.start import fingerprint, start_run
-from pinav.commands.system_choice import write_system_of
 from pinav.fitting import EvidenceFit
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.summary import summarise_data
@@ -24,6 +22,8 @@ from pinav.identification import (
 )
 from pinav.identification.identify import is_pooled
 from pinav.identification.rollouts import HORIZONS
+from pinav.learning.evidence import Evidence
+from pinav.learning.learned import DATA_FILE, ModelHeader, of_evidence
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
 
@@ -98,10 +98,10 @@ def _write_system(
     }
     chosen = dataclasses.replace(fit.hyperparameters, noise=jitter)
     fit = dataclasses.replace(fit, constants=constants, hyperparameters=chosen)
-    save_data(folder, data)
-    write_system_of(folder, system)
     choice = ModelChoice(name="physics-only", learn=tuple(paths))
-    write_fit(folder, ModelHeader(choice, summarise_data(data)), fit, data)
+    header = ModelHeader(choice, summarise_data(data))
+    evidence = Evidence.of(fit, choice, data)
+    of_evidence(header, fit, system, data, evidence).write(folder)
 
 
 def _fit_again(

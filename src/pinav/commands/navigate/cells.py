@@ -13,12 +13,12 @@ from typing import TypeVar
 
 import msgspec
 
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.online import OnlineProblem, online_problem
 from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.sweep import Sweep
 from pinav.errors import InputError
+from pinav.learning.learned import Learned
 from pinav.navigation import (
     AbstractController,
     Attempt,
@@ -159,7 +159,7 @@ def do_loops(cell: Cell, folder: Path) -> None:
 @functools.lru_cache(maxsize=1)
 def _problem(run: str, settings: str) -> NavigationProblem:
     decoded = msgspec.json.decode(settings, type=NavigateSettings)
-    return navigation_problem(decoded, FittedRun.open(Path(run)))
+    return navigation_problem(decoded, Learned.open(Path(run)))
 
 
 @functools.lru_cache(maxsize=3)
@@ -234,11 +234,17 @@ def _json(settings: msgspec.Struct) -> str:
     return msgspec.json.encode(settings).decode()
 
 
+OF_A_FIT = (
+    *("", "model.eqx", "posterior.json", "posterior.npz", "data.npz", "system.toml"),
+)
+"""The file itself, and files of a run that a fit is made of."""
+
+
 def _digest(*paths: Path | None) -> str:
     """Digest of files, and of everything that fits are made of."""
     digest = hashlib.sha256()
     for path in paths:
-        for name in ("", "model.eqx", "posterior.npz", "data.npz", "system.toml"):
+        for name in OF_A_FIT:
             if path is not None and (path / name).is_file():
                 digest.update((path / name).read_bytes())
     return digest.hexdigest()[:16]

@@ -3,7 +3,6 @@
 from functools import partial
 
 from pinav.commands.command import CommandResult
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate import NAVIGATE
 from pinav.commands.navigate.cells import sweep_flights, sweep_loops
 from pinav.commands.navigate.online import online_problem
@@ -13,6 +12,7 @@ from pinav.commands.results import keep
 from pinav.commands.start import start_run
 from pinav.commands.sweep import start_sweep
 from pinav.commands.worker_settings import WorkerSettings
+from pinav.learning.learned import Learned
 from pinav.navigation import OnlineNavigation, navigate
 
 
@@ -21,7 +21,7 @@ def run(options: NavigateOptions) -> CommandResult:
     settings, run = options.settings, options.run
     if run is None or options.online.learn_online is not None:
         return _learn_online(options)
-    problem = navigation_problem(settings, FittedRun.open(run))
+    problem = navigation_problem(settings, Learned.open(run))
     compare = partial(navigate, problem, seeds=settings.seeds, seed=settings.seed)
     if options.workers == WorkerSettings():
         folder = start_run(NAVIGATE, options, settings, fitted=run.name)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.steering import observe_positions, system_task
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
+from pinav.learning.learned import Learned
 from pinav.navigation import TASKS, AdaptiveController, Task, task
 from pinav.navigation.adaptive.prior import with_prior_of
 from pinav.scenarios import find_system
@@ -51,7 +51,7 @@ def system_to_learn(settings: NavigateSettings, name: str) -> System | None:
 
 
 def with_prior(
-    adaptive: AdaptiveController, run: FittedRun, units: Units
+    adaptive: AdaptiveController, run: Learned, units: Units
 ) -> AdaptiveController:
     """The controller that begins with the force and the posterior of a fit.
 
@@ -129,7 +129,7 @@ def online_problem(
         )
     adaptive = AdaptiveController.of(observed)
     if prior is not None:
-        adaptive = with_prior(adaptive, FittedRun.open(prior), units)
+        adaptive = with_prior(adaptive, Learned.open(prior), units)
     channels = units.of_channels(("x", "y"))
     order = 2 if observed.inertial else 1
     return OnlineProblem(

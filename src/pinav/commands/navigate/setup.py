@@ -5,7 +5,6 @@ import dataclasses
 import jax
 import numpy as np
 
-from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate import NAVIGATE
 from pinav.commands.navigate.settings import NavigateSettings
 from pinav.commands.steering import task_of
@@ -17,12 +16,13 @@ from pinav.dynamics import (
 )
 from pinav.errors import InputError
 from pinav.evaluation import enclosing_cube
+from pinav.learning.learned import Learned
 from pinav.navigation import Evidence, NavigationProblem, SteeredSwimmer
 from pinav.scenarios import source_system
 from pinav.units import with_order
 
 
-def navigation_problem(settings: NavigateSettings, run: FittedRun) -> NavigationProblem:
+def navigation_problem(settings: NavigateSettings, run: Learned) -> NavigationProblem:
     """The navigation problem of a run, from its system and model alone.
 
     Raises:
@@ -59,22 +59,24 @@ def navigation_problem(settings: NavigateSettings, run: FittedRun) -> Navigation
     )
 
 
-def _draws(run: FittedRun, settings: NavigateSettings) -> list[AbstractDynamics]:
+def _draws(run: Learned, settings: NavigateSettings) -> list[AbstractDynamics]:
     if run.posterior is None or settings.samples == 0:
         return []
     key = jax.random.fold_in(jax.random.key(settings.seed), 1)
     return run.posterior.samples(settings.samples, key=key)
 
 
-def _evidence(run: FittedRun, model: AbstractDynamics) -> Evidence | None:
+def _evidence(run: Learned, model: AbstractDynamics) -> Evidence | None:
     """The fit's evidence where the next trajectory can be suggested.
 
     Not of stochastic paths, whose states are not smoothed, nor in space, where
     candidates have no elevation.
     """
-    evidence = run.evidence
-    if evidence is None or "diffusion" in evidence.constants or takes_commands(model):
+    evidence, posterior = run.evidence, run.posterior
+    if evidence is None or posterior is None:
+        return None
+    if "diffusion" in evidence.constants or takes_commands(model):
         return None
     if run.data.dim > 2:
         return None
-    return Evidence(evidence.posterior, run.noise, evidence.states)
+    return Evidence(posterior, run.noise, evidence.states)

@@ -6,9 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pinav.commands.command import CommandResult
-from pinav.commands.fitted_run import FittedRun, ModelHeader, write_model
-from pinav.commands.matching import matching, read_losses, write_losses
-from pinav.commands.progress import FitReporter
+from pinav.commands.progress import Reporter
 from pinav.commands.reproduce import REPRODUCE, table2
 from pinav.commands.reproduce.metrics import (
     ForceErrors,
@@ -28,7 +26,6 @@ from pinav.commands.reproduce.table2 import (
     summary,
 )
 from pinav.commands.start import start_run
-from pinav.commands.system_choice import write_system_of
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.evaluation import (
     FieldMap,
@@ -41,6 +38,10 @@ from pinav.evaluation import (
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice, learned_part
 from pinav.fitting.environments.summary import summarise_for_matching
+from pinav.learning.learned import Learned, ModelHeader, write_model
+from pinav.learning.matching import Losses, matching
+from pinav.learning.recipes import Curriculum, Paper
+from pinav.learning.system_choice import write_system_of
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.systems import System
@@ -129,8 +130,13 @@ def _write_fits(
     known = scenario("paper").swimmer
     summary = summarise_for_matching(entry.choice(None), known, data)
     models = [build(entry.choice(seed), known, summary) for seed in entry.seeds]
-    method = matching(settings, data, models[0])
-    with FitReporter(folder, entry.name) as report:
+    recipe = (
+        Paper(settings.adam_steps, settings.lbfgs_steps)
+        if settings.recipe == "paper"
+        else Curriculum(settings.max_steps)
+    )
+    method = matching(recipe, data, models[0])
+    with Reporter(folder, entry.name) as report:
         fits = method.fit(
             models,
             data,
@@ -138,7 +144,7 @@ def _write_fits(
             checkpoint=folder.checkpoint(entry.name),
             on_chunk=report,
         )
-    write_losses(entry.name, fits, folder)
+    folder.store(f"losses-{entry.name}", Losses.of(fits))
     for seed, label, fit in zip(entry.seeds, entry.labels(), fits, strict=True):
         header = ModelHeader(entry.choice(seed), summary, method.precision)
         write_model(folder, header, fit.model, model_file(label))
@@ -155,7 +161,7 @@ def _evaluate(
     truth = benchmark.true_swimmer
     assert isinstance(truth, Swimmer)
     arrays |= _true_arrays(truth, data)
-    fitted = FittedRun.open(folder.path)
+    fitted = Learned.open(folder.path)
 
     def scored(model: str, seed: int | None, dynamics: AbstractDynamics) -> Row:
         predictions, outcomes = predict(dynamics, data)
@@ -238,7 +244,7 @@ def _metrics(
 
 
 def _losses(entry: Entry, folder: RunFolder) -> dict[str, TrainingLoss]:
-    stored = read_losses(entry.name, folder)
+    stored = folder.load(f"losses-{entry.name}", Losses)
     curves = zip(entry.seeds, stored.values, stored.outcomes, strict=True)
     return {
         "-" if seed is None else str(seed): TrainingLoss(

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from pinav.commands.matching import read_losses
 from pinav.commands.reproduce.job import key_of
 from pinav.commands.reproduce.metrics import ReproduceMetrics
 from pinav.commands.reproduce.table2 import DIFFERENCES, HEADER, ROWS
 from pinav.evaluation import Decomposition, FieldMap
 from pinav.figures import acceleration_figure, figure1, force_comparison, save_figure
+from pinav.learning.matching import Losses
 from pinav.report import Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
 
@@ -91,7 +91,7 @@ def _losses(metrics: ReproduceMetrics) -> Table:
 def _figure1(
     folder: RunFolder, arrays: dict[str, np.ndarray], seed: int | None, model: str
 ) -> Image:
-    losses = read_losses(model, folder)
+    losses = folder.load(f"losses-{model}", Losses)
     figure = figure1(
         arrays["times"],
         arrays["truth"],

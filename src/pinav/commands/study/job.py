@@ -12,7 +12,6 @@ import jax
 import msgspec
 
 from pinav.commands.cells import as_cell
-from pinav.commands.matching import CurriculumSettings, matching
 from pinav.commands.settings import ModelName
 from pinav.commands.study.metrics import (
     HEADER,
@@ -41,6 +40,8 @@ from pinav.fitting import fit_bayes
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import KnownSwimmer, ModelChoice
 from pinav.fitting.environments.summary import summarise_data, summarise_for
+from pinav.learning.matching import matching
+from pinav.learning.recipes import Curriculum
 from pinav.scenarios import scenario
 from pinav.sweeps import Cell, CellStore, Outcome
 from pinav.systems import System
@@ -240,7 +241,7 @@ def fit_choice(
         result = fit_bayes(start, data, max_iterations=max_steps, throw=False)
     else:
         model = build(choice, swimmer, summarise_data(data))
-        method = matching(CurriculumSettings(max_steps=max_steps), data, model)
+        method = matching(Curriculum(max_steps), data, model)
         (result,) = method.fit(
             [model],
             data,

@@ -19,15 +19,33 @@ from pinav.forces import SumForce, as_learned_force
 
 
 class Estimate(eqx.Module):
-    """A learned constant.
+    """A learned number.
 
     Attributes:
         value: its best value.
-        sd: its standard deviation.
+        sd: its standard deviation; NaN without a posterior.
+        unit: of both; "?" where it is not known.
     """
+
+    DERIVED = ("low", "high")
 
     value: float
     sd: float
+    unit: str = eqx.field(static=True, default="?")
+
+    @property
+    def low(self) -> float:
+        """Lower end of its 95 % interval."""
+        return self.value - TWO_SIDED * self.sd
+
+    @property
+    def high(self) -> float:
+        """Upper end of its 95 % interval."""
+        return self.value + TWO_SIDED * self.sd
+
+
+TWO_SIDED = 1.959963984540054
+"""Standard deviations from the middle of a normal distribution to 97.5 %."""
 
 
 class Band(eqx.Module):

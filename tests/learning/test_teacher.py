@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from pinav.analysis import influence
-from pinav.commands.evidence_file import TEACHER_MODEL_FILE
-from pinav.commands.fit import job
-from pinav.commands.fit.plan import plan_fit
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
 from pinav.forces import NeuralPotential, StructuredForce, ZeroForce
-from pinav.runs import RunFolder
+from pinav.learning.learn import learn, open_run
+from pinav.learning.learned import TEACHER_FILE
+from pinav.learning.recipes import Bayes
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import simulate
 
@@ -30,33 +27,32 @@ def crossings():
     return truth, simulate(truth, key=jax.random.key(2))
 
 
-def fit(crossings, path, **settings):
-    settings = FitSettings(
-        model="neural-potential", width=16, recipe="bayes", **settings
-    )
-    folder = RunFolder.create(path, {}, overwrite=False)
-    return job.fit(plan_fit(settings, *crossings), folder), folder
+def fit(crossings, **options):
+    truth, data = crossings
+    recipe = Bayes(**options)
+    return learn(truth, data, model="neural-potential", width=16, recipe=recipe)
 
 
 @pytest.fixture(scope="module")
 def taught(crossings, tmp_path_factory):
-    return fit(crossings, tmp_path_factory.mktemp("teacher") / "run")
+    return fit(crossings).save(tmp_path_factory.mktemp("teacher") / "run")
 
 
 def test_the_run_says_what_structure_its_teacher_had(taught):
-    metrics, folder = taught
-    assert "the network's teacher: structure: central about" in metrics.text()
-    run = FittedRun.open(folder.path)
+    structure = taught.findings.structure
+    assert structure.of_teacher
+    assert structure.terms[0].kind.startswith("central")
+    assert structure.terms[0].profile is not None
+    run = open_run(taught.path)
     assert isinstance(run.model.environment, NeuralPotential)
     teacher = run.teacher.model.environment
     assert isinstance(teacher, StructuredForce)
     assert run.evidence.process is teacher
     assert run.teacher.choice.name == "kernel-potential"
-    assert "structure/0" in folder.read_arrays("results.npz")
 
 
 def test_the_prior_of_a_stored_network_is_that_of_its_teacher(taught, crossings):
-    run = FittedRun.open(taught[1].path)
+    run = open_run(taught.path)
     found = influence(
         run.model,
         crossings[1],
@@ -69,18 +65,18 @@ def test_the_prior_of_a_stored_network_is_that_of_its_teacher(taught, crossings)
 
 
 def test_a_network_without_its_teacher_is_refused(taught, tmp_path):
-    run = taught[1].path
+    run = taught.path
     for file in run.iterdir():
-        if file.is_file() and file.name != TEACHER_MODEL_FILE:
+        if file.is_file() and file.name != TEACHER_FILE:
             (tmp_path / file.name).write_bytes(file.read_bytes())
-    with pytest.raises(InputError, match=TEACHER_MODEL_FILE):
-        FittedRun.open(tmp_path)
+    with pytest.raises(InputError, match=TEACHER_FILE):
+        open_run(tmp_path)
 
 
 def test_without_a_search_free_kernels_teach_a_network(crossings, tmp_path):
-    metrics, folder = fit(crossings, tmp_path / "run", structure="free")
-    assert metrics.structure is None
-    run = FittedRun.open(folder.path)
+    kept = fit(crossings, structure="free").save(tmp_path / "run")
+    assert kept.findings.structure is None
+    run = open_run(tmp_path / "run")
     assert run.teacher is None
-    assert not folder.has(TEACHER_MODEL_FILE)
+    assert not run.folder.has(TEACHER_FILE)
     assert not isinstance(run.evidence.process, StructuredForce | ZeroForce)

@@ -1,8 +1,7 @@
-"""Trajectory matching by the name of its recipe, and its losses on disk."""
+"""Trajectory matching: the paper's recipe or the default one, and its losses."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,9 +10,11 @@ from jaxtyping import Float
 from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import InputError
 from pinav.fitting import (
+    AbstractCheckpoint,
     AbstractObjective,
     AbstractPhase,
     Fit,
+    FitProgress,
     TrajectoryLoss,
     curriculum,
     defect_recipe,
@@ -25,53 +26,10 @@ from pinav.fitting import (
     rates_to_match,
     substeps_for,
 )
-from pinav.fitting.matching.state import AbstractCheckpoint, FitProgress
 from pinav.fitting.matching.trainable import Trainable
 from pinav.forces import ZeroForce, as_learned_force
-from pinav.runs import RunFolder
+from pinav.learning.recipes import Curriculum, Paper
 from pinav.trajectories import Trajectories
-
-
-@runtime_checkable
-class MatchingSettings(Protocol):
-    """The settings of every command that matches trajectories."""
-
-    @property
-    def recipe(self) -> str:
-        """Name of the recipe."""
-        ...
-
-    @property
-    def max_steps(self) -> int:
-        """Steps of each phase of the curriculum at most."""
-        ...
-
-    @property
-    def adam_steps(self) -> int:
-        """Steps of Adam in the paper's recipe."""
-        ...
-
-    @property
-    def lbfgs_steps(self) -> int:
-        """Steps of L-BFGS in the paper's recipe."""
-        ...
-
-
-@dataclasses.dataclass(frozen=True)
-class CurriculumSettings:
-    """Settings of the default recipe, or of the paper's where that is named.
-
-    Attributes:
-        recipe: `curriculum` or `paper`.
-        max_steps: steps of each phase of the curriculum at most.
-        adam_steps: of the paper's recipe.
-        lbfgs_steps: of the paper's recipe.
-    """
-
-    recipe: str = "curriculum"
-    max_steps: int = 20
-    adam_steps: int = 7500
-    lbfgs_steps: int = 500
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,7 +88,7 @@ class Matching:
 
 
 def matching(
-    settings: MatchingSettings, data: Trajectories, model: AbstractDynamics
+    recipe: Curriculum | Paper, data: Trajectories, model: AbstractDynamics
 ) -> Matching:
     """The paper's recipe as the paper has it, or the default one.
 
@@ -138,20 +96,21 @@ def matching(
     to the curriculum of windows where these fail or some states are missing.
 
     Args:
-        settings: name and steps of the recipe.
+        recipe: which, and its steps.
         data: the trajectories.
         model: one of those to be fitted, untrained.
     """
-    if settings.recipe == "paper":
-        recipe = paper_recipe(settings.adam_steps, settings.lbfgs_steps)
-        return Matching((recipe,), TrajectoryLoss(FixedStep()), jnp.float32)
+    if isinstance(recipe, Paper):
+        phases = paper_recipe(recipe.adam_steps, recipe.lbfgs_steps)
+        return Matching((phases,), TrajectoryLoss(FixedStep()), jnp.float32)
+    max_steps = recipe.max_steps
     substeps = substeps_for(data)
-    recipes = (curriculum(data, max_steps=settings.max_steps),)
+    recipes = (curriculum(data, max_steps=max_steps),)
     if is_complete(data):
         linear = _is_linear(model)
         rates = None if linear else rates_to_match(model, data)
         if linear or rates is not None:
-            steps = DEFECT_STEPS * settings.max_steps
+            steps = DEFECT_STEPS * max_steps
             root = prior_root(model, data) if linear else None
             first = defect_recipe(
                 data,
@@ -207,26 +166,14 @@ class Losses:
     """
 
     values: Float[np.ndarray, "fit step"]
-    phases: list[tuple[str, int]]
-    outcomes: list[str]
+    phases: tuple[tuple[str, int], ...]
+    outcomes: tuple[str, ...]
 
-
-def write_losses(name: str, fits: Sequence[Fit], folder: RunFolder) -> None:
-    """Write the loss curves of fits that share a recipe to `losses-NAME.npz`."""
-    folder.write_arrays(
-        f"losses-{name}.npz",
-        {
-            "losses": np.stack([fit.losses for fit in fits]),
-            "phase_starts": np.array([start for _, start in fits[0].phases]),
-            "phase_names": np.array([phase for phase, _ in fits[0].phases]),
-            "outcomes": np.array([str(fit.outcome) for fit in fits]),
-        },
-    )
-
-
-def read_losses(name: str, folder: RunFolder) -> Losses:
-    """Read what `write_losses` wrote."""
-    stored = folder.read_arrays(f"losses-{name}.npz")
-    names, starts = stored["phase_names"], stored["phase_starts"]
-    phases = [(str(n), int(start)) for n, start in zip(names, starts, strict=True)]
-    return Losses(stored["losses"], phases, [str(word) for word in stored["outcomes"]])
+    @classmethod
+    def of(cls, fits: Sequence[Fit]) -> "Losses":
+        """Those of given fits."""
+        return cls(
+            np.stack([np.asarray(fit.losses) for fit in fits]),
+            tuple((str(name), int(start)) for name, start in fits[0].phases),
+            tuple(str(fit.outcome) for fit in fits),
+        )

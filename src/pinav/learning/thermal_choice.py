@@ -2,7 +2,6 @@
 
 import dataclasses
 
-from pinav.commands.fit.settings import FitSettings
 from pinav.errors import InputError
 from pinav.fitting import (
     ConstantDiffusion,
@@ -16,6 +15,7 @@ from pinav.fitting import (
 )
 from pinav.fitting.environments.profiles import ProfileSummary
 from pinav.forces import KernelAxis
+from pinav.learning.recipes import Langevin
 from pinav.systems import System
 from pinav.systems.thermal_unknown import split_period
 from pinav.trajectories import Trajectories
@@ -44,29 +44,29 @@ class ThermalChoice:
 
     @classmethod
     def of(
-        cls, settings: FitSettings, system: System, data: Trajectories
+        cls, recipe: Langevin, system: System, data: Trajectories
     ) -> "ThermalChoice":
-        """The values of resolved settings.
+        """The values of resolved recipe.
 
         Raises:
             InputError: a coordinate is not there, a period is none, or what is asked
                 for contradicts itself or the system.
         """
-        axes = _axes(settings, system, data)
-        varies = settings.diffusion != "constant"
+        axes = _axes(recipe, system, data)
+        varies = recipe.diffusion != "constant"
         diffusion = None
         if varies:
-            diffusion = _fields(settings, axes, system)
-        elif settings.period:
+            diffusion = _fields(recipe, axes, system)
+        elif recipe.period:
             diffusion = ConstantDiffusion()  # where increments find the short way round
         reference = None
-        if settings.reference is not None:
-            reference = _reference(settings, system, axes, data)
+        if recipe.reference is not None:
+            reference = _reference(recipe, system, axes, data)
         heat = system.thermal_energy
         return cls(
             axes=axes,
             diffusion=diffusion,
-            observation=_observation(settings, system),
+            observation=_observation(recipe, system),
             reference=reference,
             einstein=varies and heat is not None and float(heat) > 0,
         )
@@ -83,22 +83,22 @@ class ThermalChoice:
 
 
 def _axes(
-    settings: FitSettings, system: System, data: Trajectories
+    recipe: Langevin, system: System, data: Trajectories
 ) -> tuple[KernelAxis, ...]:
     channels = system.position_channels
     periods: dict[str, float] = {}
-    for text in settings.period:
+    for text in recipe.period:
         name, period = split_period(text)
         if name in periods:
             raise InputError(
                 f"--period: expected one for each coordinate, {name} twice"
             )
         periods[name] = period
-    named = settings.coordinates or channels
+    named = recipe.coordinates or channels
     for option, names in (
         ("coordinates", named),
         ("period", periods),
-        ("warp", settings.warp),
+        ("warp", recipe.warp),
     ):
         _check_names(option, tuple(names), system)
         if outside := [name for name in names if name not in named]:
@@ -106,7 +106,7 @@ def _axes(
                 f"--{option} {outside[0]}: fields depend on {', '.join(named)} alone; "
                 "name it in --coordinates, too"
             )
-    if both := sorted(set(periods) & set(settings.warp)):
+    if both := sorted(set(periods) & set(recipe.warp)):
         raise InputError(
             f"--warp {both[0]}: a coordinate that repeats has no slow end; drop its "
             "--period or its --warp"
@@ -114,7 +114,7 @@ def _axes(
     axes = []
     for name in (one for one in channels if one in named):
         index = channels.index(name)
-        warp = warp_at_slow_end(data, index) if name in settings.warp else None
+        warp = warp_at_slow_end(data, index) if name in recipe.warp else None
         axes.append(KernelAxis(index, periods.get(name), warp))
     return tuple(axes)
 
@@ -132,17 +132,17 @@ def _check_names(option: str, names: tuple[str, ...], system: System) -> None:
 
 
 def _fields(
-    settings: FitSettings, axes: tuple[KernelAxis, ...], system: System
+    recipe: Langevin, axes: tuple[KernelAxis, ...], system: System
 ) -> KernelDiffusion:
     """One field of log D, or one along each coordinate and one along all others."""
     if len(axes) not in ACROSS:
         raise InputError(
-            f"--diffusion {settings.diffusion}: expected one or two coordinates on "
+            f"--diffusion {recipe.diffusion}: expected one or two coordinates on "
             f"which it depends, got {', '.join(system.position_channels)}; name them, "
             "such as --coordinates z"
         )
     groups = None
-    if settings.diffusion == "tensor":
+    if recipe.diffusion == "tensor":
         named = [axis.index for axis in axes]
         others = tuple(index for index in range(system.dim) if index not in named)
         groups = (*((others,) if others else ()), *((index,) for index in named))
@@ -155,11 +155,11 @@ def _fields(
 
 
 def _observation(
-    settings: FitSettings, system: System
+    recipe: Langevin, system: System
 ) -> Observation | LearnedObservation | None:
-    if settings.observation == "learn":
+    if recipe.observation == "learn":
         return LearnedObservation()
-    if settings.observation == "exact":
+    if recipe.observation == "exact":
         return None
     stated = system.observation
     if stated.noise == 0 and stated.exposure == 0:
@@ -171,12 +171,12 @@ def _observation(
 
 
 def _reference(
-    settings: FitSettings,
+    recipe: Langevin,
     system: System,
     axes: tuple[KernelAxis, ...],
     data: Trajectories,
 ) -> SlowReference:
-    name = str(settings.reference)
+    name = str(recipe.reference)
     _check_names("reference", (name,), system)
     index = system.position_channels.index(name)
     if index not in [axis.index for axis in axes]:

@@ -1,21 +1,21 @@
-"""What the page of a fit says of its end: sentences for people, with a remedy."""
+"""Sentences on how a fit ended and what limits it, each with a remedy."""
 
 from typing import Any
 
 import numpy as np
 
-from pinav.commands.fit.plan import FitPlan
 from pinav.dynamics import Swimmer
 from pinav.evaluation import predict, score
 from pinav.fitting import Outcome, confirm, diagnose, simpler_models
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined
 from pinav.forces import as_learned_force
+from pinav.learning.plan import FitPlan
 from pinav.trajectories import Trajectories
 
 REMARKS = {
     str(Outcome.STALLED): (
-        "The fit stalled before its steps stopped to matter. If the errors above are "
+        "The fit stopped before its steps became negligible. If the errors above are "
         "not at the level of the noise, raise --max-steps or choose another --model."
     ),
     str(Outcome.MISFIT): (
@@ -54,9 +54,9 @@ def narrow_prior(model: Any, chosen: Hyperparameters) -> tuple[str, ...]:
 
 
 ASSUMED_POTENTIAL = (
-    "The force was taken to have a potential, which these data were not asked to "
-    "decide. If it may have a rotational part, fit --model kernel-mixture (in space "
-    "kernel-force), too, and compare the log evidence."
+    "The force was assumed conservative; this was not tested. If it may have a "
+    "rotational part, fit --model kernel-mixture (in space kernel-force), too, and "
+    "compare the log evidence."
 )
 """What is said of a default that nothing has tested."""
 
@@ -72,7 +72,7 @@ def assumed_potential(plan: FitPlan, model: Any, rotation: float) -> tuple[str, 
     force = as_learned_force(model.environment)
     if force is None or not force.is_conservative or plan.data.dim < 2:
         return ()
-    return (ASSUMED_POTENTIAL,) if plan.weigh_rotation and np.isnan(rotation) else ()
+    return (ASSUMED_POTENTIAL,) if plan.is_open and np.isnan(rotation) else ()
 
 
 def confirm_outcome(

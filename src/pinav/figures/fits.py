@@ -1,0 +1,206 @@
+"""Figures of a fit: its paths, its force, the profiles of terms, thermal motion."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pinav.evaluation import normal_interval
+from pinav.figures.bands import band, diffusion_bands, profile_band
+from pinav.figures.images import Picture
+from pinav.figures.maps import force_comparison
+from pinav.figures.observations import observed_paths, positions_over_time
+from pinav.figures.palette import TRUTH
+from pinav.figures.style import new_figure, with_unit
+from pinav.figures.trajectories import loss_curve
+from pinav.learning.findings import Findings, FoundTerm, Rollouts
+from pinav.trajectories import POSITION_CHANNELS
+from pinav.units import force_unit
+
+SMALL = (4.2, 2.6)
+"""Width and height of the figure of one band [inch]."""
+
+STRAIGHT = ("wall", "shear layer")
+"""Terms whose coordinate is no distance."""
+
+
+def fit_figure(fit: Findings) -> Picture:
+    """All trajectories with rollouts, and the loss where the recipe has one."""
+    losses, rollouts = fit.losses, fit.rollouts
+    pieces = list(_pieces(rollouts))
+
+    def draw() -> Figure:
+        figure = new_figure(4.2 if losses is None else 7.5, 3.4)
+        axes = figure.subplots(1, 1 if losses is None else 2, squeeze=False)[0]
+        observed = [positions for _, positions, _ in pieces]
+        predicted = [ys[:, :2] for _, _, ys in pieces]
+        if sum(name in POSITION_CHANNELS for name in rollouts.channels) == 1:
+            name = rollouts.channels[0]
+            positions_over_time(
+                [times for times, _, _ in pieces],
+                [one[:, 0] for one in observed],
+                [one[:, 0] for one in predicted],
+                labels=(
+                    with_unit("time", fit.units.get("t", "1")),
+                    with_unit(name, fit.units.get(name, "1")),
+                ),
+                ax=axes[0],
+            )
+        else:
+            observed_paths(observed, predicted, units=fit.units, ax=axes[0])
+        if losses is not None:
+            loss_curve(losses.values, losses.phases, ax=axes[1])
+        return figure
+
+    caption = "Observed positions and rollouts of the fitted model."
+    if losses is not None:
+        caption += " Right: training loss."
+    return Picture(
+        "fit", draw, caption, "Observed trajectories and rollouts of the model"
+    )
+
+
+def _pieces(
+    rollouts: Rollouts,
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Times, observed positions and predicted states of each trajectory."""
+    for index, length in enumerate(rollouts.lengths):
+        states, seen = rollouts.states[index, :length], rollouts.observed[index]
+        observed = np.where(seen[:length, :2], states[:, :2], np.nan)
+        yield (
+            rollouts.times[index, :length],
+            observed,
+            rollouts.predicted[index, :length],
+        )
+
+
+def learned_force_figure(fit: Findings) -> Picture | None:
+    """Maps of the force, its truth and its uncertainty; None without a plane."""
+    maps = fit.force
+    if maps is None:
+        return None
+    learned = maps.learned
+    gap = np.full((1, 2), np.nan)
+    path = [part for _, seen, _ in _pieces(fit.rollouts) for part in (seen, gap)]
+
+    def draw() -> Figure:
+        return force_comparison(
+            learned,
+            true=maps.truth,
+            sd=maps.sd,
+            path=np.concatenate(path),
+            units=fit.units,
+        )
+
+    unit = fit.units.get("x", "1")
+    return Picture(
+        "force",
+        draw,
+        "The force of the environment on a swimmer at rest. Hatched: unvisited, an "
+        f"extrapolation ({learned.regions.definition(unit)}).",
+        "Maps of the learned force and of how well it is known",
+    )
+
+
+def force_line_figures(fit: Findings) -> list[Picture]:
+    """The force along lines through data that are not planar."""
+    return [_force_line_figure(fit, name) for name in fit.lines or {}]
+
+
+def _force_line_figure(fit: Findings, name: str) -> Picture:
+    assert fit.lines is not None
+    line = fit.lines[name]
+
+    def draw() -> Figure:
+        figure = new_figure(*SMALL)
+        axes = profile_band(
+            line.places,
+            line.force,
+            np.zeros_like(line.force) if line.sd is None else line.sd,
+            coordinate=name,
+            units=(fit.units.get(name, "1"), fit.units.get("force", "?")),
+            ax=figure.add_subplot(),
+        )
+        if line.true is not None:
+            axes.plot(line.places, line.true, color=TRUTH, lw=1.0, ls="--")
+        return figure
+
+    caption = f"The force along {name} through the middle of the data"
+    if line.true is not None:
+        caption += "; dashed: the truth"
+    return Picture(f"force-{name}", draw, f"{caption}.", f"Force over {name}")
+
+
+def profile_figure(index: int, term: FoundTerm, fit: Findings) -> Picture | None:
+    """The profile of a term with its band; None of a term that has none."""
+    profile = term.profile
+    if profile is None:
+        return None
+    length = fit.units.get("x", "1")
+
+    def draw() -> Figure:
+        figure = new_figure(*SMALL)
+        profile_band(
+            profile.places,
+            profile.force,
+            profile.sd,
+            coordinate="along the normal" if term.kind in STRAIGHT else "distance",
+            units=(length, force_unit(fit.units)),
+            ax=figure.add_subplot(),
+        )
+        return figure
+
+    return Picture(
+        f"profile-{index}",
+        draw,
+        f"The force of the term '{term.kind}' with its band of 95 %.",
+        f"Profile of the term {term.kind}",
+    )
+
+
+def thermal_figures(fit: Findings) -> list[Picture]:
+    """Diffusion along lines through the data, and the path of a reference."""
+    thermal = fit.thermal
+    if thermal is None:
+        return []
+    pictures = [_diffusion_figure(fit, name) for name in thermal.lines]
+    path = thermal.reference
+    if path is None:
+        return pictures
+    length, time = fit.units.get("x", "1"), fit.units.get("t", "1")
+
+    def draw() -> Figure:
+        figure = new_figure(*SMALL)
+        band(
+            path.times,
+            path.values,
+            normal_interval(path.values, path.sd),
+            labels=(with_unit("time", time), with_unit("reference", length)),
+            ax=figure.add_subplot(),
+        )
+        return figure
+
+    caption = "Path of the frame of reference, about its mean, with its 95 % band."
+    return [*pictures, Picture("reference", draw, caption, "Path of the reference")]
+
+
+def _diffusion_figure(fit: Findings, name: str) -> Picture:
+    assert fit.thermal is not None
+    line, channels = fit.thermal.lines[name], fit.thermal.channels
+    units = fit.units.get(channels[0], "1"), fit.units.get("t", "1")
+
+    def draw() -> Figure:
+        figure = new_figure(*SMALL)
+        diffusion_bands(
+            line.places,
+            line.values,
+            line.sd,
+            coordinate=name,
+            channels=channels,
+            units=units,
+            ax=figure.add_subplot(),
+        )
+        return figure
+
+    caption = f"Diffusion along {name} through the middle of the data, 95 % bands."
+    return Picture(f"diffusion-{name}", draw, caption, f"Diffusion over {name}")

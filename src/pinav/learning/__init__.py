@@ -1,0 +1,1 @@
+"""Learning: the choice of model and recipe, and the result of a fit as a value."""

@@ -1,0 +1,184 @@
+"""What a fit has to say: its errors, constants, force, structure, and remarks."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from pinav.evaluation import FieldMap, ForceLine, RestartErrors
+from pinav.fitting import Estimate, Hyperparameters
+from pinav.learning.matching import Losses
+from pinav.learning.thermal import ThermalFindings
+
+
+@dataclasses.dataclass(frozen=True)
+class Rollouts:
+    """The data of a fit, and rollouts of its model over their times.
+
+    Attributes:
+        channels: names of the components of a state.
+        times: of each trajectory [T].
+        states: as they were given.
+        observed: the numbers among them that were observed.
+        predicted: by the model.
+        lengths: samples of each trajectory; what follows is padding.
+    """
+
+    channels: tuple[str, ...]
+    times: Float[np.ndarray, "trajectory time"]
+    states: Float[np.ndarray, "trajectory time state"]
+    observed: np.ndarray
+    predicted: Float[np.ndarray, "trajectory time state"]
+    lengths: tuple[int, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class ForceMaps:
+    """The force around planar data.
+
+    Attributes:
+        learned: the force that was learned.
+        sd: its standard deviation; None without a posterior.
+        true: the true force, where it is known.
+    """
+
+    learned: FieldMap
+    sd: Float[np.ndarray, "row column 2"] | None = None
+    true: Float[np.ndarray, "row column 2"] | None = None
+
+    @property
+    def truth(self) -> FieldMap | None:
+        """The map of the true force, where it is known."""
+        return None if self.true is None else self.learned.showing(self.true)
+
+
+@dataclasses.dataclass(frozen=True)
+class FoundLaw:
+    """A law that the potential of a profile follows.
+
+    Attributes:
+        kind: the word for it.
+        formula: of the potential, in LaTeX, for unit height.
+        constants: the height [L² T⁻²] first.
+    """
+
+    kind: str
+    formula: str
+    constants: dict[str, Estimate]
+
+
+@dataclasses.dataclass(frozen=True)
+class Profile:
+    """The profile of a term along its coordinate.
+
+    Attributes:
+        places: on the coordinate [L].
+        force: there [L T⁻²].
+        sd: its standard deviation.
+    """
+
+    places: Float[np.ndarray, " place"]
+    force: Float[np.ndarray, " place"]
+    sd: Float[np.ndarray, " place"]
+
+
+@dataclasses.dataclass(frozen=True)
+class FoundTerm:
+    """A term of the force.
+
+    Attributes:
+        kind: the word for it.
+        formula: in LaTeX.
+        geometry: its numbers, such as a centre [L] or an angle [rad].
+        law: that its profile follows, if any.
+        profile: of the force, where the term has one.
+    """
+
+    kind: str
+    formula: str
+    geometry: tuple[Estimate, ...]
+    law: FoundLaw | None = None
+    profile: Profile | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class FoundStructure:
+    """What a search for a structure came to.
+
+    Attributes:
+        terms: with structure; none where free kernels alone are preferred.
+        gain: log evidence over free kernels [nats]; None where no structure explained
+            the data well enough to be fitted, or free kernels alone diverge.
+        rotation: log evidence of a rotational part beside a potential [nats]; None
+            where none was weighed.
+        turns: the force has a rotational part.
+        sought: there were data enough for a search.
+        of_teacher: it is the structure of the kernels that taught a network.
+    """
+
+    terms: tuple[FoundTerm, ...]
+    gain: float | None
+    rotation: float | None = None
+    turns: bool = False
+    sought: bool = True
+    of_teacher: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Findings:
+    r"""What a fit has to say.
+
+    Attributes:
+        model: name of the model that stands for the unknown.
+        recipe: how it was fitted.
+        outcome: the word for how the fit ended.
+        rmse: root-mean-square errors of rollouts on the training data, by channel; of
+            a recording each is a whole film long.
+        constants: learned beside the environment.
+        remarks: sentences on what limits the result, each with a remedy.
+        units: of the channels and of time; with the order of the dynamics.
+        rollouts: of the model over the data.
+        force_error: relative error of the force by region, where the truth is known.
+        hyperparameters: chosen by the evidence; their noise is that of a position [L],
+            for Langevin dynamics $\sqrt{2D}$.
+        iterations: steps of a fit by the evidence.
+        support: log evidence of a field beside commands over none [nats].
+        losses: of trajectory matching.
+        restarts: errors of a recording by the length of rollouts.
+        structure: what the search for a structure came to.
+        thermal: diffusion, camera and checks of thermal motion.
+        force: maps of it, where data are planar.
+        lines: the force along lines through other data, by the coordinate.
+    """
+
+    DERIVED = ("noise", "log_evidence")
+
+    model: str
+    recipe: str
+    outcome: str
+    rmse: dict[str, float]
+    constants: dict[str, Estimate]
+    remarks: tuple[str, ...]
+    units: dict[str, str]
+    rollouts: Rollouts
+    force_error: dict[str, float] | None = None
+    hyperparameters: Hyperparameters | None = None
+    iterations: int | None = None
+    support: float | None = None
+    losses: Losses | None = None
+    restarts: RestartErrors | None = None
+    structure: FoundStructure | None = None
+    thermal: ThermalFindings | None = None
+    force: ForceMaps | None = None
+    lines: dict[str, ForceLine] | None = None
+
+    @property
+    def noise(self) -> float | None:
+        """Standard deviation of the observations that the fit found."""
+        return None if self.hyperparameters is None else self.hyperparameters.noise
+
+    @property
+    def log_evidence(self) -> float | None:
+        """Log evidence of the fit [nats]."""
+        chosen = self.hyperparameters
+        return None if chosen is None else chosen.log_evidence

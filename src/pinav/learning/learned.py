@@ -1,0 +1,442 @@
+"""`Learned`: a fit with all that belongs to it, in memory and in a folder."""
+
+import dataclasses
+import functools
+import hashlib
+from collections.abc import Iterator, Mapping
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import msgspec
+import numpy as np
+from jaxtyping import ArrayLike, Float
+
+from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
+from pinav.errors import InputError
+from pinav.evaluation import FieldMap, require_x64
+from pinav.fitting import (
+    AbstractLearned,
+    Estimate,
+    EvidenceFit,
+    Posterior,
+    is_network,
+)
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import KnownSwimmer, ModelChoice
+from pinav.fitting.environments.profiles import MobilitySummary
+from pinav.fitting.environments.summary import DataSummary
+from pinav.forces import as_learned_force, forces_at, split_structure
+from pinav.learning.constants import with_units
+from pinav.learning.evidence import Evidence
+from pinav.learning.findings import Findings
+from pinav.learning.matching import Losses
+from pinav.learning.system_choice import read_system_of, write_system_of
+from pinav.learning.thermal import ThermalFindings
+from pinav.runs import RunFolder
+from pinav.systems import System, WanderingVelocity
+from pinav.trajectories import Trajectories, load, save
+
+DATA_FILE = "data.npz"
+
+MODEL = "model"
+"""Name of the fitted model where there is one, and of its file."""
+
+TEACHER_FILE = "teacher.eqx"
+"""The model of the kernels from which a network was distilled."""
+
+POSTERIOR, TEACHER, THERMAL, LOSSES = "posterior", "teacher", "thermal", "losses-model"
+"""Names of the results beside a model that a run keeps."""
+
+FINDINGS = "metrics"
+"""Name of the result of a finished fit."""
+
+
+class ModelHeader(msgspec.Struct, frozen=True):
+    """The first line of a model file: how the model is built again.
+
+    Attributes:
+        choice: its kind and size.
+        data: what it takes from the data.
+        dtype: floating-point type of its leaves.
+    """
+
+    choice: ModelChoice
+    data: DataSummary
+    dtype: str = "float64"
+
+
+@dataclasses.dataclass(frozen=True)
+class Learned(AbstractLearned):
+    """A fit, or a finished run with several models.
+
+    Attributes:
+        place: where it is; None of one that was not saved.
+        system: what was known of the swimmer.
+        data: the trajectories that were fitted.
+        models: the fitted models, by the names of their files.
+        choice: what was fitted; of the first model where there are several.
+        evidence: posterior and hyperparameters; None where the recipe has none.
+        teacher: the fit of kernels, with the structure that it found, from which a
+            network was distilled; None of any other.
+        header: how the model is built again; None where there are several.
+        losses: of trajectory matching.
+        thermal: diffusion, camera and checks of thermal motion.
+        found: what the fit has to say, where it is not in a folder.
+    """
+
+    place: RunFolder | None
+    system: System
+    data: Trajectories
+    models: dict[str, AbstractDynamics]
+    choice: ModelChoice
+    evidence: Evidence | None
+    teacher: "Learned | None" = None
+    header: ModelHeader | None = None
+    losses: Losses | None = None
+    thermal: ThermalFindings | None = None
+    found: Findings | None = None
+
+    @classmethod
+    def open(cls, path: Path | str) -> "Learned":
+        """Read a run.
+
+        Raises:
+            InputError: the folder holds no run or no model, a file is damaged, or x64
+                is switched off, or a network has no teacher although it had one.
+        """
+        require_x64("opening a run")
+        folder = RunFolder.open(Path(path))
+        names = folder.models()
+        if not names:
+            raise InputError(
+                f"{path} holds no fitted model; give the folder that was the --out of "
+                "a finished pinav fit"
+            )
+        system = read_system_of(folder)
+        headers: list[ModelHeader] = []
+
+        def build_untrained(content: Mapping[str, Any]) -> AbstractDynamics:
+            headers.append(msgspec.convert(content, ModelHeader))
+            return build_model(headers[-1], system)
+
+        models = {
+            name.removesuffix(".eqx"): folder.read_model(name, build_untrained)
+            for name in names
+        }
+        header = headers[0]
+        run = cls(
+            folder,
+            system,
+            load(folder.path / DATA_FILE),
+            models,
+            header.choice,
+            _load(folder, POSTERIOR, Evidence),
+            header=header,
+            losses=_load(folder, LOSSES, Losses),
+            thermal=_load(folder, THERMAL, ThermalFindings),
+        )
+        run.check_posterior(POSTERIOR)
+        evidence = run.evidence
+        if evidence is None or evidence.structure is None or not is_network(run.model):
+            return run
+        folder.check_file(TEACHER_FILE)
+        model = folder.read_model(TEACHER_FILE, build_untrained)
+        teacher = dataclasses.replace(
+            run,
+            models={MODEL: model},
+            choice=headers[-1].choice,
+            evidence=folder.load(TEACHER, Evidence),
+            header=headers[-1],
+        )
+        teacher.check_posterior(TEACHER)
+        return run.with_teacher(teacher)
+
+    def with_teacher(self, teacher: "Learned") -> "Learned":
+        """The same of a network that this fit of kernels taught."""
+        assert self.evidence is not None
+        force: Any = teacher.model
+        evidence = dataclasses.replace(self.evidence, process=force.environment)
+        return dataclasses.replace(self, evidence=evidence, teacher=teacher)
+
+    def check_posterior(self, name: str) -> None:
+        """Require that the posterior is that of the model.
+
+        Args:
+            name: of the file of the posterior.
+
+        Raises:
+            InputError: it is of another fit.
+        """
+        try:
+            _ = self.posterior
+        except ValueError as error:
+            raise InputError(
+                f"{self.path}: {name}.json is not of the same fit as its model "
+                f"({error}); copy all files from one run"
+            ) from error
+
+    def write(self, folder: RunFolder) -> "Learned":
+        """Write the fit into a run; the model last, which says that all is there.
+
+        Returns:
+            The same, with its folder.
+        """
+        assert self.header is not None
+        save_data(folder, self.data)
+        write_system_of(folder, self.system)
+        results: dict[str, Any] = {
+            POSTERIOR: self.evidence,
+            THERMAL: self.thermal,
+            LOSSES: self.losses,
+        }
+        if self.teacher is not None and self.teacher.header is not None:
+            # The process of a network is the force of its teacher, which has a file.
+            assert self.evidence is not None
+            untaught = dataclasses.replace(self.evidence, process=None)
+            results |= {POSTERIOR: untaught, TEACHER: self.teacher.evidence}
+            write_model(folder, self.teacher.header, self.teacher.model, TEACHER_FILE)
+        for name, result in results.items():
+            if result is not None:
+                folder.store(name, result)
+        write_model(folder, self.header, self.model)
+        return dataclasses.replace(self, place=folder)
+
+    def save(self, path: Path | str, *, overwrite: bool = False) -> "Learned":
+        """Keep the fit in a folder, which `open_run` and the commands of pinav read.
+
+        Args:
+            path: the folder, made if absent.
+            overwrite: replace the run that it holds.
+
+        Returns:
+            The same, with its folder.
+
+        Raises:
+            InputError: the folder holds another run, or something else.
+        """
+        config = {"run": {"command": "fit"}}
+        folder = RunFolder.create(Path(path), config, overwrite=overwrite)
+        kept = self.write(folder)
+        folder.store(FINDINGS, self.findings)
+        return kept
+
+    @property
+    def folder(self) -> RunFolder:
+        """The folder that holds the fit.
+
+        Raises:
+            InputError: it was not saved.
+        """
+        if self.place is None:
+            raise InputError("this fit was not saved, so that it has no folder")
+        return self.place
+
+    @property
+    def path(self) -> Path | str:
+        """The path of the folder, or what messages call a fit that was not saved."""
+        return "the fit" if self.place is None else self.place.path
+
+    @property
+    def findings(self) -> Findings:
+        """What the fit has to say; of a run, as it wrote it.
+
+        Raises:
+            InputError: the run is not finished, or is none of `pinav fit`.
+        """
+        if self.found is not None:
+            return self.found
+        return self.folder.load(FINDINGS, Findings)
+
+    @property
+    def outcome(self) -> str:
+        """The word for how the fit ended."""
+        return self.findings.outcome
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on what limits the result, each with a remedy."""
+        return self.findings.remarks
+
+    @property
+    def model(self) -> AbstractDynamics:
+        """The fitted model.
+
+        Raises:
+            InputError: the run holds several.
+        """
+        if MODEL not in self.models:
+            raise InputError(
+                f"{self.path} holds several models ({', '.join(self.models)}); "
+                "give the folder that was the --out of pinav fit"
+            )
+        return self.models[MODEL]
+
+    @property
+    def posterior(self) -> Posterior | None:
+        """The posterior of the fit, if it has one."""
+        return self._posterior
+
+    @functools.cached_property
+    def _posterior(self) -> Posterior | None:
+        if self.evidence is None:
+            return None
+        return self.evidence.posterior(self.model, self.choice)
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the observations that the fit found; 0 without one."""
+        return 0.0 if self.evidence is None else self.evidence.hyperparameters.noise
+
+    @property
+    def wandering(self) -> WanderingVelocity | None:
+        """The wandering velocity as the fit found it, or as the system states it."""
+        stated = self.system.wandering
+        values: dict[str, float] = {} if stated is None else dict(vars(stated))
+        for name, estimate in self.constants.items():
+            kind, _, field = name.partition(".")
+            if kind == "wandering":
+                values[field] = estimate.value
+        return WanderingVelocity(**values) if values else None
+
+    @property
+    def constants(self) -> dict[str, Estimate]:
+        """The learned constants; their deviation is NaN without a posterior."""
+        if self.evidence is not None:
+            estimates = self.evidence.constants
+            return with_units(estimates, self.choice, self.model, self.system)
+        paths = self.choice.paths() if MODEL in self.models else {}
+        values = {name: attrgetter(path)(self.model) for name, path in paths.items()}
+        estimates = {
+            name: Estimate(float(value), float("nan"))
+            for name, value in values.items()
+            if np.ndim(value) == 0
+        }
+        return with_units(estimates, self.choice, self.model, self.system)
+
+    @property
+    def horizon(self) -> float:
+        """Longest time since the start in the training data [T]."""
+        times = self.data.times
+        return float((times[:, -1] - times[:, 0]).max())
+
+    def start(self, index: int) -> Float[np.ndarray, " state"]:
+        """The start of a training trajectory: estimated, or its first sample."""
+        states = self.data.states if self.evidence is None else self.evidence.states
+        return states[index, 0]
+
+    def shared_trajectories(self, data: Trajectories) -> int:
+        """Number of the given trajectories that the fit has seen."""
+        training = set(_hashes(self.data))
+        return sum(piece in training for piece in _hashes(data))
+
+    def force(self, positions: ArrayLike) -> Float[np.ndarray, "point dim"]:
+        """The learned force [L T⁻²] on a swimmer at rest, at time zero.
+
+        Args:
+            positions: points, one a row [L].
+
+        Raises:
+            InputError: the model has no force of the environment.
+        """
+        if not isinstance(self.model, KnownSwimmer):
+            raise InputError(f"{self.path}: model {self.choice.name} has no force")
+        with jax.enable_x64(new_val=True):
+            force = with_dtype(self.model.environment, jnp.float64)
+            places = np.asarray(positions, float)
+            return np.asarray(forces_at(force, jnp.zeros(len(places)), places))
+
+    def force_sd(self, field: FieldMap) -> Float[np.ndarray, "y x 2"]:
+        """Standard deviation of the learned force on the grid of a map.
+
+        Raises:
+            InputError: the run has no posterior.
+        """
+        if self.posterior is None:
+            raise InputError(f"{self.path} has no posterior; fit with --recipe bayes")
+        return self.posterior.force_sd(field.points).reshape(field.force.shape)
+
+
+def build_model(header: ModelHeader, system: System) -> AbstractDynamics:
+    """An untrained model of the shape that a model file's header describes."""
+    model = build(header.choice, system.swimmer, header.data)
+    return with_dtype(model, jnp.dtype(header.dtype))
+
+
+def save_data(folder: RunFolder, data: Trajectories) -> None:
+    """Keep the trajectories that are fitted."""
+    save(data, folder.path / DATA_FILE, overwrite=True)
+    folder.record(DATA_FILE)
+
+
+def write_model(
+    folder: RunFolder,
+    header: ModelHeader,
+    model: AbstractDynamics,
+    name: str = f"{MODEL}.eqx",
+) -> None:
+    """Write a fitted model; last, as it says that all of its fit is there."""
+    folder.write_model(name, msgspec.to_builtins(header), model)
+
+
+def is_written(folder: RunFolder) -> bool:
+    """The folder holds all of a fit."""
+    names = set(folder.manifest.entries())
+    return folder.has(f"{MODEL}.eqx") and bool(
+        names & {f"{POSTERIOR}.json", f"{LOSSES}.json"}
+    )
+
+
+def of_evidence(
+    header: ModelHeader,
+    fit: EvidenceFit,
+    system: System,
+    data: Trajectories,
+    evidence: Evidence,
+) -> Learned:
+    """A fit by the evidence.
+
+    Args:
+        header: of the untrained model; its kernels may be coarser.
+        fit: of the data.
+        system: the known physics.
+        data: the trajectories.
+        evidence: the numbers of the fit.
+    """
+    summary = header.data.with_kernels_of(fit.model.environment)
+    if isinstance(fit.model, OverdampedSwimmer):
+        mobility = MobilitySummary.of(fit.model.mobility)
+        summary = msgspec.structs.replace(summary, mobility=mobility)
+    header = msgspec.structs.replace(header, data=summary)
+    models: dict[str, AbstractDynamics] = {MODEL: fit.model}
+    return Learned(None, system, data, models, header.choice, evidence, header=header)
+
+
+def teacher_choice(fit: EvidenceFit, network: ModelChoice) -> ModelChoice:
+    """The choice of the kernels from which a network was distilled.
+
+    Args:
+        fit: of the kernels.
+        network: the choice of the network.
+    """
+    _, rest = split_structure(fit.model.environment)
+    kernels = as_learned_force(rest)
+    assert kernels is not None
+    return ModelChoice(kernels.kind, learn=network.learn)
+
+
+def _load(folder: RunFolder, name: str, wanted: type[Any]) -> Any:
+    """A result of the run; None where it has none."""
+    return folder.load(name, wanted) if folder.has(f"{name}.json") else None
+
+
+def _hashes(data: Trajectories) -> Iterator[bytes]:
+    """A hash of the observed samples of each trajectory."""
+    for piece in data:
+        channels = piece.observed.any(axis=0)
+        states = np.where(piece.observed, piece.states, 0.0)[:, channels]
+        digest = hashlib.sha256(np.ascontiguousarray(piece.times, float).tobytes())
+        digest.update(np.ascontiguousarray(states, float).tobytes())
+        yield digest.digest()

@@ -1,0 +1,99 @@
+"""The unit of a learned constant is that of its field."""
+
+import dataclasses
+import re
+
+import pytest
+
+import pinav.actuation
+import pinav.dynamics
+import pinav.forces
+import pinav.systems
+from pinav.actuation import SaturatingResponse
+from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.fitting import Estimate
+from pinav.fitting.environments.choice import ModelChoice
+from pinav.forces import (
+    ConstantForce,
+    GaussianBarrier,
+    LinearDrag,
+    RollingPropulsion,
+    SumForce,
+    ZeroForce,
+)
+from pinav.learning.constants import with_units
+from pinav.systems import System, Units
+from pinav.units import unit_of
+
+SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+
+
+CLASSES = {
+    name: kind
+    for module in (pinav.forces, pinav.actuation, pinav.dynamics, pinav.systems)
+    for name, kind in sorted(vars(module).items())
+    if isinstance(kind, type)
+    and dataclasses.is_dataclass(kind)
+    and any("dimension" in field.metadata for field in dataclasses.fields(kind))
+}
+
+
+@pytest.mark.parametrize("kind", CLASSES.values(), ids=CLASSES)
+def test_the_dimension_of_a_field_is_that_of_its_description(kind):
+    """Both stand in the class: a reader sees one, a table the other."""
+    for field in dataclasses.fields(kind):
+        if "dimension" in field.metadata:
+            _, _, text = kind.__doc__.partition(f"        {field.name}: ")
+            described = re.split(r"\n {8}\w+: |\n\n", text)[0]
+            brackets = re.findall(r"\[([^\]]+)\]", described.translate(SUPERSCRIPTS))
+            stated = [one.removesuffix(" per cycle") for one in brackets]
+            assert field.metadata["dimension"] in stated, field.name
+
+
+@pytest.mark.parametrize(
+    ("dimension", "unit"),
+    [
+        ("L2 T-1", "um² s⁻¹"),
+        ("rad T-1", "rad s⁻¹"),
+        ("L T-1 Hz^(-1/4)", "um s⁻¹ Hz^(-1/4)"),
+        ("F L", "pN um"),
+        ("L L-1", "1"),
+        ("1", "1"),
+        ("?", "?"),
+    ],
+)
+def test_symbols_become_the_units_of_the_data(dimension, unit):
+    assert unit_of(dimension, {"L": "um", "T": "s", "F": "pN"}) == unit
+    bare = unit_of(dimension, {"L": "1", "T": "1", "F": "1"})
+    assert bare in ("1", "?", "rad", "Hz^(-1/4)")
+
+
+def units(system, swimmer, *paths):
+    choice = ModelChoice(learn=paths)
+    estimates = dict.fromkeys(paths, Estimate(1.0, 0.1))
+    found = with_units(estimates, choice, swimmer, system)
+    return [one.unit for one in found.values()]
+
+
+def test_constants_of_a_swimmer_with_inertia():
+    thrust = ConstantForce((1.0, 0.0))
+    swimmer = Swimmer(thrust, LinearDrag(1.0), ZeroForce())
+    system = System("a", swimmer, 2, base_units=Units("um", "s"))
+    names = ("damping", "propulsion.force", "diffusion", "wandering.driven", "odd")
+    expected = ["s⁻¹", "um s⁻²", "um² s⁻¹", "um s⁻¹ Hz^(-1/4)", "?"]
+    assert units(system, swimmer, *names) == expected
+
+
+@pytest.mark.parametrize(("force", "height"), [("pN", "um pN"), ("1", "um² s⁻¹")])
+def test_constants_of_a_swimmer_without_inertia(force, height):
+    known = SumForce((GaussianBarrier(1.0, (0.0, 0.0), 1.0),))
+    swimmer = OverdampedSwimmer(
+        RollingPropulsion([[2.0, 0.0], [0.0, 2.0]], SaturatingResponse(3.0)),
+        ZeroForce(),
+        1.0,
+        known_force=known,
+    )
+    system = System("a", swimmer, 2, base_units=Units("um", "s", force))
+    names = ("known_force.terms[0].height", "propulsion.gain", "propulsion.delay")
+    assert units(system, swimmer, *names) == [height, "um", "s"]
+    assert units(system, swimmer, "propulsion.response.corner") == ["Hz"]
