@@ -11,9 +11,9 @@ from pinav.figures.identification import (
 )
 from pinav.fitting import Estimate
 from pinav.identification import Identification, IdentifiedTrack, Row
+from pinav.identification.estimates import QUANTITIES, Quantity
 from pinav.identification.findings import interval, positive_interval
 from pinav.identification.identify import SHOWN, pooled_coverage
-from pinav.identification.quantities import QUANTITIES, Quantity
 from pinav.identification.rollouts import HORIZONS
 from pinav.identification.selection import LEAST_SQUARES
 from pinav.report import AbstractBlock, Cell, Paragraph, Section, Table
