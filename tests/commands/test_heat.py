@@ -14,7 +14,7 @@ import tomli_w
 from pinav import cli
 from pinav.runs import RunFolder
 from pinav.thermal.case import read_case
-from pinav.thermal.design_variables import Run
+from pinav.thermal.design import Run
 from pinav.thermal.planned_run import PlanTask
 from pinav.thermal.setup import Setup
 

@@ -7,8 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pinav.thermal.grids import CartesianGrid, RadialGrid
-from pinav.thermal.interpolation import ResistanceScale, linear_weights
+from pinav.thermal.grids import (
+    CartesianGrid,
+    RadialGrid,
+    ResistanceScale,
+    linear_weights,
+)
 from pinav.thermal.perfusion import BLEND, lang
 
 EDGES = np.linspace(0.0, 1.0, 11)

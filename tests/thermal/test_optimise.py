@@ -14,18 +14,16 @@ from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Insulated, Sides, outer
-from pinav.thermal.constraints import (
-    AtMost,
-    HealthyDose,
-    LogD90,
-    MaxTemperature,
-    limit_constraint,
-)
-from pinav.thermal.design_variables import (
-    FreeAmplitudes,
-    FreePlacement,
-    FreeScale,
+from pinav.thermal.design import (
+    Constraint,
     Run,
+    free_amplitudes,
+    free_placement,
+    free_scale,
+    healthy_dose,
+    limit_constraint,
+    log_d90,
+    max_temperature,
     shells,
 )
 from pinav.thermal.exposure_limits import HfLimit
@@ -80,10 +78,10 @@ class Coldness(eqx.Module):
 
 def test_least_energy_is_that_of_the_exact_control():
     power = 5e4
-    arrive = AtMost("arrival", Coldness(), -43.0, "°C", 0.1)
+    arrive = Constraint("arrival", Coldness(), -43.0, "°C", 0.1)
     found = optimise(
         half_power(lumped(power)),
-        [FreeAmplitudes(1e4, COUNT, 0.7)],
+        [free_amplitudes(1e4, COUNT, 0.7)],
         maximise=Energy(),
         subject_to=[arrive],
         stepper=STEPPER,
@@ -103,9 +101,9 @@ def test_most_dose_saturates_and_then_rides_the_limit():
     switch, hold = saturate_and_ride(DECAY, GAIN, 8.0, power)
     found = optimise(
         half_power(lumped(power)),
-        [FreeAmplitudes(1e4, COUNT, 0.5)],
-        maximise=LogD90(jnp.ones(3)),
-        subject_to=[MaxTemperature(45.0)],
+        [free_amplitudes(1e4, COUNT, 0.5)],
+        maximise=log_d90(jnp.ones(3)),
+        subject_to=[max_temperature(45.0)],
         stepper=STEPPER,
         tolerance=1e-8,
     )
@@ -144,12 +142,12 @@ def test_what_binds_is_named():
     for product in (5e8, 5e9):
         found = optimise(
             base,
-            [FreeAmplitudes(1e4, COUNT, 0.3)],
-            maximise=LogD90(target),
+            [free_amplitudes(1e4, COUNT, 0.3)],
+            maximise=log_d90(target),
             subject_to=[
-                MaxTemperature(46.0),
+                max_temperature(46.0),
                 limit_constraint(HfLimit(product, "own limit")),
-                HealthyDose(50.0, 1 - target),
+                healthy_dose(50.0, 1 - target),
             ],
             stepper=STEPPER,
         )
@@ -167,13 +165,13 @@ def test_placement_of_the_particles_gains_dose_at_equal_power():
     patterns = shells(model, 0.008, 3, total)
     base = half_power(model)
     options = {
-        "maximise": LogD90(target),
-        "subject_to": [MaxTemperature(46.0)],
+        "maximise": log_d90(target),
+        "subject_to": [max_temperature(46.0)],
         "stepper": STEPPER,
     }
-    amplitude = FreeAmplitudes(2e4, COUNT, 0.4)
+    amplitude = free_amplitudes(2e4, COUNT, 0.4)
     alone = optimise(base, [amplitude], **options)
-    placed = optimise(base, [amplitude, FreePlacement(patterns)], **options)
+    placed = optimise(base, [amplitude, free_placement(patterns)], **options)
     assert placed.value > alone.value + 0.1
     field = placed.run.model.sources[0].power
     assert float(jnp.sum(field * model.grid.volumes)) == pytest.approx(total)
@@ -189,8 +187,8 @@ def test_a_pattern_of_bursts_can_be_scaled():
     )
     found = optimise(
         base,
-        [FreeScale(2.0, 0.5)],
-        maximise=LogD90(target),
+        [free_scale(2.0, 0.5)],
+        maximise=log_d90(target),
         subject_to=[limit_constraint(HfLimit(1e9))],
         stepper=STEPPER,
     )
@@ -202,29 +200,29 @@ def test_a_pattern_of_bursts_can_be_scaled():
 def test_what_cannot_be_kept_or_freed_is_said():
     model, target = tumour()
     base = half_power(model)
-    cold = AtMost("an impossible warmth", Coldness(), -60.0, "°C")
+    cold = Constraint("an impossible warmth", Coldness(), -60.0, "°C")
     with pytest.raises(FitError, match="run was found that satisfies: an impossible"):
         optimise(
             base,
-            [FreeAmplitudes(1e3, COUNT)],
-            maximise=LogD90(target),
+            [free_amplitudes(1e3, COUNT)],
+            maximise=log_d90(target),
             subject_to=[cold],
             stepper=STEPPER,
             max_iterations=5,
         )
     with pytest.raises(InputError, match="variables: expected one or more, got none"):
-        optimise(base, [], maximise=LogD90(target), subject_to=[])
+        optimise(base, [], maximise=log_d90(target), subject_to=[])
     with pytest.raises(InputError, match="optimise initial: expected 9 numbers"):
         optimise(
             base,
-            [FreeAmplitudes(1e3, COUNT)],
-            maximise=LogD90(target),
+            [free_amplitudes(1e3, COUNT)],
+            maximise=log_d90(target),
             subject_to=[],
             stepper=STEPPER,
             initial=np.ones(2),
         )
-    with pytest.raises(InputError, match="FreeAmplitudes: expected a largest"):
-        FreeAmplitudes(0.0, 3)
+    with pytest.raises(InputError, match="free_amplitudes: expected a largest"):
+        free_amplitudes(0.0, 3)
     bare = Run(eqx.tree_at(lambda m: m.sources, model, (Energy(),)), base.protocol)
     with pytest.raises(InputError, match="expected particles or a power density"):
-        FreePlacement(jnp.ones((2, 24))).apply(jnp.ones(2), bare)
+        free_placement(jnp.ones((2, 24))).apply(jnp.ones(2), bare)

@@ -8,8 +8,7 @@ import pytest
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, outer
-from pinav.thermal.constraints import LogD90
-from pinav.thermal.design_variables import FreeScale, Run
+from pinav.thermal.design import Run, free_scale, log_d90
 from pinav.thermal.grids import RadialGrid
 from pinav.thermal.jumps import refuse_jumps
 from pinav.thermal.learning import learn
@@ -215,9 +214,11 @@ def test_a_law_that_jumps_is_refused_where_it_is_differentiated(law):
         refuse_jumps(model)
     with pytest.raises(InputError, match=message):
         learn(model, field, ProbeData(np.ones(1), np.ones((1, 1)), np.ones((1, 1))))
-    dose = LogD90(jnp.ones(4))
+    dose = log_d90(jnp.ones(4))
     with pytest.raises(InputError, match=message):
-        optimise(Run(model, field), [FreeScale(1.0, 0.5)], maximise=dose, subject_to=[])
+        optimise(
+            Run(model, field), [free_scale(1.0, 0.5)], maximise=dose, subject_to=[]
+        )
 
 
 @pytest.mark.parametrize(

@@ -33,11 +33,11 @@ from pinav.thermal.perfusion import (
     mass_perfusion,
     perfusion_factor,
 )
-from pinav.thermal.quantities import Field
-from pinav.thermal.ranges import (
+from pinav.thermal.quantities import (
     Concentration,
     Conductivity,
     Density,
+    Field,
     Magnitude,
     Metabolic,
     PowerDensity,

@@ -13,8 +13,7 @@ import jax.numpy as jnp
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.grids import AbstractGrid
-from pinav.thermal.quantities import Field
-from pinav.thermal.ranges import Celsius, Exchange
+from pinav.thermal.quantities import Celsius, Exchange, Field
 
 
 class AbstractBoundary(eqx.Module):

@@ -35,7 +35,7 @@ from pinav.thermal.case_matter import (
 )
 from pinav.thermal.dose import DAMAGES, Arrhenius
 from pinav.thermal.grids import AbstractGrid
-from pinav.thermal.ranges import (
+from pinav.thermal.quantities import (
     Length,
     Strict,
     Table,

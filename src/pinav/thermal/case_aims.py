@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from pinav.thermal.ranges import (
+from pinav.thermal.quantities import (
     NOISIEST,
     Celsius,
     Fraction,

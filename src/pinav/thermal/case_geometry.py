@@ -13,7 +13,7 @@ from pinav.thermal.boundaries import (
     Sides,
 )
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
-from pinav.thermal.ranges import (
+from pinav.thermal.quantities import (
     Cells,
     Edge,
     Length,

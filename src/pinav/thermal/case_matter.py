@@ -24,7 +24,7 @@ from pinav.thermal.perfusion import (
     mass_perfusion,
 )
 from pinav.thermal.protocols import Piecewise
-from pinav.thermal.ranges import (
+from pinav.thermal.quantities import (
     Amplitude,
     Celsius,
     Concentration,

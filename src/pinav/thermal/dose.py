@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
-from pinav.thermal.quantities import Field, Number
-from pinav.thermal.ranges import Energy, LogFactor
+from pinav.thermal.quantities import Energy, Field, LogFactor, Number
 
 BREAK = 43.0
 """Temperature [°C] at which the rate of CEM43 changes."""

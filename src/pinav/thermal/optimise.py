@@ -17,8 +17,7 @@ from jaxtyping import Array, Float
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome
-from pinav.thermal.constraints import AbstractConstraint, Quantity, RunResult
-from pinav.thermal.design_variables import AbstractDesignVariable, Run
+from pinav.thermal.design import Constraint, DesignVariable, Quantity, Run, RunResult
 from pinav.thermal.jumps import refuse_jumps
 from pinav.thermal.quantities import Number
 from pinav.thermal.schedule import Schedule, plan_steps
@@ -83,10 +82,10 @@ class Optimum(eqx.Module):
 
 def optimise(
     start: Run,
-    variables: Sequence[AbstractDesignVariable],
+    variables: Sequence[DesignVariable],
     *,
     maximise: Quantity,
-    subject_to: Sequence[AbstractConstraint],
+    subject_to: Sequence[Constraint],
     stepper: AbstractStepper | None = None,
     begin: AbstractStart = AT_REST,
     initial: Float[np.ndarray, " number"] | None = None,
@@ -99,7 +98,7 @@ def optimise(
     Args:
         start: the run that the design variables change.
         variables: the design variables.
-        maximise: a quantity of a run, such as `LogD90`.
+        maximise: a quantity of a run, such as `log_d90`.
         subject_to: constraints.
         stepper: as of `solve`.
         begin: where every run begins, as of `solve`; in the middle of the protocol,
@@ -158,7 +157,7 @@ def optimise(
 
 
 def _start_numbers(
-    variables: Sequence[AbstractDesignVariable], initial: np.ndarray | None
+    variables: Sequence[DesignVariable], initial: np.ndarray | None
 ) -> Float[np.ndarray, " number"]:
     """Where the search begins: at given numbers, or where the variables say."""
     flat = np.concatenate([variable.start for variable in variables])
@@ -212,9 +211,9 @@ class _Problem(eqx.Module):
     """Objective and constraints as one vector."""
 
     start: Run
-    variables: tuple[AbstractDesignVariable, ...]
+    variables: tuple[DesignVariable, ...]
     maximise: Quantity
-    constraints: tuple[AbstractConstraint, ...]
+    constraints: tuple[Constraint, ...]
     stepper: AbstractStepper
     schedule: Schedule
     begin: State

@@ -16,19 +16,17 @@ from pinav.fitting import Outcome
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.case import Case
 from pinav.thermal.case_aims import Optimise
-from pinav.thermal.constraints import (
-    AbstractConstraint,
-    HealthyDose,
-    LogD90,
-    MaxTemperature,
-    limit_constraint,
-)
-from pinav.thermal.design_variables import (
-    AbstractDesignVariable,
-    FreeAmplitudes,
-    FreePlacement,
-    FreeScale,
+from pinav.thermal.design import (
+    Constraint,
+    DesignVariable,
     Run,
+    free_amplitudes,
+    free_placement,
+    free_scale,
+    healthy_dose,
+    limit_constraint,
+    log_d90,
+    max_temperature,
     shells,
 )
 from pinav.thermal.grids import CartesianGrid
@@ -101,8 +99,8 @@ class PlanTask:
     setup: Setup
     settings: Optimise
     learning: TissueFit | None
-    variables: list[AbstractDesignVariable]
-    constraints: list[AbstractConstraint]
+    variables: list[DesignVariable]
+    constraints: list[Constraint]
 
     @classmethod
     def of(cls, case: Case, setup: Setup, folder: Path) -> "PlanTask":
@@ -118,13 +116,13 @@ class PlanTask:
             )
         learning = None
         if settings.after is not None and case.learn is not None:
-            learning = TissueFit.of(case, setup, folder, settings.after)
-            if learning.fitted is None:
+            if case.learn.is_synthetic:
                 raise InputError(
                     "learn: expected data or thermometry, from which a plan after "
                     f"{settings.after:g} s is made, got neither; name a file, or "
                     "remove the table"
                 )
+            learning = TissueFit.of(case, setup, folder, settings.after)
         _check_plan(settings, setup)
         return cls(
             setup=setup,
@@ -170,7 +168,7 @@ class PlanTask:
         return optimise(
             Run(model, setup.protocol),
             self.variables,
-            maximise=LogD90(setup.target),
+            maximise=log_d90(setup.target),
             subject_to=self.constraints,
             stepper=setup.stepper,
             begin=begin,
@@ -214,31 +212,27 @@ def _check_plan(settings: Optimise, setup: Setup) -> None:
     require_heating(setup)
 
 
-def _variables(
-    case: Case, settings: Optimise, setup: Setup
-) -> list[AbstractDesignVariable]:
+def _variables(case: Case, settings: Optimise, setup: Setup) -> list[DesignVariable]:
     edges = setup.protocol.edges
     kept = 0 if settings.after is None else edges.index(settings.after)
     free = len(edges) - 1 - kept
-    variables: list[AbstractDesignVariable] = [
-        FreeAmplitudes(settings.largest, free, settings.start, kept)
+    variables: list[DesignVariable] = [
+        free_amplitudes(settings.largest, free, settings.start, kept)
         if case.field.on is None and not case.field.ramp
         # pauses stay pauses, and ramps ramps
-        else FreeScale(settings.largest / setup.protocol.largest, settings.start)
+        else free_scale(settings.largest / setup.protocol.largest, settings.start)
     ]
     if settings.placement is not None:
         grid, source = setup.model.grid, setup.model.sources[0]
         total = float(jnp.sum(source.shape(grid) * grid.volumes))
         assert setup.body.radius is not None
         patterns = shells(setup.model, setup.body.radius, settings.placement, total)
-        variables.append(FreePlacement(patterns))
+        variables.append(free_placement(patterns))
     return variables
 
 
-def _constraints(settings: Optimise, setup: Setup) -> list[AbstractConstraint]:
-    constraints: list[AbstractConstraint] = [
-        MaxTemperature(bound=settings.max_temperature)
-    ]
+def _constraints(settings: Optimise, setup: Setup) -> list[Constraint]:
+    constraints: list[Constraint] = [max_temperature(settings.max_temperature)]
     if settings.healthy_dose is not None:
         # the margin leaves out tissue that conduction from the tumour heats anyway
         away = tissue_beyond(setup, settings.margin)
@@ -248,9 +242,7 @@ def _constraints(settings: Optimise, setup: Setup) -> list[AbstractConstraint]:
                 f"got none at {settings.margin:g} m; give metres, or a smaller one"
             )
         name = f"dose of tissue {1e3 * settings.margin:g} mm or more from the tumour"
-        constraints.append(
-            HealthyDose(bound=settings.healthy_dose, fraction=away, name=name)
-        )
+        constraints.append(healthy_dose(settings.healthy_dose, away, name))
     return constraints + [limit_constraint(limit) for limit in setup.limits]
 
 

@@ -8,7 +8,7 @@ from pinav.errors import InputError
 from pinav.thermal.case_aims import Frames, Learn
 from pinav.thermal.images import NEGLIGIBLE, Image, check_place, read_image
 from pinav.thermal.probes import HOTTEST_READING, ProbeData, load_probes
-from pinav.thermal.ranges import NOISIEST
+from pinav.thermal.quantities import NOISIEST
 from pinav.thermal.setup import Setup
 from pinav.thermal.thermometry import Thermometry, phase_turn
 

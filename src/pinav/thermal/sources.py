@@ -11,8 +11,7 @@ from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
 from pinav.thermal.magnetics import VACUUM_PERMEABILITY, AbstractHeating
-from pinav.thermal.quantities import Field, Numbers
-from pinav.thermal.ranges import Length, Place, Siemens
+from pinav.thermal.quantities import Field, Length, Numbers, Place, Siemens
 from pinav.thermal.tissues import Property
 
 

@@ -87,6 +87,11 @@ class TissueFit:
             perfusion_at_rest(setup, name)
         require_heating(setup)
         data = read_data(settings, setup, folder)
+        if data is None and not len(setup.points):
+            raise InputError(
+                "learn: expected data, a CSV file, or probes whose readings are "
+                "simulated"
+            )
         end = until or settings.until
         fitted = data if data is None or end is None else readings_until(data, end)
         truth = None

@@ -14,8 +14,7 @@ from jax.core import Tracer
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
-from pinav.thermal.quantities import Field
-from pinav.thermal.ranges import Arterial, Density, SpecificHeat
+from pinav.thermal.quantities import Arterial, Density, Field, SpecificHeat
 
 Property = Scalar | Field
 """The same everywhere, or one value for each cell."""

@@ -1,7 +1,7 @@
 """Run the tasks of `pinav heat`."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from pinav.thermal.images import write_image
 from pinav.thermal.learned_tissue import (
     LearnedTissue,
     learn_tissue,
-    require_readings,
 )
 from pinav.thermal.planned_run import PlannedRun, PlanTask
 from pinav.thermal.probes import ProbeData, save_probes
@@ -29,6 +28,9 @@ READINGS = "probes.csv"
 
 END = "results.npz"
 """File of temperature and dose at the end, from which another run can start."""
+
+Task = Callable[[], tuple[AbstractHeatResult, ProbeData | None]]
+"""Computes a result, and the readings of the probes of the case if there are any."""
 
 
 def run(options: HeatOptions) -> CommandResult:
@@ -68,7 +70,7 @@ def _images(result: AbstractHeatResult) -> dict[str, np.ndarray]:
     return {"temperature": result.temperature, "dose": result.dose, **dead}
 
 
-def _simulate(case: Case, setup: Setup, folder: Path) -> Any:
+def _simulate(case: Case, setup: Setup, folder: Path) -> Task:
     require(setup.protocol, *setup.limits)
 
     def compute() -> tuple[HeatedRun, ProbeData | None]:
@@ -78,9 +80,8 @@ def _simulate(case: Case, setup: Setup, folder: Path) -> Any:
     return compute
 
 
-def _learn(case: Case, setup: Setup, folder: Path) -> Any:
+def _learn(case: Case, setup: Setup, folder: Path) -> Task:
     task = TissueFit.of(case, setup, folder)
-    require_readings(task)
 
     def compute() -> tuple[LearnedTissue, ProbeData | None]:
         if task.fitted is not None:
@@ -91,10 +92,10 @@ def _learn(case: Case, setup: Setup, folder: Path) -> Any:
     return compute
 
 
-def _optimise(case: Case, setup: Setup, folder: Path) -> Any:
+def _optimise(case: Case, setup: Setup, folder: Path) -> Task:
     task = PlanTask.of(case, setup, folder)
     return lambda: (task.run(), None)
 
 
 TASKS = {"simulate": _simulate, "learn": _learn, "optimise": _optimise}
-"""By name; each checks a case, and returns what computes its result and readings."""
+"""By name; each checks a case first, whose folder is not made if it is refused."""

@@ -1,0 +1,269 @@
+r"""Design variables, objectives and constraints of a protocol, as functions of a run.
+
+A design variable is a few numbers between 0 and 1 that change a run; an objective or a
+constrained quantity is a differentiable function of the run and its solution.
+"""
+
+import itertools
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.errors import InputError
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.dose import value_exceeded_by
+from pinav.thermal.exposure_limits import HfLimit
+from pinav.thermal.protocols import Piecewise
+from pinav.thermal.quantities import Field, Number
+from pinav.thermal.solve import Solution
+from pinav.thermal.sources import ParticleSource, PowerSource
+
+LEAST_DOSE = 1e-9
+"""Added [min] to a dose before its logarithm is taken."""
+
+LEAST_POWER = 1e-12
+"""Share of the largest power that is left of a field that is off."""
+
+RANGE = 14.0
+"""Range of the logarithms of the weights of a placement: a factor of a million."""
+
+
+class Run(eqx.Module):
+    """What is run: tissue with its particles, and the field over time.
+
+    Attributes:
+        model: the tissue.
+        protocol: the field.
+    """
+
+    model: Bioheat
+    protocol: Piecewise
+
+
+class RunResult(eqx.Module):
+    """A run and its temperatures and doses.
+
+    Attributes:
+        run: tissue and field.
+        solution: temperature and dose.
+    """
+
+    run: Run
+    solution: Solution
+
+
+Numbers = Float[Array, " number"]
+"""Design variables, between 0 and 1."""
+
+Quantity = Callable[[RunResult], Field]
+"""A differentiable function of a run; several numbers are all bounded."""
+
+
+class DesignVariable(eqx.Module):
+    """Numbers between 0 and 1 that change a run.
+
+    Attributes:
+        start: where an optimisation begins.
+        apply: gives the run with these numbers.
+    """
+
+    start: Float[np.ndarray, " number"]
+    apply: Callable[[Numbers, Run], Run]
+
+
+class Constraint(eqx.Module):
+    """A quantity that may not exceed a bound.
+
+    Attributes:
+        name: what the result calls it.
+        quantity: what is bounded.
+        bound: upper bound.
+        unit: unit of quantity and bound.
+        scale: change that matters, positive.
+        is_dose: the logarithm counts: a dose spans many decades, and its logarithm is
+            nearly linear in the temperature.
+    """
+
+    name: str = eqx.field(static=True)
+    quantity: Quantity
+    bound: Number
+    unit: str = eqx.field(static=True)
+    scale: Number = 1.0
+    is_dose: bool = eqx.field(static=True, default=False)
+
+    def excess(self, result: RunResult) -> Field:
+        """Amount by which it exceeds, such that a change of one matters."""
+        if self.is_dose:
+            return jnp.log((self.quantity(result) + LEAST_DOSE) / self.bound)
+        return (self.quantity(result) - self.bound) / self.scale
+
+
+def log_d90(target: Field) -> Quantity:
+    """Logarithm of the CEM43 [min] that 90 % of a target exceed.
+
+    Args:
+        target: volume fraction of the target in each cell.
+    """
+    return eqx.Partial(_log_d90, target)
+
+
+def _log_d90(target: Field, result: RunResult) -> Field:
+    volumes = target * result.run.model.grid.volumes
+    d90 = value_exceeded_by(result.solution.final.dose, volumes, 0.9)
+    # Doses span decades; without the offset a cold start would have no gradient.
+    return jnp.log(d90 + LEAST_DOSE)
+
+
+def max_temperature(bound: Number) -> Constraint:
+    """No cell is hotter than a bound [°C], at the end of any step.
+
+    Each step counts for itself. Where a field is lowered, the hottest moment of its
+    interval is the first, at which the amplitude does not act yet; the slope of a
+    maximum over the interval would not tell what the amplitude does later.
+    """
+    return Constraint("maximum temperature", _hottest, bound, "°C")
+
+
+def _hottest(result: RunResult) -> Field:
+    return result.solution.hottest
+
+
+def healthy_dose(
+    bound: Number, fraction: Field, name: str = "healthy tissue dose"
+) -> Constraint:
+    """No cell of healthy tissue gets more dose than a bound.
+
+    Args:
+        bound: largest dose [CEM43 min], positive.
+        fraction: volume fraction of the healthy tissue; cells below one half do not
+            count.
+        name: what the result calls it.
+    """
+    dose = eqx.Partial(_largest_dose, fraction)
+    return Constraint(name, dose, bound, "min", is_dose=True)
+
+
+def _largest_dose(fraction: Field, result: RunResult) -> Field:
+    return jnp.max(jnp.where(fraction > 0.5, result.solution.final.dose, 0.0))
+
+
+def limit_constraint(limit: HfLimit) -> Constraint:
+    """The constraint that the field keeps a limit; a change of the bound matters."""
+    exposure = eqx.Partial(_exposure, limit)
+    bound = limit.product
+    return Constraint(limit.name, exposure, bound, "A/(m s)", scale=bound)
+
+
+def _exposure(limit: HfLimit, result: RunResult) -> Field:
+    return limit.exposure(result.run.protocol)
+
+
+def free_amplitudes(
+    largest: Number, count: int, first: Number = 0.5, before: int = 0
+) -> DesignVariable:
+    r"""A constant amplitude in each interval, $H_j = \sqrt{x_j}\,H_{max}$.
+
+    Power goes with $x$, and temperature nearly so: few steps of quadratic programming.
+
+    Args:
+        largest: $H_{max}$ [A m⁻¹], positive.
+        count: number of intervals.
+        first: $H_j/H_{max}$ to start from, the same in all.
+        before: number of intervals at the begin that keep their amplitudes.
+
+    Raises:
+        InputError: a number is out of range.
+    """
+    if not largest > 0 or count < 1 or not 0 <= first <= 1:
+        raise InputError(
+            "free_amplitudes: expected a largest amplitude > 0 A/m, an interval and a "
+            f"start within 0 and 1, got {largest}, {count} and {first}"
+        )
+    start = np.full(count, float(first) ** 2)
+    return DesignVariable(start, eqx.Partial(_set_amplitudes, largest, before))
+
+
+def _set_amplitudes(largest: Number, before: int, numbers: Numbers, run: Run) -> Run:
+    # a millionth of the largest where it is off: power has a slope there
+    values = largest * jnp.sqrt(LEAST_POWER + (1 - LEAST_POWER) * numbers)
+    kept = run.protocol
+    starts = jnp.concatenate([kept.starts[:before], values])
+    ends = jnp.concatenate([kept.ends[:before], values])
+    return _with_field(run, starts, ends)
+
+
+def free_scale(largest: Number, first: Number = 0.5) -> DesignVariable:
+    """One factor of all amplitudes, the pattern kept: for bursts and ramps.
+
+    Args:
+        largest: factor at 1, positive.
+        first: where to start.
+    """
+    start = np.array([float(first)])
+    return DesignVariable(start, eqx.Partial(_scale_amplitudes, largest))
+
+
+def _scale_amplitudes(largest: Number, numbers: Numbers, run: Run) -> Run:
+    factor = largest * numbers[0]
+    return _with_field(run, run.protocol.starts * factor, run.protocol.ends * factor)
+
+
+def _with_field(run: Run, starts: Array, ends: Array) -> Run:
+    return eqx.tree_at(
+        lambda r: (r.protocol.starts, r.protocol.ends), run, (starts, ends)
+    )
+
+
+def free_placement(patterns: Float[Array, "number ..."]) -> DesignVariable:
+    r"""Where the particles or the power of the first source go, their total kept.
+
+    The field is $\sum_k s_k(x)\,b_k$ of given patterns of one total, with weights $s$
+    that are positive and add up to one.
+
+    Args:
+        patterns: $b_k$, one for each row [kg m⁻³ or W m⁻³].
+    """
+    start = np.full(patterns.shape[0], 0.5)
+    return DesignVariable(start, eqx.Partial(_place, patterns))
+
+
+def _place(patterns: Array, numbers: Numbers, run: Run) -> Run:
+    # a softmax keeps the total and cannot become negative, without a constraint
+    fractions = jax.nn.softmax(RANGE * (numbers - 0.5))
+    field = jnp.tensordot(fractions, patterns, axes=1)
+    first, *others = run.model.sources
+    if isinstance(first, ParticleSource):
+        moved = ParticleSource(field, first.heating, first.scale)
+    elif isinstance(first, PowerSource):
+        moved = PowerSource(field, first.reference, first.scale)
+    else:
+        raise InputError(
+            "free_placement: expected particles or a power density as the first "
+            f"source, got {type(first).__name__}"
+        )
+    return eqx.tree_at(lambda r: r.model.sources, run, (moved, *others))
+
+
+def shells(
+    model: Bioheat, radius: Number, count: int, total: Number
+) -> Float[Array, "number ..."]:
+    """Patterns in shells of equal thickness up to a radius [m], of one total each.
+
+    Args:
+        model: on whose grid.
+        radius: radius of the outermost shell [m].
+        count: number of shells.
+        total: integral of each pattern: kilograms of particles, or watts.
+    """
+    edges = np.linspace(0.0, radius, count + 1)
+    balls = [model.grid.ball(float(r)) if r > 0 else None for r in edges]
+    rows = []
+    for inner, outer in itertools.pairwise(balls):
+        assert outer is not None
+        shell = outer if inner is None else outer - inner
+        rows.append(shell * (total / jnp.sum(shell * model.grid.volumes)))
+    return jnp.stack(rows)
