@@ -39,6 +39,8 @@ from pinav.navigation import (
     Quantiles,
     Suggestion,
     Summary,
+    Way,
+    navigate,
 )
 from pinav.navigation.result import ComputingTimes, PlannedWay
 from pinav.report.text import as_text
