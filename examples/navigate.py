@@ -25,14 +25,15 @@ from pinav.figures.files import save_figure
 from pinav.figures.navigation import plan_map
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.forces import KernelPotential
+from pinav.navigation.control.controller import StraightLine
 from pinav.navigation.control.default import controller
-from pinav.navigation.control.simple import StraightLine, steered_swimmer
 from pinav.navigation.design.candidates import Experiment
 from pinav.navigation.design.information import PosteriorInformation, best_candidate
 from pinav.navigation.design.prior import PriorField, prior_uncertainty
 from pinav.navigation.maps import Course
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.task.catalogue import task, training
+from pinav.navigation.task.task import steered_swimmer
 from pinav.navigation.task.zones import Rectangle
 from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.metrics import regret, summary

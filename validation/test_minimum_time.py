@@ -13,7 +13,7 @@ from tests.navigation.steering_worlds import DRAG, open_water, without_noise
 from pinav.dynamics import RK4, FixedStep
 from pinav.errors import FitError, InputError
 from pinav.forces import GaussianBarrier
-from pinav.navigation.control.simple import StraightLine
+from pinav.navigation.control.controller import StraightLine
 from pinav.navigation.task import catalogue as tasks
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.trials.closed_loop import run

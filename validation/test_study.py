@@ -7,14 +7,15 @@ import pytest
 from benchmarks.paper_weakness import KERNEL, UDE, Weakness
 from validation.conftest import pinav, program
 
+from pinav.commands.study.result import Study, StudyFit
 from pinav.runs import RunFolder
 
 
-def study(out: Path, *words: str) -> dict:
+def study(out: Path, *words: str) -> tuple[StudyFit, ...]:
     done = pinav("study", *words, "--out", str(out))
     assert done.returncode == 0, done.stderr
     print(done.stdout)
-    return json.loads((out / "metrics.json").read_text())
+    return RunFolder.open(out).load("metrics", Study).fits
 
 
 @pytest.fixture(scope="module")
@@ -43,13 +44,14 @@ def test_a_kernel_potential_on_eight_crossings_knows_it(weakness):
 @pytest.fixture(scope="module")
 def data_efficiency(tmp_path_factory):
     out = tmp_path_factory.mktemp("data") / "run"
-    rows = study(out, "data-efficiency", "barrier-crossings")["rows"]
-    return {(row["model"], row["trajectories"]): row for row in rows}
+    fits = study(out, "data-efficiency", "barrier-crossings")
+    return {(fit.model, fit.trajectories): fit for fit in fits}
 
 
 def test_more_trajectories_help_the_kernel_potential(data_efficiency):
     errors = [
-        data_efficiency["kernel-potential", n]["force visited"] for n in (1, 8, 32)
+        data_efficiency["kernel-potential", n].force_error("visited")
+        for n in (1, 8, 32)
     ]
     assert errors[0] > errors[1] > 0.5 * errors[2]
     assert errors[2] < 0.02
@@ -57,11 +59,10 @@ def test_more_trajectories_help_the_kernel_potential(data_efficiency):
 
 def test_every_cell_has_its_row(data_efficiency):
     assert len(data_efficiency) == 42
-    for (model, _), row in data_efficiency.items():
-        failed = row["outcome"].startswith("failed")
-        assert failed or row["rollouts median"] is not None
+    for (model, _), fit in data_efficiency.items():
+        assert fit.outcome.startswith("failed") or fit.rollouts is not None
         if model == "physics-only":
-            assert row["force visited"] == pytest.approx(1.0)
+            assert fit.force_error("visited") == pytest.approx(1.0)
 
 
 def test_physics_alone_is_worse_than_the_kernel_potential_at_every_noise(
@@ -69,11 +70,11 @@ def test_physics_alone_is_worse_than_the_kernel_potential_at_every_noise(
 ):
     out = tmp_path_factory.mktemp("noise") / "run"
     models = ["--models", "kernel-potential", "physics-only"]
-    rows = study(out, "noise", "barrier-crossings", *models)["rows"]
-    table = {(row["model"], row["sigma"]): row for row in rows}
+    fits = study(out, "noise", "barrier-crossings", *models)
+    table = {(fit.model, fit.sigma): fit.rollout("median") for fit in fits}
     for sigma in (0.0, 0.005, 0.01, 0.02, 0.05, 0.1):
-        kernel = table["kernel-potential", sigma]["rollouts median"]
-        assert kernel < 0.2 * table["physics-only", sigma]["rollouts median"]
+        kernel = table["kernel-potential", sigma]
+        assert kernel < 0.2 * table["physics-only", sigma]
 
 
 def test_a_fit_of_the_crossings_is_trusted_where_it_should_be(tmp_path_factory):

@@ -15,17 +15,12 @@ from pinav.errors import InputError
 from pinav.learning.learn import learn
 from pinav.learning.learned import Learned
 from pinav.learning.recipes import ModelName
-from pinav.navigation.control.controller import AbstractController
+from pinav.navigation.control.controller import AbstractController, StraightLine
 from pinav.navigation.control.default import controller
-from pinav.navigation.control.simple import (
-    StraightLine,
-    physics_only,
-    steered_swimmer,
-)
 from pinav.navigation.task.catalogue import TASKS, task, training
 from pinav.navigation.task.objectives import FollowPath
-from pinav.navigation.task.steering import SteeredSwimmer
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.steering import SteeredSwimmer, physics_only
+from pinav.navigation.task.task import Task, steered_swimmer
 from pinav.navigation.trials.closed_loop import (
     Episodes,
     concatenate_episodes,

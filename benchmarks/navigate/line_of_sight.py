@@ -6,7 +6,6 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from pinav.arguments import Scalar, Vector
 from pinav.navigation.control.controller import AbstractController, Observation
-from pinav.navigation.control.simple import physics_only
 from pinav.navigation.task.objectives import AbstractObjective, FollowPath
 from pinav.navigation.task.steering import (
     AbstractActuator,
@@ -15,6 +14,7 @@ from pinav.navigation.task.steering import (
     SteeredSwimmer,
     direction_angles,
     greatest_thrust,
+    physics_only,
 )
 from pinav.navigation.task.task import Task
 

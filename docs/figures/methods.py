@@ -133,8 +133,7 @@ def identification(workshop: Workshop) -> Figure:
     figure = new_figure(WIDTH, 5.2)
     above, below = figure.subplots(2, 1)
     places = law.places
-    curve = (places, law.fitted, law.sd)
-    speed_law(law.frequency, law.speed, curve, ax=above)
+    speed_law(law, ax=above)
     truth = GAIN * places / np.sqrt(1 + (places / CORNER) ** 2)
     above.plot(places, truth, color=TRUTH, lw=THIN, ls="--", label="truth")
     add_legend(above)

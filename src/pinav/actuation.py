@@ -45,7 +45,7 @@ class RotatingField(AbstractField):
 
 
 class AbstractResponse(eqx.Module):
-    """How a rolling robot turns the commanded frequency into speed.
+    """Speed that a rolling robot makes of the commanded frequency.
 
     The response is an effective frequency: speed per gain. It is about the commanded
     one at low frequencies, so that gains of different responses can be compared.
@@ -165,7 +165,7 @@ def direction(angles: Float[Array, " angle"]) -> Vector:
 
 
 class AbstractActuator(eqx.Module):
-    """What a command does to the swimmer."""
+    """Effect of a command on the swimmer."""
 
     @abc.abstractmethod
     def __call__(self, command: Command) -> Vector:

@@ -11,8 +11,8 @@ from benchmarks.navigate.gaussian_process import gaussian_process
 from benchmarks.navigate.strategies import compare_strategies
 
 from pinav.errors import InputError
-from pinav.navigation.control.simple import steered_swimmer
 from pinav.navigation.task import catalogue as tasks
+from pinav.navigation.task.task import steered_swimmer
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.trajectories import FrameLoss, degrade

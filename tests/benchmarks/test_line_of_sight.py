@@ -9,10 +9,9 @@ from tests.navigation.steering_worlds import DRAG, open_water
 
 from pinav.actuation import SaturatingResponse
 from pinav.forces import Advection, UniformFlow
-from pinav.navigation.control.simple import physics_only
 from pinav.navigation.task import catalogue as tasks
 from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.steering import CommandLimits, RollingActuator
+from pinav.navigation.task.steering import CommandLimits, RollingActuator, physics_only
 from pinav.navigation.trials import metrics
 from pinav.navigation.trials.closed_loop import run, run_many
 

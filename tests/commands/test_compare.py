@@ -9,23 +9,27 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.compare.job import check_settings, positions_alone, text, verdicts
-from pinav.commands.compare.metrics import Candidate, CompareMetrics
+from pinav.commands.compare.job import check_settings, positions_alone, verdicts
+from pinav.commands.compare.result import Candidate, Comparison
+from pinav.commands.compare.sections import sections, table
 from pinav.commands.compare.settings import CompareSettings
 from pinav.errors import InputError
+from pinav.fitting import ModelEvidence
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.mean_drag import mean_drag, with_tensor_drag
 from pinav.fitting.environments.summary import summarise_data, summarise_for
 from pinav.forces import tensor_matrix
 from pinav.learning.learned import Learned, ModelHeader, build_model
+from pinav.report.text import sections_text
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.trajectories import Trajectories
 
 
 def row(value, outcome="converged"):
-    return Candidate(outcome, log_evidence=value, correction=1.0, reason="no")
+    evidence = None if value is None else ModelEvidence(value + 1.0, 1.0)
+    return Candidate(outcome, evidence, reason="no")
 
 
 def test_a_verdict_names_the_model_of_higher_evidence_and_by_how_much():
@@ -48,10 +52,10 @@ def test_a_model_without_evidence_gets_no_verdict_but_a_row():
     (verdict,) = verdicts(rows)
     assert verdict.difference is None
     assert "No verdict on isotropic drag or anisotropic drag" in verdict.text
-    metrics = CompareMetrics(rows, (verdict,))
-    names = [cells[0] for cells in metrics.table().rows]
+    found = Comparison(rows, (verdict,))
+    names = [cells[0] for cells in table(found).rows]
     assert names == ["anisotropic-drag", "isotropic-drag"]
-    assert "no" in text(metrics)
+    assert "no" in sections_text(sections(found))
 
 
 def positions(name, channels=("x", "y")):
@@ -114,8 +118,8 @@ def test_comparison_of_stochastic_paths_from_the_command_line(tmp_path, capsys):
     assert cli.run(["compare", str(data), "--out", str(run), *models]) == 0
     printed = capsys.readouterr().out
     assert "The evidence prefers" in printed
-    metrics = RunFolder.open(run).read_json("metrics.json")
-    assert metrics["models"].keys() == {"kernel-potential", "kernel-force"}
+    found = RunFolder.open(run).load("metrics", Comparison)
+    assert found.models.keys() == {"kernel-potential", "kernel-force"}
     assert "nats" in (run / "report.html").read_text()
     langevin = ["--recipe", "langevin", "--out", str(tmp_path / "fit")]
     assert cli.run(["fit", str(data), *langevin]) == 0

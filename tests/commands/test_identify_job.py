@@ -12,8 +12,8 @@ from pinav.commands.identify.settings import IdentifySettings
 from pinav.errors import InputError
 from pinav.fitting import Estimate
 from pinav.identification import Coverage, Errors, Identification, IdentifiedTrack, Row
+from pinav.identification.estimates import QUANTITIES
 from pinav.identification.identify import pooled_coverage
-from pinav.identification.quantities import QUANTITIES
 from pinav.identification.selection import RESIDUALS
 from pinav.report.text import sections_text
 from pinav.runs import RunFolder

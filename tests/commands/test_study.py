@@ -13,6 +13,7 @@ from pinav.commands.study.job import (
     fit_choice,
     with_noise,
 )
+from pinav.commands.study.result import Study
 from pinav.commands.study.settings import StudySettings
 from pinav.commands.sweep import Sweep
 from pinav.errors import FitError
@@ -72,14 +73,15 @@ def noise_study(tmp_path_factory):
 @pytest.mark.slow
 def test_a_study_ends_in_a_table_and_a_figure(noise_study, capsys):
     out, argv = noise_study
-    rows = RunFolder.open(out).read_json("metrics.json")["rows"]
-    table = {(row["model"], row["sigma"]): row for row in rows}
+    fits = RunFolder.open(out).load("metrics", Study).fits
+    table = {(fit.model, fit.sigma): fit for fit in fits}
     assert len(table) == 4
     for sigma in (0.01, 0.1):
-        assert table["physics-only", sigma]["force visited"] == pytest.approx(1.0)
-        assert table["physics-only", sigma]["outcome"] == "nothing to fit"
+        physics = table["physics-only", sigma]
+        assert physics.force_error("visited") == pytest.approx(1.0)
+        assert physics.outcome == "nothing to fit"
     kernel = [
-        table["kernel-potential", sigma]["force visited"] for sigma in (0.01, 0.1)
+        table["kernel-potential", sigma].force_error("visited") for sigma in (0.01, 0.1)
     ]
     assert 0 < kernel[0] < kernel[1] < 0.5
     assert (out / "figures" / "noise.svg").exists()
@@ -122,10 +124,10 @@ def test_a_model_that_fails_is_a_row_that_says_so(tmp_path, monkeypatch):
     settings = StudySettings(models=("physics-only",), counts=(1,), held_out=3)
     folder = RunFolder.create(tmp_path, {}, overwrite=False)
     sweep = Sweep(folder, here)
-    (row,) = job.study("data-efficiency", "swirl", settings, sweep).rows
+    (row,) = job.study("data-efficiency", "swirl", settings, sweep).fits
     assert row.outcome == "failed: the fit is singular"
-    assert row.force_visited is None
-    assert "failed: the fit is singular" in (tmp_path / "study.csv").read_text()
+    assert row.rollouts is None
+    assert np.isnan(row.force_error("visited"))
 
 
 def test_a_fit_of_a_study_that_diverged_is_an_error(clean):

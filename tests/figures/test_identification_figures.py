@@ -9,7 +9,8 @@ from pinav.figures.identification import (
     single_rollouts,
     speed_law,
 )
-from pinav.figures.style import new_figure
+from pinav.identification import ErrorGrowth, Paths, SpeedLaw
+from pinav.identification.rollouts import ShownRollout
 
 UNITS = {"x": "um", "y": "um", "t": "s"}
 
@@ -17,8 +18,9 @@ UNITS = {"x": "um", "y": "um", "t": "s"}
 def test_rollouts_have_equal_axes_units_and_bands():
     path = np.cumsum(np.ones((20, 2)), axis=0)
     seen = [path[4] + 0.5, path[8] - 0.5]
-    paths, sds = [path[:5], path[5:9]], [np.ones(2)] * 2
-    ax = rollout_paths([path], paths, seen, sds, units=UNITS)
+    parts = zip(seen, (path[:5], path[5:9]), strict=True)
+    rollouts = [ShownRollout(0.0, end[None], one, np.ones(2)) for end, one in parts]
+    ax = rollout_paths(Paths((path,), tuple(rollouts)), units=UNITS)
     assert ax.get_aspect() == 1
     assert ax.get_xlabel() == "$x$ [µm]"
     (bands,) = ax.collections
@@ -29,9 +31,10 @@ def test_rollouts_have_equal_axes_units_and_bands():
 
 def test_rollouts_one_by_one_share_a_scale_that_holds_them_all():
     path = np.cumsum(np.ones((5, 2)), axis=0)
-    rollouts = [(path, 1.5 * path, np.full(2, 3.0))] * 5
+    sd = np.full(2, 3.0)
+    rollouts = [ShownRollout(float(i), path, 1.5 * path, sd) for i in range(5)]
     titles = [f"from {i} s" for i in range(5)]
-    panels = single_rollouts(rollouts, titles, units=UNITS, figure=new_figure(4.6, 4.9))
+    panels = single_rollouts(rollouts, units=UNITS).axes[:5]
     assert [ax.get_title(loc="left") for ax in panels] == titles
     assert len({ax.get_xlim() for ax in panels}) == 1
     low, high = panels[0].get_xlim()
@@ -47,7 +50,9 @@ def test_rollouts_one_by_one_share_a_scale_that_holds_them_all():
 def test_the_growth_of_errors_has_its_band_and_least_squares():
     lengths = np.array([1.0, 5.0, 10.0])
     errors = np.array([[0.1, 0.2, 0.3], [0.2, 0.4, 0.6], [0.4, 0.8, 1.2]])
-    ax = error_growth(lengths, errors, 2 * errors[1], errors[2], units=UNITS)
+    counts = np.array([9, 5, 3])
+    growth = ErrorGrowth(lengths, errors, 2 * errors[1], errors[2], counts)
+    ax = error_growth(growth, units=UNITS)
     drawn = {line.get_label(): line for line in ax.lines}
     np.testing.assert_allclose(drawn["least squares"].get_ydata(), 2 * errors[1])
     np.testing.assert_allclose(drawn["band of the model, 90 %"].get_ydata(), errors[2])
@@ -66,8 +71,8 @@ def test_errors_by_horizon_draw_a_line_for_each_model():
 
 def test_the_speed_law_has_its_band():
     places = np.linspace(0, 5, 9)
-    curve = (places, 2 * places, np.full(9, 0.5))
-    ax = speed_law(places, 2 * places, curve)
+    law = SpeedLaw(places, 2 * places, places, 2 * places, np.full(9, 0.5))
+    ax = speed_law(law)
     assert ax.get_ylabel() == "speed along the command [µm/s]"
     (band,) = ax.collections
     low, high = band.get_datalim(ax.transData).intervaly

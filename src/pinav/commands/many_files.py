@@ -42,17 +42,6 @@ class FileCell(msgspec.Struct, frozen=True):
     settings: str
 
 
-class FilesMetrics(msgspec.Struct, frozen=True):
-    """The runs of several files.
-
-    Attributes:
-        files: one row for each file: its name, the folder of its run, why it failed,
-            and the numbers of its metrics.
-    """
-
-    files: tuple[dict[str, str | float | None], ...]
-
-
 def run_files(command: Command, options: FilesOptions) -> CommandResult:
     """One run for each file; those that are done are not done again.
 
@@ -74,7 +63,7 @@ def run_files(command: Command, options: FilesOptions) -> CommandResult:
         sweep.folder.write_table(TABLE, header, blank)
         shown = Table(header[:SHOWN], [line[:SHOWN] for line in lines])
         text = f"{as_text(shown)}\ntable: {sweep.folder.path / TABLE}"
-        return CommandResult(FilesMetrics(rows), text)
+        return CommandResult({"files": rows}, text)
 
 
 def _cell(command: Command, options: FilesOptions, path: Path) -> Cell:

@@ -3,15 +3,16 @@
 from collections.abc import Iterator
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pinav.evaluation import normal_interval
-from pinav.figures.bands import band, diffusion_bands, profile_band
+from pinav.figures.bands import band
 from pinav.figures.images import Picture
 from pinav.figures.maps import force_comparison
 from pinav.figures.observations import observed_paths, positions_over_time
-from pinav.figures.palette import TRUTH
-from pinav.figures.style import new_figure, with_unit
+from pinav.figures.palette import GREEN, GREY, LEARNED, PURPLE, TRUTH
+from pinav.figures.style import add_legend, new_figure, with_unit
 from pinav.figures.trajectories import loss_curve
 from pinav.learning.findings import Findings, FoundTerm, Rollouts
 from pinav.trajectories import POSITION_CHANNELS
@@ -113,14 +114,10 @@ def _force_line_figure(fit: Findings, name: str) -> Picture:
 
     def draw() -> Figure:
         figure = new_figure(*SMALL)
-        axes = profile_band(
-            line.places,
-            line.force,
-            np.zeros_like(line.force) if line.sd is None else line.sd,
-            coordinate=name,
-            units=(fit.units.get(name, "1"), fit.units.get("force", "?")),
-            ax=figure.add_subplot(),
-        )
+        axes = figure.add_subplot()
+        sd = np.zeros_like(line.force) if line.sd is None else line.sd
+        units = fit.units.get(name, "1"), fit.units.get("force", "?")
+        _force_band(axes, name, line.places, line.force, sd, units)
         if line.true is not None:
             axes.plot(line.places, line.true, color=TRUTH, lw=1.0, ls="--")
         return figure
@@ -129,6 +126,20 @@ def _force_line_figure(fit: Findings, name: str) -> Picture:
     if line.true is not None:
         caption += "; dashed: the truth"
     return Picture(f"force-{name}", draw, f"{caption}.", f"Force over {name}")
+
+
+def _force_band(
+    ax: Axes,
+    coordinate: str,
+    places: np.ndarray,
+    mean: np.ndarray,
+    sd: np.ndarray,
+    units: tuple[str, str],
+) -> None:
+    """A force along a coordinate with its band; units of length and of force."""
+    labels = with_unit(coordinate, units[0]), with_unit("force", units[1])
+    band(places, mean, normal_interval(mean, sd), labels=labels, ax=ax)
+    ax.axhline(0.0, color=GREY, lw=0.6)
 
 
 def profile_figure(index: int, term: FoundTerm, fit: Findings) -> Picture | None:
@@ -140,14 +151,10 @@ def profile_figure(index: int, term: FoundTerm, fit: Findings) -> Picture | None
 
     def draw() -> Figure:
         figure = new_figure(*SMALL)
-        profile_band(
-            profile.places,
-            profile.force,
-            profile.sd,
-            coordinate="along the normal" if term.kind in STRAIGHT else "distance",
-            units=(length, force_unit(fit.units)),
-            ax=figure.add_subplot(),
-        )
+        coordinate = "along the normal" if term.kind in STRAIGHT else "distance"
+        curve = profile.places, profile.force, profile.sd
+        units = length, force_unit(fit.units)
+        _force_band(figure.add_subplot(), coordinate, *curve, units)
         return figure
 
     return Picture(
@@ -185,21 +192,29 @@ def thermal_figures(fit: Findings) -> list[Picture]:
 
 
 def _diffusion_figure(fit: Findings, name: str) -> Picture:
+    """Diffusion along each channel over one coordinate; equal ones are drawn once."""
     assert fit.thermal is not None
     line, channels = fit.thermal.lines[name], fit.thermal.channels
-    units = fit.units.get(channels[0], "1"), fit.units.get("t", "1")
+    length, time = fit.units.get(channels[0], "1"), fit.units.get("t", "1")
+    is_known = "1" not in (length, time) and "?" not in length + time
+    unit = f"{length}²/{time}" if is_known else ""
+    labels = with_unit(name, length), with_unit("diffusion", unit)
+    columns: dict[bytes, list[int]] = {}
+    for index, column in enumerate(line.values.T):
+        columns.setdefault(column.tobytes(), []).append(index)
 
     def draw() -> Figure:
         figure = new_figure(*SMALL)
-        diffusion_bands(
-            line.places,
-            line.values,
-            line.sd,
-            coordinate=name,
-            channels=channels,
-            units=units,
-            ax=figure.add_subplot(),
-        )
+        ax = figure.add_subplot()
+        colors = LEARNED, GREEN, PURPLE
+        for color, group in zip(colors, columns.values(), strict=False):
+            along = ", ".join(channels[index] for index in group)
+            mean, sd = line.values[:, group[0]], line.sd[:, group[0]]
+            shown = {"color": color, "name": f"along {along}", "labels": labels}
+            band(line.places, mean, normal_interval(mean, sd), **shown, ax=ax)
+        ax.set_ylim(bottom=0.0)
+        if len(columns) > 1:
+            add_legend(ax)
         return figure
 
     caption = f"Diffusion along {name} through the middle of the data, 95 % bands."

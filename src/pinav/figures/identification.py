@@ -23,7 +23,6 @@ from pinav.figures.style import (
     THIN,
     WIDE,
     add_legend,
-    channel_label,
     label_axes,
     label_plane,
     new_figure,
@@ -34,7 +33,7 @@ from pinav.figures.style import (
     with_unit,
 )
 from pinav.identification import ErrorGrowth, Identification, Paths, SpeedLaw
-from pinav.identification.rollouts import HORIZONS
+from pinav.identification.rollouts import HORIZONS, ShownRollout
 
 DRAWN = (
     "drift only",
@@ -50,36 +49,27 @@ HALF_WIDTH_90 = normal_quantile(0.9)
 
 
 def rollout_paths(
-    observed: Sequence[Float[np.ndarray, "_ 2"]],
-    predicted: Sequence[Float[np.ndarray, "_ 2"]],
-    seen_ends: Sequence[Float[np.ndarray, "2"]],
-    end_sd: Sequence[Float[np.ndarray, "2"]],
-    *,
-    units: Mapping[str, str],
-    ax: Axes | None = None,
+    paths: Paths, *, units: Mapping[str, str], ax: Axes | None = None
 ) -> Axes:
     """Observed paths, rollouts from observed starts, and bands at their ends.
 
     Args:
-        observed: positions of each segment [L].
-        predicted: positions of each rollout [L].
-        seen_ends: where each rollout was observed to end [L].
-        end_sd: standard deviation of each rollout's end along x and y [L].
+        paths: the observed segments, and rollouts of them.
         units: unit of each channel.
         ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
-    for index, path in enumerate(observed):
+    for index, path in enumerate(paths.whole):
         label = "observed" if index == 0 else "_"
         ax.plot(*path.T, color=TRACK, lw=WIDE, label=label)
-    for index, path in enumerate(predicted):
+    for index, one in enumerate(paths.rollouts):
         label = "predicted from ○" if index == 0 else "_"
-        ax.plot(*path.T, color=LEARNED, lw=THIN, label=label)
-        ax.plot(*path[0], "o", mfc=PAPER, mec=BLACK, markersize=4, zorder=4)
-    if len(predicted):
-        ends = np.array([path[-1] for path in predicted])
-        _draw_end_bands(ax, ends, np.array(end_sd))
-        seen = np.array(seen_ends).T
+        ax.plot(*one.predicted.T, color=LEARNED, lw=THIN, label=label)
+        ax.plot(*one.predicted[0], "o", mfc=PAPER, mec=BLACK, markersize=4, zorder=4)
+    if paths.rollouts:
+        ends = np.array([one.predicted[-1] for one in paths.rollouts])
+        _draw_end_bands(ax, ends, np.array([one.sd for one in paths.rollouts]))
+        seen = np.array([one.observed[-1] for one in paths.rollouts]).T
         ax.plot(*seen, "x", color=BLACK, ms=5, mew=1.2, label="observed end", zorder=5)
     label_plane(ax, units)
     add_legend(ax)
@@ -108,37 +98,28 @@ def _draw_end_bands(
 
 
 def single_rollouts(
-    rollouts: Sequence[
-        tuple[
-            Float[np.ndarray, "_ 2"], Float[np.ndarray, "_ 2"], Float[np.ndarray, "2"]
-        ]
-    ],
-    titles: Sequence[str],
-    *,
-    units: Mapping[str, str],
-    figure: Figure,
-) -> list[Axes]:
+    rollouts: Sequence[ShownRollout], *, units: Mapping[str, str]
+) -> Figure:
     """Rollouts one by one, each from its start at the origin, on one scale.
 
     Args:
-        rollouts: observed path, predicted path, and the standard deviation of the
-            predicted end along x and y, of each [L].
-        titles: of the panels.
-        units: unit of each channel.
-        figure: where to draw.
+        rollouts: the rollouts.
+        units: units of length, x, and of time, t.
     """
+    figure = new_figure(4.6, 2.1 * -(-len(rollouts) // 3) + 0.7)
     columns = min(3, len(rollouts))
     shape = -(-len(rollouts) // columns), columns
     panels = list(figure.subplots(*shape, sharex=True, sharey=True, squeeze=False).flat)
-    for ax, (seen, path, sd), title in zip(panels, rollouts, titles, strict=False):
+    for ax, one in zip(panels, rollouts, strict=False):
+        seen, path = one.observed, one.predicted
         prepare_axes(ax)
         ax.plot(*(seen - seen[0]).T, color=TRACK, lw=WIDE, label="observed")
         ax.plot(*(path - seen[0]).T, color=LEARNED, lw=THIN, label="predicted from ○")
-        _draw_end_bands(ax, (path[-1:] - seen[0]), sd[None])
+        _draw_end_bands(ax, (path[-1:] - seen[0]), one.sd[None])
         ax.plot(0, 0, "o", mfc=PAPER, mec=BLACK, markersize=4, zorder=4)
         end = seen[-1] - seen[0]
         ax.plot(*end, "x", color=BLACK, ms=6, mew=1.2, label="observed end", zorder=5)
-        title_panel(ax, title, pad=2.0)
+        title_panel(ax, f"from {one.start:.0f} {units['t']}", pad=2.0)
         ax.set_aspect("equal", adjustable="box")  # shared axes allow no other
         ax.locator_params(nbins=4)
     for ax in panels[len(rollouts) :]:
@@ -146,21 +127,21 @@ def single_rollouts(
     low, high = _limits(rollouts)
     panels[0].set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     for ax in panels[::columns]:
-        ax.set_ylabel(channel_label("y", units), fontsize=TEXT)
+        ax.set_ylabel(with_unit("$y$", units["x"]), fontsize=TEXT)
     for ax in panels[max(len(rollouts) - columns, 0) : len(rollouts)]:
-        ax.set_xlabel(channel_label("x", units), fontsize=TEXT)
+        ax.set_xlabel(with_unit("$x$", units["x"]), fontsize=TEXT)
         ax.tick_params(labelbottom=True)
     share_legend(figure, panels[0].get_legend_handles_labels()[0], columns=2)
-    return panels[: len(rollouts)]
+    return figure
 
 
 def _limits(
-    rollouts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    rollouts: Sequence[ShownRollout],
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """What holds all paths from the origin, with the bands at their ends."""
+    """A frame that holds all paths from the origin, with the bands at their ends."""
     points = []
-    for seen, path, sd in rollouts:
-        reach = HALF_WIDTH_90 * sd
+    for one in rollouts:
+        seen, path, reach = one.observed, one.predicted, HALF_WIDTH_90 * one.sd
         points += [seen, path, path[-1:] - reach, path[-1:] + reach]
         points[-4:] = [part - seen[0] for part in points[-4:]]
     every = np.concatenate(points)
@@ -170,32 +151,23 @@ def _limits(
 
 
 def error_growth(
-    lengths: Float[np.ndarray, " length"],
-    errors: Float[np.ndarray, "3 length"],
-    reference: Float[np.ndarray, " length"],
-    promised: Float[np.ndarray, " length"],
-    *,
-    units: Mapping[str, str],
-    ax: Axes | None = None,
+    growth: ErrorGrowth, *, units: Mapping[str, str], ax: Axes | None = None
 ) -> Axes:
     """End-point error of rollouts over their length, with least squares beside it.
 
     Args:
-        lengths: of the rollouts [T].
-        errors: 10 % quantile, median and 90 % quantile over rollouts [L].
-        reference: median error of least squares [L].
-        promised: distance within which the bands expect 90 % of the ends [L].
+        growth: the errors.
         units: of positions, x, and of time, t.
         ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
-    low, middle, high = errors
+    lengths, (low, middle, high) = growth.lengths, growth.errors
     ax.plot([], [], color=LEARNED, alpha=0.25, lw=6, label="10 to 90 % of rollouts")
     marked = {"line": "o-", "width": WIDE, "name": "chosen model"}
     band(lengths, middle, (low, high), **marked, ax=ax)
-    ax.plot(lengths, reference, "s--", color=TRACK, lw=THIN, ms=3)
+    ax.plot(lengths, growth.reference, "s--", color=TRACK, lw=THIN, ms=3)
     ax.lines[-1].set_label("least squares")
-    ax.plot(lengths, promised, ":", color=BLACK, lw=WIDE)
+    ax.plot(lengths, growth.promised, ":", color=BLACK, lw=WIDE)
     ax.lines[-1].set_label("band of the model, 90 %")
     ax.set(xscale="log", yscale="log")
     ticks = [value for value in (0.5, 1.0, 2.0, 5.0, 10.0, 30.0) if value in lengths]
@@ -247,35 +219,21 @@ def horizon_errors(
     return ax
 
 
-def speed_law(
-    frequency: Float[np.ndarray, " point"],
-    speed: Float[np.ndarray, " point"],
-    curve: tuple[
-        Float[np.ndarray, " place"],
-        Float[np.ndarray, " place"],
-        Float[np.ndarray, " place"],
-    ],
-    *,
-    unit: str = "um/s",
-    ax: Axes | None = None,
-) -> Axes:
+def speed_law(law: SpeedLaw, *, unit: str = "um/s", ax: Axes | None = None) -> Axes:
     """Speed along the command against frequency, with the fitted response.
 
     Args:
-        frequency: commanded, one for each block [Hz].
-        speed: observed along the turned heading [L T⁻¹].
-        curve: frequencies, fitted speeds and their standard deviations.
+        law: the observed speeds, and the response.
         unit: of the speed.
         ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
-    places, fitted, sd = curve
-    ax.plot(
-        frequency, speed, ".", color=TRACK, markersize=2.5, label="observed, blocks"
-    )
+    dots = {"color": TRACK, "markersize": 2.5, "label": "observed, blocks"}
+    ax.plot(law.frequency, law.speed, ".", **dots)
     labels = with_unit("frequency", "Hz"), with_unit("speed along the command", unit)
     shown = {"width": WIDE, "name": "response, 90 %", "labels": labels}
-    band(places, fitted, normal_interval(fitted, sd, 0.9), **shown, ax=ax)
+    ends = normal_interval(law.fitted, law.sd, 0.9)
+    band(law.places, law.fitted, ends, **shown, ax=ax)
     add_legend(ax)
     return ax
 
@@ -304,22 +262,16 @@ def errors_by_horizon(result: Identification) -> dict[str, list[float]]:
 
 def rollouts_figure(paths: Paths, name: str, units: Mapping[str, str]) -> Picture:
     """Rollouts one by one."""
-
-    def draw() -> Figure:
-        figure = new_figure(4.6, 2.1 * -(-len(paths.rollouts) // 3) + 0.7)
-        titles = [f"from {one.start:.0f} {units['t']}" for one in paths.rollouts]
-        panels = [(one.observed, one.predicted, one.sd) for one in paths.rollouts]
-        plane = {"x": units["x"], "y": units["x"]}
-        single_rollouts(panels, titles, units=plane, figure=figure)
-        return figure
-
     caption = (
         f"Held-out part: {len(paths.rollouts)} rollouts of 10 s, evenly spread over "
         "it, each from an observed position (○) that is put at the origin. × is where "
         "the robot was 10 s later, the ellipse where the model expects 90 % of each "
         "coordinate."
     )
-    return Picture(name, draw, caption, "Observed and predicted paths, one by one")
+    alt = "Observed and predicted paths, one by one"
+    return Picture(
+        name, lambda: single_rollouts(paths.rollouts, units=units), caption, alt
+    )
 
 
 def growth_figure(growth: ErrorGrowth, name: str, units: Mapping[str, str]) -> Picture:
@@ -327,8 +279,7 @@ def growth_figure(growth: ErrorGrowth, name: str, units: Mapping[str, str]) -> P
 
     def draw() -> Figure:
         figure = new_figure(4.2, 3.4)
-        curves = growth.lengths, growth.errors, growth.reference, growth.promised
-        error_growth(*curves, units=units, ax=figure.subplots())
+        error_growth(growth, units=units, ax=figure.subplots())
         return figure
 
     caption = (
@@ -346,28 +297,20 @@ def speed_figure(law: SpeedLaw, name: str, units: Mapping[str, str]) -> Picture:
     def draw() -> Figure:
         figure = new_figure(4.2, 3.4)
         unit = f"{units['x']}/{units['t']}"
-        curve = law.places, law.fitted, law.sd
-        speed_law(law.frequency, law.speed, curve, unit=unit, ax=figure.subplots())
+        speed_law(law, unit=unit, ax=figure.subplots())
         return figure
 
     caption = "Speed along the command over blocks of the whole track, by frequency."
     return Picture(name, draw, caption, "Speed along the command against frequency")
 
 
-def overlay_figure(paths: Paths, name: str) -> Picture:
+def pixels_figure(paths: Paths, name: str) -> Picture:
     """Rollouts as they lie on the recorded image."""
 
     def draw() -> Figure:
         figure = new_figure(4.2, 3.6)
         ax = figure.subplots()
-        rollout_paths(
-            paths.whole,
-            [one.predicted for one in paths.rollouts],
-            [one.observed[-1] for one in paths.rollouts],
-            [one.sd for one in paths.rollouts],
-            units={"x": "px", "y": "px"},
-            ax=ax,
-        )
+        rollout_paths(paths, units={"x": "px", "y": "px"}, ax=ax)
         ax.invert_yaxis()
         return figure
 

@@ -246,7 +246,7 @@ class ScheduledThrust(AbstractForce):
 def _follow(
     times: Float[Array, " time"], commands: Float[Array, "time 2"], lag: Scalar
 ) -> Float[Array, "time 2"]:
-    """What a follower has reached; the commands themselves where the lag is 0."""
+    """State of a follower; the commands themselves where the lag is 0."""
     # The untaken branch of a division by zero would make gradients NaN.
     behind = follow(times, commands, jnp.where(lag > 0, lag, 1.0))
     return jnp.where(lag > 0, behind, commands)

@@ -19,9 +19,9 @@ class Baseline(eqx.Module):
     """A fitted baseline.
 
     Attributes:
-        name: in tables.
-        velocity: of a segment, at each of its samples [L T⁻¹].
-        seconds: that the fit took.
+        name: name in tables.
+        velocity: velocity at each sample of a segment [L T⁻¹].
+        seconds: duration of the fit [s].
     """
 
     name: str = eqx.field(static=True)

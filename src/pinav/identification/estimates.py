@@ -1,7 +1,7 @@
 """Numbers of a fitted swimmer: of its constants, and with a meaning of their own."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,6 +27,89 @@ from pinav.identification.parameters import (
 )
 from pinav.systems import FreeNumber
 
+
+class Quantity(NamedTuple):
+    """An estimated number as a reader knows it.
+
+    Attributes:
+        title: name in the table.
+        unit: unit, with `{length}` and `{time}` for those of the recording.
+        meaning: a phrase; empty where the title says all.
+        positive: True where the logarithm was fitted.
+    """
+
+    title: str
+    unit: str
+    meaning: str = ""
+    positive: bool = False
+
+
+SPEED = "{length}/{time}"
+
+QUANTITIES = {
+    "gain": Quantity("gain", "{length}", "displacement per turn of the field"),
+    "gain x/y": Quantity("gain x/y", "1", "ratio of the gains along both axes"),
+    "heading offset": Quantity(
+        "heading offset", "rad", "angle from the commanded heading to the motion"
+    ),
+    "corner": Quantity(
+        "corner frequency", "Hz", "where the gain begins to fall", positive=True
+    ),
+    "residual": Quantity(
+        "residual gain", "1", "part that remains far above the corner frequency"
+    ),
+    "delay": Quantity("delay", "{time}", "from a command to its effect"),
+    "lag": Quantity(
+        "lag",
+        "{time}",
+        "time constant with which the motion follows the command",
+        positive=True,
+    ),
+    "drift x": Quantity("drift x", SPEED),
+    "drift y": Quantity("drift y", SPEED),
+    "still": Quantity(
+        "wandering without a command",
+        SPEED,
+        "standard deviation of the wandering velocity",
+        positive=True,
+    ),
+    "driven": Quantity(
+        "wandering under a command",
+        SPEED,
+        "what a command of 1 Hz adds to it, in quadrature",
+        positive=True,
+    ),
+    "memory": Quantity(
+        "memory of the wandering", "{time}", "its correlation time", positive=True
+    ),
+    "noise": Quantity(
+        "position error",
+        "{length}",
+        "of the mean position of a block of time",
+        positive=True,
+    ),
+    "slow": Quantity(
+        "changing drift", SPEED, "standard deviation of its velocity", positive=True
+    ),
+    "slow memory": Quantity(
+        "memory of the changing drift",
+        "{time}",
+        "its correlation time",
+        positive=True,
+    ),
+    "gain wander": Quantity(
+        "wandering of the gain",
+        "{length}",
+        "its standard deviation, along the heading and across",
+        positive=True,
+    ),
+    "gain memory": Quantity(
+        "memory of the gain", "{time}", "its correlation time", positive=True
+    ),
+}
+"""By the names of the estimates."""
+
+
 WEIGHTS = "environment"
 """Path of all weights of the environment."""
 
@@ -35,7 +118,7 @@ class LearnedNumber(eqx.Module):
     """Learned numbers of a swimmer: a gain matrix, a delay, all weights.
 
     Attributes:
-        path: where they stand, or the name of a parameter of the noise.
+        path: place in the swimmer, or the name of a parameter of the noise.
         values: the numbers, flattened.
         slopes: derivatives by nonlinear parameters, coefficients and weights.
     """
@@ -112,7 +195,7 @@ def posterior_over(
     Args:
         swimmer: the numbers that are not learned are right.
         numbers: all learned ones; those of the noise are no part of it.
-        covariance: of the unknowns by which the numbers have derivatives.
+        covariance: that of the unknowns by which the numbers have derivatives.
     """
     numbers = [number for number in numbers if not is_noise(number)]
     free_numbers = [FreeNumber(n.path) for n in numbers if n.path != WEIGHTS]

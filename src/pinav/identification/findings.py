@@ -1,4 +1,4 @@
-"""What a recording supports and what it does not, in words with their numbers."""
+"""Findings of a recording, supported or not, in words with their numbers."""
 
 import math
 
@@ -77,7 +77,7 @@ def turning_rate(track: Track) -> tuple[float, float]:
 
 
 class DelayFindings(eqx.Module):
-    """What a track says of delay and heading offset.
+    """Delay and heading offset of a track.
 
     Attributes:
         free: the delay beside any gain matrix [s].
@@ -104,7 +104,7 @@ def delay_findings(track: Track, system: System, fit: EvidenceFit) -> DelayFindi
     Args:
         track: all of a track.
         system: candidate with a gain, whose response is kept.
-        fit: its fit to all of the track.
+        fit: fit of the candidate to all of the track.
     """
     response = response_name(system.swimmer)
 
@@ -137,9 +137,9 @@ def finding_sentences(
     """The verdict on one track.
 
     Args:
-        selection: its selection.
-        estimates: of the chosen candidate.
-        delays: from `delay_findings`; None where nothing was commanded.
+        selection: selection on the track.
+        estimates: quantities of the chosen candidate.
+        delays: result of `delay_findings`; None where nothing was commanded.
     """
     sentences = [
         _choice(selection),
@@ -180,9 +180,9 @@ def choice(chosen: str, response: str, evidence: dict[str, float]) -> str:
     """The chosen model, and why it is that one where another has more evidence.
 
     Args:
-        chosen: its name.
-        response: what becomes of its speed at high frequencies.
-        evidence: of each response without delay [nats]; empty without commands.
+        chosen: name of the chosen candidate.
+        response: name of its response to high frequencies.
+        evidence: log evidence of each response [nats]; empty without commands.
     """
     best = max(evidence, key=lambda name: evidence[name], default=response)
     if best == response:
@@ -213,8 +213,8 @@ def shortcomings(row: Row, baseline: Row) -> list[str]:
     """Sentences on a prediction that is poor, or judged on little; mostly none.
 
     Args:
-        row: of the chosen candidate.
-        baseline: of least squares.
+        row: line of the chosen candidate.
+        baseline: line of least squares.
     """
     sentences = []
     if row.velocity_r2 < FEEBLE:
@@ -244,11 +244,11 @@ def shortcomings(row: Row, baseline: Row) -> list[str]:
 
 
 def extrapolation(train: Track, held_out: Track) -> str:
-    """What is said where the test part is faster than all that trained, or nothing.
+    """A sentence where the test part is faster than all that trained, or nothing.
 
     Args:
         train: the training part of a track.
-        held_out: its test part.
+        held_out: test part of the track.
     """
     observed, asked = (
         max(float(piece.commands["frequency"].max()) for piece in part.pieces)
@@ -364,7 +364,7 @@ def _gain(selection: Selection, label: str, meaning: str) -> str:
 
 
 def _wandering(selection: Selection) -> str:
-    """Whether the gain wanders, and by how much where the bands allow for it."""
+    """A sentence on a gain that wanders, and by how much where the bands allow it."""
     text = _gain(selection, "wandering gain", "a gain that wanders")
     if selection.wandering is None:
         return text

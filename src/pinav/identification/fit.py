@@ -96,7 +96,7 @@ STARTS = (0.1, 0.4)
 
 
 WHITE = ("wandering.memory", BLOCK_NOISE)
-"""What is small where the velocity of a track is nearly white."""
+"""Noise that is small where the velocity of a track is nearly white."""
 
 
 class Search:
@@ -108,7 +108,7 @@ class Search:
         prior: prior of all coordinates.
         base: coordinates of those that are not open.
         field: displacements by a field whose weights have unit prior variances.
-        evaluations: of the likelihood so far.
+        evaluations: number of evaluations of the likelihood so far.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class Search:
         self.latest: tuple[bytes, CommandedPath] | None = None
 
     def begins(self, start: EvidenceFit | None) -> list[np.ndarray]:
-        """Where searches begin: at the prior, or where a simpler candidate ended.
+        """Starts of the search: the prior, or where a simpler candidate ended.
 
         Without one two kinds of noise are tried, a velocity that is remembered beside
         errors of positions, and one that is nearly white without them: the posterior
@@ -159,7 +159,7 @@ class Search:
         return [p for p in self.learned if p.path in start.constants]
 
     def sizes(self, start: EvidenceFit | None) -> Float[np.ndarray, " learned"]:
-        """Over what each parameter matters: its deviation in a simpler candidate.
+        """Scale of each parameter: its deviation in a simpler candidate.
 
         It is that of the prior where no simpler candidate has the parameter.
         """
@@ -181,7 +181,7 @@ class Search:
 
     @property
     def linear(self) -> dict[str, int]:
-        """How many numbers of gain and drift are open, by their paths."""
+        """Number of open numbers of gain and drift, by their paths."""
         return {GAIN: int(self.present[:4].sum()), DRIFT: int(self.present[4:].sum())}
 
     def theta(self, learned: Float[np.ndarray, " learned"]) -> np.ndarray:
@@ -207,7 +207,7 @@ class Search:
         return value, slope
 
     def _evaluate(self, learned: Float[np.ndarray, " learned"]) -> Any:
-        """What `value_and_slope` gives, computed once for each point.
+        """Result of `value_and_slope`, computed once for each point.
 
         Curvatures and derivatives of the coefficients ask for the same points.
         """
@@ -224,7 +224,7 @@ class Search:
         return self.known[key]
 
     def _commanded_path(self, drive: Float[np.ndarray, "4"]) -> CommandedPath:
-        """It at a point, kept for the next one: there only the noise may differ."""
+        """The path at a point, kept for the next one: the noise alone may differ."""
         key = drive.tobytes()
         if self.latest is None or self.latest[0] != key:
             design = self.design

@@ -170,8 +170,8 @@ class Forecast(eqx.Module):
     Attributes:
         piece: segment that is predicted.
         path: displacement from its first sample [L].
-        slopes: of the displacement, by the unknowns of gain, drift and drive.
-        covariance: of those unknowns.
+        slopes: derivatives of the displacement by gain, drift and drive.
+        covariance: covariance of those unknowns.
         beyond: standard deviation of the displacement that another form of the
             response would add above the frequencies that were fitted [L].
         frame: variance of a single frame about the mean path [L²].
@@ -194,7 +194,7 @@ class Forecast(eqx.Module):
         return self.piece.states[first] + path - path[0]
 
     def variance(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
-        """Of a rollout: disturbance, unknowns, response, jitter at both ends [L²]."""
+        """Variance: disturbance, unknowns, response, jitter at both ends [L²]."""
         samples = slice(first, last + 1)
         # A rollout begins at an observed position: what the parameters moved before it
         # cancels.
@@ -207,7 +207,7 @@ class Forecast(eqx.Module):
         return wandering + unknown + response + frame + frame[:1]
 
     def _wandering(self, samples: slice) -> Float[np.ndarray, " sample"]:
-        """What the disturbance adds from a start without knowledge of it."""
+        """Variance by the disturbance from a start without knowledge of it [L²]."""
         frequency, _ = commands_of(self.piece)
         intervals = np.diff(self.piece.times[samples])
         more = (0, round_up_to(len(intervals), LEAST_SIZE) - len(intervals))
@@ -280,7 +280,7 @@ class Predictor(eqx.Module):
         )
 
     def _slopes(self, piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-        """Of a displacement by each unknown, and the covariance of the unknowns."""
+        """Slopes of a displacement by each unknown, and the covariance of these."""
         known, swimmer = self.wandering or self.fit, self.fit.model
         columns, places = [], []
         drive = drive_coordinates(swimmer)

@@ -26,13 +26,13 @@ class Disturbance(eqx.Module):
 
     Attributes:
         still: standard deviation of the quick velocity without drive [L T⁻¹].
-        driven: its growth, $\sigma^2 = \mathrm{still}^2 + \mathrm{driven}^2 \sqrt f$.
+        driven: growth, $\sigma^2 = \mathrm{still}^2 + \mathrm{driven}^2 \sqrt f$.
         memory: correlation time of the quick velocity [T].
         slow: standard deviation of the slow velocity [L T⁻¹].
-        slow_memory: its correlation time [T].
+        slow_memory: correlation time of the slow velocity [T].
         gain_wander: standard deviation of either part of $\gamma g$ [L per cycle].
-        gain_memory: its correlation time [T].
-        noise: of the mean position of a block [L].
+        gain_memory: correlation time of that gain [T].
+        noise: standard deviation of the mean position of a block [L].
     """
 
     still: Float[Array, ""]
@@ -57,7 +57,7 @@ class Transition(eqx.Module):
     """From one block to the next: state (p, z, u, g).
 
     Attributes:
-        matrix: of the mean.
+        matrix: matrix of the mean.
         noise: covariance that is added.
     """
 
@@ -77,7 +77,7 @@ def transitions(
 
     Args:
         intervals: between two times.
-        strength: of the quick velocity in each.
+        strength: standard deviation of the quick velocity in each [L T⁻¹].
         disturbance: memories, the slow velocity and the wandering gain.
         cycles: turns of the robot in each, along its heading.
     """
@@ -109,7 +109,7 @@ def _stack(rows: list[list[Array]]) -> Array:
 
 
 def _integrate(interval: Array, memory: Array, strength: Array) -> tuple[Array, ...]:
-    """What one process of variance 1 adds: reach, decay, and three covariances."""
+    """Reach and decay of one process of variance 1, and three covariances."""
     ratio = interval / memory
     decay = jnp.exp(-ratio)
     # 1 - exp(-ratio) without loss of digits where an interval is short.
@@ -130,11 +130,11 @@ SMALL = 1e-3
 
 
 class Innovations(eqx.Module):
-    """What each block adds to the ones before it, in its own standard deviation.
+    """Innovation of each block, in its own standard deviation.
 
     Attributes:
         columns: whitened columns, x + iy; zero where there is no block.
-        log_variance: of each innovation; zero where there is no block.
+        log_variance: logarithm of the variance of each; zero where there is no block.
     """
 
     columns: Complex[Array, "step column"]
@@ -154,7 +154,7 @@ def innovations(
         columns: observed positions and regressors at each block, x + iy.
         present: 1 for a block, 0 for padding, which comes last.
         begins: 1 for the first block of a segment.
-        transition: from each block to the next.
+        transition: transition from each block to the next.
         noise: standard deviation of an observed coordinate.
     """
 
@@ -206,7 +206,7 @@ def _product(matrix: Array, other: Array) -> Array:
 
 
 def update(ahead: State, row: Array, noise: Array) -> tuple[Array, Array, State]:
-    """What an observation adds, its variance, and the state that knows it."""
+    """Innovation of an observation, its variance, and the state that knows it."""
     mean, covariance = ahead
     variance = covariance[0, 0].real + noise**2
     column = covariance[:, 0]

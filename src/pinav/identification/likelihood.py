@@ -7,6 +7,7 @@ n innovations, k coefficients whose priors hold the information of one observati
 normal priors of the nonlinear parameters $\theta$.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -59,7 +60,7 @@ def apart(points: Complex[Array, " row *column"]) -> Float[Array, " twice *colum
 
 
 class Drive(eqx.Module):
-    """What moves the blocks of a track, as far as the noise depends on it.
+    """Motion of the blocks of a track, as far as the noise depends on it.
 
     Attributes:
         times: mean of each block [T].
@@ -140,13 +141,13 @@ class Regressors(NamedTuple):
 
     @property
     def drive(self) -> Drive:
-        """What moves the blocks."""
+        """Commands and cycles of the blocks."""
         return Drive(self.times, self.frequency, in_plane(self.cycles))
 
     def combine(
         self, columns: Complex[Array, "*shape 3"]
     ) -> Complex[Array, "*shape coefficient"]:
-        """What each coefficient makes of columns along x, along y and of time."""
+        """Column of each coefficient, from those along x, along y and of time."""
         gains = in_plane(jnp.swapaxes(self.gains, 1, 2))
         drifts = in_plane(self.drifts)
         by_gain = columns[..., :2] @ gains.T
@@ -166,7 +167,7 @@ class CommandedPath(NamedTuple):
 
 
 class Design(eqx.Module):
-    """What a candidate makes of a track, as arrays.
+    """A track as a candidate sees it, as arrays.
 
     Attributes:
         blocks: the track.
@@ -256,9 +257,9 @@ class Whitened(eqx.Module):
     """The least-squares problem that the filter leaves.
 
     Attributes:
-        rows: of the coefficients, gains before drifts; zero columns where absent.
-        field: of the weights of a field.
-        target: of the observed positions, x above y.
+        rows: columns of gains and then drifts; zero where absent.
+        field: columns of the weights of a field.
+        target: observed positions, x above y.
         log_variance: sum over the innovations of one axis.
         count: number of innovations of one axis.
     """
@@ -317,6 +318,18 @@ def block_means(values: Array, blocks: Blocks) -> Array:
     return total / jnp.maximum(blocks.counts, 1.0)[:, None]
 
 
+def path_displacement(
+    velocity: Callable[[Any, Any], Array], blocks: Blocks
+) -> Float[Array, "block 2"]:
+    """Block means of a velocity field integrated along the observed path."""
+    rates = jax.vmap(velocity)(blocks.times, blocks.positions)
+    middle = (rates[1:] + rates[:-1]) / 2
+    # Leaps between segments add a constant, which the filter forgets at each begin.
+    steps = middle * jnp.diff(blocks.times)[:, None]
+    path = jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(steps, axis=0)])
+    return block_means(path, blocks)
+
+
 @eqx.filter_jit
 def whiten(
     theta: Float[Array, " parameter"],
@@ -356,7 +369,7 @@ def evidence_and_coefficients(
 
     Args:
         theta: nonlinear parameters.
-        regressors: of the candidate, moved by its commands.
+        regressors: those of the candidate, moved by its commands.
         field: displacements by a field; none unless given.
 
     Returns:

@@ -55,7 +55,7 @@ class Parameter(NamedTuple):
     Attributes:
         path: place in a swimmer; of the noise, its name among the constants of a fit.
         name: name among the estimates of a track.
-        scale: its coordinate.
+        scale: coordinate in which a search moves it.
         absent: coordinate where a system has not this number.
     """
 
@@ -123,7 +123,7 @@ def learned_parameters(
     """The parameters that a system leaves open, in their order.
 
     Args:
-        system: its `learn` names those of the propulsion; a drift that changes is
+        system: `learn` names those of the propulsion; a drift that changes is
             learned where its wandering velocity has one.
         wandering_gain: learn a gain that wanders, too.
     """

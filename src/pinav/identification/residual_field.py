@@ -20,7 +20,6 @@ from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.engine.steps import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
-from pinav.identification.displacement_field import path_displacement
 from pinav.identification.forecast import path_of
 from pinav.identification.likelihood import (
     Design,
@@ -28,6 +27,7 @@ from pinav.identification.likelihood import (
     apart,
     in_plane,
     innovations_of_columns,
+    path_displacement,
     whiten,
 )
 from pinav.identification.parameters import fitted_coordinates
@@ -70,8 +70,8 @@ def fit_residual(
     Args:
         track: positions and commands that are fitted.
         system: candidate that the residual is added to.
-        base: its fit to the same track.
-        environment: from `kernel_environment` or `neural_environment`, untrained.
+        base: fit of the candidate to the same track.
+        environment: untrained force of `kernel_environment` or `neural_environment`.
     """
     with jax.enable_x64(new_val=True):
         design = _BaseDesign.of(track, system, base)
@@ -105,9 +105,9 @@ class FilteredDisplacement(eqx.Module):
     Attributes:
         theta: parameters of the candidate's filter.
         blocks: the observed path.
-        drive: what moves the blocks.
+        drive: commands and cycles of the blocks.
         target: whitened displacements.
-        basis: of what gain and drift can explain, orthonormal; it is projected out.
+        basis: orthonormal basis of what gain and drift explain; it is projected out.
     """
 
     theta: Float[Array, " parameter"]
@@ -130,7 +130,7 @@ class FilteredDisplacement(eqx.Module):
         return self.project(self.displacement(environment) - self.target)
 
     def project(self, values: Float[Array, " row"]) -> Float[Array, " row"]:
-        """What gain and drift cannot explain."""
+        """The part of values that gain and drift cannot explain."""
         return values - self.basis @ (self.basis.T @ values)
 
 
@@ -139,7 +139,7 @@ class _BaseDesign(eqx.Module):
 
     Attributes:
         rows: whitened regressors that occur.
-        residuals: of the residual field.
+        residuals: whitened residuals by the residual field.
         num_free: whitened displacements less regressors.
         num_gains: regressors that belong to the gain.
     """

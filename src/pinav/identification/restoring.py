@@ -54,7 +54,7 @@ class RestoringForce(eqx.Module):
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:
-        """Where nothing pulls [L]."""
+        """Place where nothing pulls [L]."""
         return -np.linalg.lstsq(self.pull, self.offset)[0]
 
     def sentence(self, decisive: float) -> str:
@@ -85,7 +85,7 @@ def restoring_force(train: Track, held_out: Track) -> RestoringForce:
 
     Args:
         train: part of a track without commands.
-        held_out: its other part.
+        held_out: other part of that track.
 
     Raises:
         InputError: the training part is too short.

@@ -26,7 +26,7 @@ class Rollouts(eqx.Module):
     """Rollouts of one horizon over a track, each from an observed position.
 
     Attributes:
-        piece: in which segment each starts.
+        piece: segment in which each starts.
         first: sample at which it starts.
         last: sample at which it ends.
     """
@@ -63,7 +63,7 @@ class Rollouts(eqx.Module):
 def changes_along(
     track: Track, rollouts: Rollouts, path: Displacement
 ) -> Float[np.ndarray, "rollout column"]:
-    """What a path of each segment adds from the start of each rollout to its end."""
+    """Change of a path of each segment from the start of each rollout to its end."""
     paths = [path(piece) for piece in track.pieces]
     places = zip(rollouts.piece, rollouts.first, rollouts.last, strict=True)
     rows = [paths[index][b] - paths[index][a] for index, a, b in places]
@@ -119,7 +119,7 @@ def _cumulated_length(piece: Trajectory) -> Float[np.ndarray, "time 1"]:
 
 
 class Coverage(eqx.Module):
-    """How often rollouts stayed within their nominal band.
+    """Share of rollouts within their nominal band.
 
     Attributes:
         inside: share of all coordinates at all samples after the start.
@@ -154,14 +154,14 @@ LENGTHS = np.array([0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0])
 """Lengths of rollouts at which errors are given [s]."""
 
 RADIUS_90 = math.sqrt(-2 * math.log(0.1))
-"""Of the circle that holds 90 % of a normal number in the plane, in its deviations."""
+"""Radius of the circle that holds 90 % of a normal point in the plane [sd]."""
 
 
 class ErrorGrowth(eqx.Module):
     """End-point errors of rollouts by their length.
 
     Attributes:
-        lengths: of the rollouts that fit into the track [s].
+        lengths: lengths of rollouts that fit into the track [s].
         errors: 10 % quantile, median and 90 % quantile over rollouts [L].
         reference: median of another model [L].
         promised: radius within which the model's own bands expect 90 % of the ends,
@@ -271,7 +271,7 @@ class ShownRollout(eqx.Module):
     """A rollout on the held-out part of a track, as figures show it.
 
     Attributes:
-        start: when it begins [T].
+        start: time at which it begins [T].
         observed: observed positions [L].
         predicted: predicted ones, from the first observed one on [L].
         sd: standard deviation of the predicted end along each axis [L].
@@ -337,7 +337,7 @@ class SpeedLaw(eqx.Module):
         frequency: commanded frequency of some blocks of the track [Hz].
         speed: observed along the turned heading in each [L T⁻¹].
         places: frequencies of the fitted law [Hz].
-        fitted: its speed [L T⁻¹].
+        fitted: speed of that law [L T⁻¹].
         sd: standard deviation of that speed [L T⁻¹].
     """
 

@@ -102,8 +102,8 @@ class Selection(eqx.Module):
 
     Attributes:
         track: all of it.
-        train: its training part.
-        held_out: its test part.
+        train: first part of the track, which trains.
+        held_out: rest of the track, which judges.
         rows: the table.
         candidates: systems that were fitted, by name.
         fits: their fits to the training part.
@@ -378,7 +378,7 @@ def _r2(
 
 
 GRID = KernelGrid(across=6, margin=2.0)
-"""Of kernels: coarse, because a residual by position is a question, not a map."""
+"""Coarse grid of kernels: a residual by position is a question, not a map."""
 
 
 def _kernels(kind: Any) -> Callable[[Track], Any]:

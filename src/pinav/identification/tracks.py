@@ -43,7 +43,7 @@ class Track(eqx.Module):
 
     @property
     def commanded(self) -> bool:
-        """Whether frequency and heading were recorded, and ever asked for motion."""
+        """True where frequency and heading were recorded and ever asked for motion."""
         if not {"frequency", "heading"} <= set(self.pieces[0].commands):
             return False
         return any(np.any(piece.commands["frequency"] != 0) for piece in self.pieces)
@@ -97,7 +97,7 @@ def trajectories_of(
 
     Args:
         recording: the whole recording.
-        name: of the track, as in `tracks`.
+        name: name of the track, as in `tracks`.
         pooled: see `tracks`.
     """
     names = _names(recording, pooled=pooled)
@@ -119,7 +119,7 @@ def one_track(data: Trajectories, name: str) -> Track:
 
     Args:
         data: positions of one robot, or of robots that one system describes.
-        name: of the track.
+        name: name of the track.
 
     Raises:
         InputError: the channels are not x and y, or nothing is long enough to fit.
@@ -294,13 +294,13 @@ class Blocks(NamedTuple):
     A tuple, which passes into a compiled program more quickly than a module does.
 
     Attributes:
-        times: of each sample [s], increasing, in the padding too; segments that
+        times: time of each sample [s], increasing, in the padding too; segments that
             overlap are put one after the other.
-        positions: of each sample [L].
+        positions: position of each sample [L].
         frequency: commanded [Hz]; 0 where nothing was recorded.
         heading: commanded [rad].
-        real: which samples are no padding.
-        block: to which block each sample belongs.
+        real: True for samples that are no padding.
+        block: number of the block of each sample.
         counts: samples in each block; 0 in padding.
         begins: 1 where a segment begins with the block.
     """

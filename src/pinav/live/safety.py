@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.special import log_ndtr
 
 from pinav.identification.running import RunningFit, forecast
-from pinav.navigation.control.escapes import DEVIATIONS, choose_command
+from pinav.navigation.adaptive.safety import DEVIATIONS, choose_command
 
 AHEAD = 2.0
 """Time for which a way out is followed by the tube [s]."""

@@ -17,6 +17,7 @@ from pinav.navigation.control.compensation import DelayCompensation as DelayComp
 from pinav.navigation.control.compensation import DriftEstimation as DriftEstimation
 from pinav.navigation.control.controller import AbstractController as AbstractController
 from pinav.navigation.control.controller import Observation as Observation
+from pinav.navigation.control.controller import StraightLine as StraightLine
 from pinav.navigation.control.costs import ArrivalCost as ArrivalCost
 from pinav.navigation.control.costs import TrackingCost as TrackingCost
 from pinav.navigation.control.default import controller as controller
@@ -26,9 +27,6 @@ from pinav.navigation.control.prediction import GradientGuide as GradientGuide
 from pinav.navigation.control.prediction import (
     TrajectoryPrediction as TrajectoryPrediction,
 )
-from pinav.navigation.control.simple import StraightLine as StraightLine
-from pinav.navigation.control.simple import physics_only as physics_only
-from pinav.navigation.control.simple import steered_swimmer as steered_swimmer
 from pinav.navigation.design.candidates import (
     CandidateTrajectories as CandidateTrajectories,
 )
@@ -70,7 +68,9 @@ from pinav.navigation.task.steering import CommandLimits as CommandLimits
 from pinav.navigation.task.steering import HelicalActuator as HelicalActuator
 from pinav.navigation.task.steering import RollingActuator as RollingActuator
 from pinav.navigation.task.steering import SteeredSwimmer as SteeredSwimmer
+from pinav.navigation.task.steering import physics_only as physics_only
 from pinav.navigation.task.task import Task as Task
+from pinav.navigation.task.task import steered_swimmer as steered_swimmer
 from pinav.navigation.task.zones import AbstractZone as AbstractZone
 from pinav.navigation.task.zones import Behind as Behind
 from pinav.navigation.task.zones import Disc as Disc

@@ -11,9 +11,8 @@ from pinav.fitting import Posterior
 from pinav.navigation.adaptive.scores import ORACLE
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
-from pinav.navigation.control.simple import physics_only
 from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.steering import SteeredSwimmer, greatest_thrust
+from pinav.navigation.task.steering import SteeredSwimmer, greatest_thrust, physics_only
 from pinav.navigation.task.task import Task
 from pinav.navigation.trials.closed_loop import Episodes, concatenate_episodes, run_many
 from pinav.trajectories import Trajectories

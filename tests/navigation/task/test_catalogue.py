@@ -8,7 +8,7 @@ import pytest
 
 from pinav.dynamics import Swimmer
 from pinav.errors import InputError
-from pinav.navigation.control.simple import StraightLine
+from pinav.navigation.control.controller import StraightLine
 from pinav.navigation.task import catalogue as tasks
 from pinav.navigation.task.objectives import FollowPath, ReachGoal
 from pinav.navigation.task.steering import greatest_thrust

@@ -86,7 +86,7 @@ def test_regret_needs_pairs_and_an_oracle_that_arrives():
 def test_summary_of_a_straight_run():
     task = open_water(objective=ReachGoal([1.0, 0.0], 0.25))
     found = metrics.summary(run_many(task, AHEAD, KEYS), task)
-    assert (found.count, found.success.value, found.violation.value) == (4, 1.0, 0.0)
+    assert (found.runs, found.success.value, found.violation.value) == (4, 1.0, 0.0)
     np.testing.assert_allclose(found.arrival, [0.75] * 3)
     np.testing.assert_allclose(found.efficiency, 1.0)
     np.testing.assert_allclose(found.effort, 0.8)  # eight steps at frequency 1

@@ -8,6 +8,8 @@ COMPARE = Command(
     options="pinav.commands.compare.settings:CompareOptions",
     run="pinav.commands.compare.job:run",
     title="A comparison of models",
-    report="pinav.commands.compare.report:comparison_sections",
+    result="pinav.commands.compare.result:Comparison",
+    file="metrics",
+    sections="pinav.commands.compare.sections:sections",
     resumable=True,
 )

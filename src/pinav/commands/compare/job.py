@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
-from pinav.commands.cells import EstimateRow
 from pinav.commands.command import CommandResult
 from pinav.commands.compare import COMPARE
-from pinav.commands.compare.metrics import Candidate, CompareMetrics, Verdict
+from pinav.commands.compare.result import Candidate, Comparison, Verdict
 from pinav.commands.compare.settings import CompareOptions, CompareSettings
 from pinav.commands.progress import Reporter
+from pinav.commands.results import keep
 from pinav.commands.start import fingerprint, start_run
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
@@ -24,7 +24,6 @@ from pinav.fitting.environments.summary import DataSummary, summarise_for
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.learning.constants import rotational_part
 from pinav.learning.system_choice import choose_system
-from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories, load, with_missing_channels
@@ -84,20 +83,16 @@ def check_settings(settings: CompareSettings, data: Trajectories) -> System:
 
 def compare(
     settings: CompareSettings, data: Trajectories, folder: RunFolder
-) -> CompareMetrics:
+) -> Comparison:
     """Fit each model and weigh their evidence; a finished fit is not done again."""
     known = check_settings(settings, data)
     rows: dict[str, Candidate] = {}
     for name in dict.fromkeys(settings.models):
-        stored = f"evidence-{name}.json"
-        if not folder.has(stored):
-            folder.write_metrics(
-                stored, _candidate(name, settings, known, data, folder)
-            )
-        rows[name] = folder.read_metrics(stored, Candidate)
-    metrics = CompareMetrics(rows, tuple(verdicts(rows)))
-    folder.write_metrics("metrics.json", metrics)
-    return metrics
+        stored = f"evidence-{name}"
+        if not folder.has(f"{stored}.json"):
+            folder.store(stored, _candidate(name, settings, known, data, folder))
+        rows[name] = folder.load(stored, Candidate)
+    return Comparison(rows, tuple(verdicts(rows)))
 
 
 def _candidate(
@@ -112,16 +107,12 @@ def _candidate(
         result = fit_model(name, settings, known, data, folder)
     except FitError as error:
         return Candidate("failed", reason=str(error))
-    evidence = model_evidence(result.linear, result.hyperparameters)
-    rotational = rotational_part(result, data).get("rotational fraction")
     return Candidate(
         outcome=str(result.outcome),
-        log_evidence=float(evidence.log_evidence),
-        best=float(evidence.best),
-        correction=float(evidence.correction),
+        evidence=model_evidence(result.linear, result.hyperparameters),
         noise=float(result.hyperparameters.noise),
         weights=len(result.posterior.mean),
-        rotational_fraction=rotational and EstimateRow.of(rotational),
+        rotational_fraction=rotational_part(result, data).get("rotational fraction"),
     )
 
 
@@ -231,22 +222,9 @@ def _caveats(rows: dict[str, Candidate], names: tuple[str, str]) -> str:
 CONVERGED = str(Outcome.CONVERGED)
 
 
-def text(metrics: CompareMetrics) -> str:
-    """The table and the verdicts for a terminal."""
-    fractions = [
-        f"rotational fraction of {name} where there are data: {part.value:.3f} ± "
-        f"{part.sd:.2g} (sd)"
-        for name, row in metrics.models.items()
-        if (part := row.rotational_fraction)
-    ]
-    sentences = [verdict.text for verdict in metrics.verdicts]
-    return "\n".join([as_text(metrics.table()), *fractions, *sentences])
-
-
 def run(options: CompareOptions) -> CommandResult:
     """Compare as the command line does."""
     settings, data = options.settings, load(options.data)
     check_settings(settings, data)
     folder = start_run(COMPARE, options, settings, data=fingerprint(data))
-    metrics = compare(settings, data, folder)
-    return CommandResult(metrics, text(metrics), folder)
+    return keep(COMPARE, folder, compare(settings, data, folder))

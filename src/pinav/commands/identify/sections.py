@@ -5,15 +5,15 @@ from collections.abc import Callable
 from pinav.figures.identification import (
     growth_figure,
     horizons_figure,
-    overlay_figure,
+    pixels_figure,
     rollouts_figure,
     speed_figure,
 )
 from pinav.fitting import Estimate
 from pinav.identification import Identification, IdentifiedTrack, Row
+from pinav.identification.estimates import QUANTITIES, Quantity
 from pinav.identification.findings import interval, positive_interval
 from pinav.identification.identify import SHOWN, pooled_coverage
-from pinav.identification.quantities import QUANTITIES, Quantity
 from pinav.identification.rollouts import HORIZONS
 from pinav.identification.selection import LEAST_SQUARES
 from pinav.report import AbstractBlock, Cell, Paragraph, Section, Table
@@ -143,7 +143,7 @@ def _track(
     if track.law is not None:
         blocks.append(speed_figure(track.law, f"speed-{index}", units))
     if track.image_paths is not None:
-        blocks.append(overlay_figure(track.image_paths, f"image-{index}"))
+        blocks.append(pixels_figure(track.image_paths, f"image-{index}"))
     return blocks
 
 

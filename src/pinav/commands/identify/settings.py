@@ -8,7 +8,7 @@ from pinav.commands.worker_settings import FilesOptions
 
 
 class IdentifySettings(Settings, frozen=True):
-    """How a recording is split, and how much is fitted.
+    """Split of a recording, and the models that are fitted.
 
     Attributes:
         train_fraction: First part of each track's time that trains.

@@ -1,17 +1,17 @@
 """The findings of `pinav navigate --learn-online`, on a terminal and in a report."""
 
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from pinav.commands.navigate.words import known, percent_interval, ratio_interval
 from pinav.figures.animation import Trails, save_animation
 from pinav.figures.images import Movie, Picture
 from pinav.figures.learning import bands_figure, moments_figure
 from pinav.figures.navigation import greatest_force, outcome_bars, paths_map
 from pinav.figures.style import DIMENSIONLESS, new_figure, with_unit
-from pinav.navigation import OnlineNavigation, Outcome
+from pinav.navigation import Interval, OnlineNavigation, Outcome
 from pinav.report import Cell, Paragraph, Section, Table, quantity
 
 DRAWN = 8
@@ -156,3 +156,22 @@ def _animation(result: OnlineNavigation) -> Movie:
         lambda file: save_animation(course, maps, trails, file, units=result.units),
         "One flight of each controller with the same noise.",
     )
+
+
+def percent_interval(interval: Interval) -> str:
+    """The interval of a proportion."""
+    parts = interval.value, interval.lower, interval.upper
+    value, lower, upper = (100 * part for part in parts)
+    return f"{value:.0f} % ({lower:.0f}–{upper:.0f})"
+
+
+def ratio_interval(interval: Interval) -> str:
+    """The interval of a ratio."""
+    parts = interval.value, interval.lower, interval.upper
+    value, lower, upper = ("∞" if math.isinf(p) else f"{p:.3f}" for p in parts)
+    return f"{value} ({lower}–{upper})"
+
+
+def known(value: float) -> float | None:
+    """A number, or none where nobody arrived."""
+    return None if math.isnan(value) else value

@@ -6,8 +6,12 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from pinav.commands.navigate.online_sections import online_sections
-from pinav.commands.navigate.words import known, percent_interval, ratio_interval
+from pinav.commands.navigate.online_sections import (
+    known,
+    online_sections,
+    percent_interval,
+    ratio_interval,
+)
 from pinav.figures.animation import Trails, save_animation
 from pinav.figures.images import Movie, Picture
 from pinav.figures.navigation import closed_loop_figure, outcome_bars, plan_map

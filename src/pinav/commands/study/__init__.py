@@ -6,8 +6,10 @@ STUDY = Command(
     name="study",
     summary="compare models over the amount of data or of noise",
     options="pinav.commands.study.settings:StudyOptions",
-    run="pinav.commands.study.run:run",
+    run="pinav.commands.study.job:run",
     title="A study of models",
-    report="pinav.commands.study.report:study_sections",
+    result="pinav.commands.study.result:Study",
+    file="metrics",
+    sections="pinav.commands.study.sections:sections",
     resumable=True,
 )

@@ -4,6 +4,7 @@ Every cell of a study is one fit, made as `pinav fit` would, and scored on clean
 trajectories from starts that no fit has seen. A cell that is done is not done again.
 """
 
+import dataclasses
 import functools
 from pathlib import Path
 
@@ -11,16 +12,15 @@ import equinox as eqx
 import jax
 import msgspec
 
-from pinav.commands.cells import as_cell
+from pinav.codec import decode, encode
+from pinav.commands.command import CommandResult
+from pinav.commands.results import keep
 from pinav.commands.settings import ModelName
-from pinav.commands.study.metrics import (
-    HEADER,
-    DataEfficiencyMetrics,
-    NoiseMetrics,
-    StudyRow,
-)
-from pinav.commands.study.settings import StudySettings
-from pinav.commands.sweep import Sweep
+from pinav.commands.study import STUDY
+from pinav.commands.study.result import Study, StudyFit
+from pinav.commands.study.sections import COLUMNS, csv_rows
+from pinav.commands.study.settings import StudyOptions, StudySettings
+from pinav.commands.sweep import Sweep, start_sweep, status_text
 from pinav.dynamics import AbstractDynamics
 from pinav.errors import FitError, InputError
 from pinav.evaluation import (
@@ -43,11 +43,11 @@ from pinav.fitting.environments.summary import summarise_data, summarise_for
 from pinav.learning.matching import matching
 from pinav.learning.recipes import Curriculum
 from pinav.scenarios import scenario
-from pinav.sweeps import Cell, CellStore, Outcome
+from pinav.sweeps import Cell, CellStore, Outcome, sweep_status
 from pinav.systems import System
 from pinav.trajectories import GaussianNoise, Trajectories, degrade, simulate
 
-ROW_FILE, TASK = "row.json", "pinav.commands.study.job:do_cell"
+FIT_FILE, TASK = "fit.json", "pinav.commands.study.job:do_cell"
 
 NESTED = 32
 """Trajectories that are simulated for each seed at least: of one shape, compiled once,
@@ -75,7 +75,7 @@ class StudyCell(msgspec.Struct, frozen=True):
 def cells(name: str, world: str, settings: StudySettings) -> list[Cell]:
     """The fits of a study, small ones first."""
     grid = [(count, settings.sigma) for count in settings.counts]
-    if name == NoiseMetrics.name:
+    if name == "noise":
         grid = [(settings.count, sigma) for sigma in settings.sigmas]
     return [
         Cell.of(
@@ -92,10 +92,8 @@ def cells(name: str, world: str, settings: StudySettings) -> list[Cell]:
     ]
 
 
-def study(
-    name: str, world: str, settings: StudySettings, sweep: Sweep
-) -> DataEfficiencyMetrics | NoiseMetrics:
-    """Fit and score every cell, and write the table.
+def study(name: str, world: str, settings: StudySettings, sweep: Sweep) -> Study:
+    """Fit and score every cell.
 
     Args:
         name: `data-efficiency` or `noise`.
@@ -103,40 +101,25 @@ def study(
         settings: which models, seeds and data.
         sweep: the run; what it holds is not done again.
 
-    Returns:
-        The content of `metrics.json`.
-
     Raises:
         InputError: the scenario is unknown, or of a kind that `pinav fit` cannot use.
     """
     chosen = cells(name, world, settings)
     outcomes = sweep.run(chosen, name)
-    table = tuple(
-        _row_of(cell, outcome, sweep.store)
-        for cell, outcome in zip(chosen, outcomes, strict=True)
-    )
-    folder = sweep.folder
-    folder.write_table(
-        "study.csv",
-        HEADER,
-        [["" if v is None else v for v in msgspec.structs.astuple(r)] for r in table],
-    )
-    kind = NoiseMetrics if name == NoiseMetrics.name else DataEfficiencyMetrics
-    metrics = kind(world, table)
-    folder.write_metrics("metrics.json", metrics)
-    return metrics
+    fits = map(_fit_of, chosen, outcomes, [sweep.store] * len(chosen))
+    return Study(name, world, tuple(fits))
 
 
-def _row_of(cell: Cell, outcome: Outcome, store: CellStore) -> StudyRow:
-    """The row of a cell that is done; one that failed has no scores."""
-    if not outcome.failure:
-        return store.read_result(cell, ROW_FILE, StudyRow)
-    return _empty_row(cell, f"failed: {outcome.failure}")
+def _fit_of(cell: Cell, outcome: Outcome, store: CellStore) -> StudyFit:
+    """The fit of a cell that is done; one that failed has no scores."""
+    if outcome.failure:
+        return _without_scores(cell, f"failed: {outcome.failure}")
+    return decode(StudyFit, store.read_result(cell, FIT_FILE, dict), {})
 
 
-def _empty_row(cell: Cell, outcome: str = "") -> StudyRow:
+def _without_scores(cell: Cell, outcome: str) -> StudyFit:
     one = cell.read(StudyCell)
-    return StudyRow(one.model, cell.seed, one.count, one.sigma, outcome)
+    return StudyFit(one.model, cell.seed, one.count, one.sigma, outcome)
 
 
 def do_cell(cell: Cell, folder: Path) -> None:
@@ -149,15 +132,12 @@ def do_cell(cell: Cell, folder: Path) -> None:
     clean = _several(cell.system, cell.seed, max(one.count, NESTED))
     clean = clean.select(range(one.count))
     data = with_noise(clean, one.sigma, cell.seed)
-    model, outcome = _fit_cell(one, cell.seed, known, data)
-    row = with_scores(
-        _empty_row(cell, outcome),
-        model,
-        known,
-        clean,
-        _held_out(cell.system, one.held_out),
-    )
-    write_text(folder / ROW_FILE, msgspec.json.encode(row).decode())
+    choice = ModelChoice(one.model, seed=cell.seed)
+    model, outcome = fit_choice(choice, known.swimmer, data, max_steps=one.max_steps)
+    held = _held_out(cell.system, one.held_out)
+    fit = with_scores(_without_scores(cell, outcome), model, known, clean, held)
+    document = msgspec.json.encode(encode(fit).document)
+    write_text(folder / FIT_FILE, document.decode())
 
 
 @functools.lru_cache(maxsize=2)
@@ -176,7 +156,7 @@ def check(name: str, world: str, settings: StudySettings) -> None:
     Raises:
         InputError: the scenario is unknown, stochastic or has too few starts.
     """
-    counts = (settings.count,) if name == NoiseMetrics.name else settings.counts
+    counts = (settings.count,) if name == "noise" else settings.counts
     for count in counts:
         chosen = scenario(world, count=count)
         if chosen.thermal_energy is not None:
@@ -209,13 +189,6 @@ def with_noise(clean: Trajectories, sigma: float, seed: int) -> Trajectories:
     """
     _, noise_key = jax.random.split(jax.random.key(seed))
     return degrade(clean, [GaussianNoise(sigma)], key=noise_key) if sigma else clean
-
-
-def _fit_cell(
-    one: StudyCell, seed: int, known: System, data: Trajectories
-) -> tuple[AbstractDynamics, str]:
-    choice = ModelChoice(one.model, seed=seed)
-    return fit_choice(choice, known.swimmer, data, max_steps=one.max_steps)
 
 
 def fit_choice(
@@ -253,40 +226,42 @@ def fit_choice(
 
 
 def with_scores(
-    row: StudyRow,
+    fit: StudyFit,
     model: AbstractDynamics,
     known: System,
     training: Trajectories,
     held: Trajectories,
-) -> StudyRow:
-    """The row with the errors of the force by region, and of rollouts.
+) -> StudyFit:
+    """The fit with the errors of its force by region, and of rollouts.
 
     Args:
-        row: of the table.
-        model: a fitted one.
+        fit: without them.
+        model: the fitted model.
         known: the scenario, whose force is the truth.
         training: what the model was fitted to, without noise: the regions are the same
             for every noise.
         held: clean trajectories to predict; the grid is the square around them.
     """
     ys, _ = predict(model, held)
-    whole = summarise(position_errors(ys, held, domain=extent(held)))
-    row = msgspec.structs.replace(
-        row,
-        rollouts_median=as_cell(whole.median),
-        rollouts_high=as_cell(whole.high),
-        rollouts_diverged=as_cell(whole.diverged),
-    )
-    if not isinstance(model, KnownSwimmer):
-        return row
-    limits = square(held)
-    learned = field_map(model.environment, training, limits=limits)
-    true = field_map(known.true_swimmer.environment, training, limits=limits)
-    agreements = force_agreement(learned, true, default_regions(training))
-    return msgspec.structs.replace(
-        row,
-        force_visited=as_cell(agreements["visited"].error),
-        force_near=as_cell(agreements["near"].error),
-        force_unvisited=as_cell(agreements["unvisited"].error),
-        cosine_visited=as_cell(agreements["visited"].cosine),
-    )
+    rollouts = summarise(position_errors(ys, held, domain=extent(held)))
+    force = {}
+    if isinstance(model, KnownSwimmer):
+        limits = square(held)
+        learned = field_map(model.environment, training, limits=limits)
+        true = field_map(known.true_swimmer.environment, training, limits=limits)
+        force = force_agreement(learned, true, default_regions(training))
+    return dataclasses.replace(fit, force=force, rollouts=rollouts)
+
+
+def run(options: StudyOptions) -> CommandResult:
+    """Run a study as the command line does, or tell how far one is."""
+    name, world, settings = options.name, options.scenario, options.settings
+    if name == "status":
+        status = sweep_status(Path(world))
+        return CommandResult(status, status_text(status))
+    check(name, world, settings)
+    identity = {"study": name, "scenario": world}
+    with start_sweep(STUDY, options, options.workers, settings, **identity) as sweep:
+        found = study(name, world, settings, sweep)
+        sweep.folder.write_table("study.csv", tuple(COLUMNS), csv_rows(found))
+        return keep(STUDY, sweep.folder, found)

@@ -18,6 +18,7 @@ References:
 import dataclasses
 import functools
 from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -79,6 +80,8 @@ class ModelEvidence(eqx.Module):
 
     best: float
     correction: float
+
+    DERIVED: ClassVar = ("log_evidence",)
 
     @property
     def log_evidence(self) -> float:

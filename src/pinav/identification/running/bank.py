@@ -36,11 +36,11 @@ class Bank(eqx.Module):
     r"""States of all members.
 
     Attributes:
-        mean: of each member along each axis.
-        covariance: of each member, the same along both axes, over $\sigma^2$.
+        mean: mean state of each member along each axis.
+        covariance: that of each member, the same along both axes, over $\sigma^2$.
         log_weight: logarithm of the evidence of each member, less that of the best.
         squares: rate of the gamma posterior of $1/\sigma^2$ of each member.
-        count: its shape, the same for all.
+        count: shape of that posterior, the same for all.
     """
 
     mean: Float[np.ndarray, "member 2 5"]
@@ -51,7 +51,7 @@ class Bank(eqx.Module):
 
     @classmethod
     def prior(cls, log_prior: Float[np.ndarray, " member"], scale: float) -> "Bank":
-        """What is known before any block.
+        """The bank before any block.
 
         Args:
             log_prior: of the members.
@@ -152,7 +152,7 @@ def rows(
     interval: float | Float[np.ndarray, "*#batch 1"],
     memory: Float[np.ndarray, " member"],
 ) -> Float[np.ndarray, "*batch member 5"]:
-    """What each part of the state adds to the position after an interval [s]."""
+    """Displacement by each part of the state after an interval [s]."""
     row = np.empty((*cycles.shape[:-1], 5))
     row[..., P], row[..., B] = 1.0, interval
     row[..., W] = memory * -np.expm1(-interval / memory)
@@ -165,7 +165,7 @@ def wandering(
     memory: Float[np.ndarray, " member"],
     frequency: float | Float[np.ndarray, "*plan 1"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    r"""What wandering adds in an interval to the variances, over $\sigma^2$.
+    r"""Variances that wandering adds in an interval, over $\sigma^2$.
 
     Of the position, of position with velocity, and of the velocity: exact, as in
     `pinav.identification.kalman`, for the strength at a frequency [Hz].

@@ -1,11 +1,11 @@
-"""Where a robot is, and where commands will bring it, by the mixture of the bank."""
+"""Position of a robot now and under commands, by the mixture of the bank."""
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from pinav.identification.running.bank import Bank, G, P, W, rows, wandering
-from pinav.identification.running.commands import effective_rates
+from pinav.identification.running.drives import effective_rates
 from pinav.identification.running.running_fit import RunningFit
 
 MEMBERS = 48
@@ -17,7 +17,7 @@ class DriveForecast(eqx.Module):
 
     Attributes:
         displacement: mean of the mixture [L].
-        variance: of each coordinate, jitter of frames left out [L²].
+        variance: variance of each coordinate, jitter of frames left out [L²].
     """
 
     displacement: Float[np.ndarray, "*plan time 2"]
@@ -28,12 +28,12 @@ class _Members(eqx.Module):
     """The members that are asked.
 
     Attributes:
-        drive: of each.
-        memory: of each [s].
-        weight: of each; they add up to one.
-        mean: as in the bank.
-        covariance: as in the bank, times the unit of variance.
-        unit: of variance [L² T⁻²].
+        drive: drive of each member.
+        memory: correlation time of each member [s].
+        weight: weight of each member; they add up to one.
+        mean: mean states, as in the bank.
+        covariance: covariances of the bank, times the unit of variance.
+        unit: unit of variance [L² T⁻²].
     """
 
     drive: np.ndarray
@@ -162,7 +162,7 @@ def _wandering(
 
     Args:
         elapsed: since the start [s].
-        memory: of each member [s].
+        memory: correlation time of each member [s].
         frequency: held from each time on [Hz].
         fresh: part of the present variance that is not in the covariance of a member.
     """
@@ -186,7 +186,7 @@ class DriveEstimate(eqx.Module):
     """The numbers that people ask for, with standard deviations.
 
     Attributes:
-        delay: from command to motion [s].
+        delay: time from command to motion [s].
         delay_sd: [s].
         gain: speed at 1 Hz, over the frequency [L per cycle].
         gain_sd: [L per cycle].

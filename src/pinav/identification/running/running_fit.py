@@ -7,9 +7,70 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.identification.running.bank import Bank
-from pinav.identification.running.commands import REACH, CommandHistory
-from pinav.identification.running.frames import Frames
-from pinav.identification.running.grid import DriveGrid
+from pinav.identification.running.drives import REACH, CommandHistory, DriveGrid
+
+
+class Frames(eqx.Module):
+    """Positions and commands, in the order of time.
+
+    Attributes:
+        times: [s].
+        positions: [L]; NaN where the robot was not seen.
+        frequency: applied from each time on [Hz].
+        heading: likewise [rad].
+    """
+
+    times: Float[np.ndarray, " frame"]
+    positions: Float[np.ndarray, "frame 2"]
+    frequency: Float[np.ndarray, " frame"]
+    heading: Float[np.ndarray, " frame"]
+
+    @classmethod
+    def none(cls) -> "Frames":
+        """No frame."""
+        return cls(np.empty(0), np.empty((0, 2)), np.empty(0), np.empty(0))
+
+    @classmethod
+    def one(
+        cls,
+        time: float,
+        position: tuple[float, float] | None,
+        frequency: float,
+        heading: float,
+    ) -> "Frames":
+        """A single frame; no position where the robot was not seen."""
+        place = (np.nan, np.nan) if position is None else position
+        return cls(
+            np.array([time], float),
+            np.array([place], float),
+            np.array([frequency], float),
+            np.array([heading], float),
+        )
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __add__(self, later: "Frames") -> "Frames":
+        return Frames(
+            np.concatenate([self.times, later.times]),
+            np.concatenate([self.positions, later.positions]),
+            np.concatenate([self.frequency, later.frequency]),
+            np.concatenate([self.heading, later.heading]),
+        )
+
+    def __getitem__(self, places: slice | np.ndarray) -> "Frames":
+        return Frames(
+            self.times[places],
+            self.positions[places],
+            self.frequency[places],
+            self.heading[places],
+        )
+
+    @property
+    def observed(self) -> "Frames":
+        """Those in which the robot was seen."""
+        return self[~np.isnan(self.positions[:, 0])]
+
 
 BLOCK = 0.5
 """Positions are averaged over so many seconds, as in identification."""
@@ -38,9 +99,9 @@ class RunningFit(eqx.Module):
         bank: their states; none until the robot was driven for `SCALE_TIME`.
         history: the last seconds of commands; none before the first frame.
         frames: those that belong to no block that is closed.
-        since: when the robot was first driven [s]; none before.
+        since: time at which the robot was first driven [s]; none before.
         scale: rough speed per frequency [L per cycle].
-        block_begin: when the open block began [s].
+        block_begin: beginning of the open block [s].
         block_time: mean time of the last closed block [s].
         cycles: mean of the integrated commands in that block, of each drive; none
             where positions begin anew.
@@ -76,7 +137,7 @@ class RunningFit(eqx.Module):
         frequency: float,
         heading: float,
     ) -> "RunningFit":
-        """What is known after one more frame.
+        """The fit after one more frame.
 
         Args:
             time: later than that of the frame before [s].
@@ -106,7 +167,7 @@ class RunningFit(eqx.Module):
         frequency: float,
         heading: float,
     ) -> "RunningFit":
-        """What is known after a frame that does not go on from those before it.
+        """The fit after a frame that does not go on from those before it.
 
         The gain and all else that was learned are kept; where the robot is, how it
         wandered and what was commanded before are not.

@@ -17,12 +17,11 @@ from pinav.navigation.belief.belief import Frame
 from pinav.navigation.belief.given import GivenForce, take_for_granted
 from pinav.navigation.belief.kernels import Points
 from pinav.navigation.belief.prior import ForcePrior
-from pinav.navigation.control.simple import physics_only, steered_swimmer
 from pinav.navigation.model.predictors import split_rates
 from pinav.navigation.model.tables import FieldTable
 from pinav.navigation.model.tabulated import tabulate_model
-from pinav.navigation.task.steering import SteeredSwimmer
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.steering import SteeredSwimmer, physics_only
+from pinav.navigation.task.task import Task, steered_swimmer
 
 PLACES = 256
 """Places of the data at most at which the fit is told how well it knows the force."""

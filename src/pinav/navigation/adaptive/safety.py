@@ -24,11 +24,14 @@ from pinav.arguments import Planar, State
 from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.controller import Observation
-from pinav.navigation.control.escapes import DEVIATIONS, choose_command
 from pinav.navigation.control.prediction import TrajectoryPrediction
 from pinav.navigation.model.tabulated import TabulatedModel
 from pinav.navigation.model.time_cost import TimeCost
 from pinav.navigation.task.steering import AbstractActuator, Command
+
+DEVIATIONS = 3.0
+"""Half width of a tube, in standard deviations."""
+
 
 ESCAPES = 16
 """Headings of the sequences in reserve."""
@@ -189,3 +192,22 @@ def _margins(
 
     after, instead = jax.vmap(escape)(escapes)
     return escapes, after, instead
+
+
+def choose_command(
+    margins: Float[np.ndarray, " command"], lead: Float[np.ndarray, " command"]
+) -> int:
+    """The place of the command to give; the earlier one where two are alike.
+
+    Of the commands after which a tube can be kept out of forbidden places it is the one
+    that leads on most. Where there is none it is the one that keeps farthest away.
+
+    Args:
+        margins: least distance of the tube from forbidden places along the best way out
+            after each command [L]; negative where every way out meets one.
+        lead: how far each leads on, in any unit.
+    """
+    clear = margins >= 0
+    if not clear.any():
+        return int(np.argmax(margins))
+    return int(np.argmax(np.where(clear, lead, -np.inf)))

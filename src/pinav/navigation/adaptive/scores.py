@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.navigation.belief.belief import Belief
-from pinav.navigation.control.simple import physics_only
+from pinav.navigation.task.steering import physics_only
 from pinav.navigation.task.task import Task
 from pinav.navigation.trials.metrics import (
     Interval,

@@ -26,7 +26,6 @@ from pinav.navigation.control.controller import (
 from pinav.navigation.control.costs import ArrivalCost
 from pinav.navigation.control.mppi import PathIntegral
 from pinav.navigation.control.prediction import GradientGuide, TrajectoryPrediction
-from pinav.navigation.control.simple import physics_only
 from pinav.navigation.model.predictors import InertialTable
 from pinav.navigation.model.tabulated import (
     TabulatedModel,
@@ -36,7 +35,7 @@ from pinav.navigation.model.tabulated import (
 from pinav.navigation.planning.plan import TimeToGo, check_places
 from pinav.navigation.planning.replanning import HEADROOM, Replanner
 from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.steering import Command
+from pinav.navigation.task.steering import Command, physics_only
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Rectangle
 from pinav.navigation.trials.situation import mean_thrust

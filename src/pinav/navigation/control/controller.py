@@ -4,10 +4,12 @@ import abc
 from typing import Generic, TypeVar
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from pinav.arguments import Scalar, State
-from pinav.navigation.task.steering import Command
+from pinav.navigation.task.objectives import AbstractObjective
+from pinav.navigation.task.steering import Command, CommandLimits, direction_angles
 
 Controls = Float[Array, "step dim"]
 """Thrusts of the coming steps, in units of the greatest one."""
@@ -46,3 +48,26 @@ class AbstractController(eqx.Module, Generic[Memory]):
         self, observation: Observation, memory: Memory, *, key: PRNGKeyArray
     ) -> tuple[Command, Memory]:
         """Command for the coming step, not yet clipped, and memory for the next."""
+
+
+class StraightLine(AbstractController[tuple[()]]):
+    """Straight to the target with all thrust, whatever is in between.
+
+    Attributes:
+        objective: what is to be done.
+        limits: what may be commanded.
+    """
+
+    objective: AbstractObjective
+    limits: CommandLimits
+
+    def start(self, observation: Observation) -> tuple[()]:
+        return ()
+
+    def __call__(
+        self, observation: Observation, memory: tuple[()], *, key: PRNGKeyArray
+    ) -> tuple[Command, tuple[()]]:
+        target = self.objective.target(observation.time)
+        offset = target - observation.state[: target.shape[0]]
+        frequency = jnp.full((1,), self.limits.max_frequency, offset.dtype)
+        return jnp.concatenate([frequency, direction_angles(offset)]), ()

@@ -226,3 +226,8 @@ def turned_angles(
     size = jnp.sqrt(across @ across + TINY)
     turn = jnp.minimum(jnp.arctan2(size, end @ start), most)
     return direction_angles(jnp.cos(turn) * start + jnp.sin(turn) * across / size)
+
+
+def physics_only(model: SteeredSwimmer) -> SteeredSwimmer:
+    """The model without its environment."""
+    return SteeredSwimmer(model.dynamics.without_environment(), model.actuator)

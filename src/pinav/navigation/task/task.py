@@ -4,6 +4,7 @@ import equinox as eqx
 import numpy as np
 
 from pinav.arguments import State, real_array
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.navigation.task.objectives import AbstractObjective
 from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
 from pinav.navigation.task.zones import AbstractZone, Rectangle
@@ -69,3 +70,10 @@ class Task(eqx.Module):
     def inertial(self) -> bool:
         """True where the state holds a velocity."""
         return self.start.shape[0] > self.dim
+
+
+def steered_swimmer(
+    task: Task, dynamics: Swimmer | OverdampedSwimmer
+) -> SteeredSwimmer:
+    """Fitted dynamics under the commands of a task."""
+    return SteeredSwimmer(dynamics, task.truth.actuator)

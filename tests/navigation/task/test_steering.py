@@ -4,8 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from pinav.navigation.control.simple import physics_only
 from pinav.navigation.task import catalogue as tasks
+from pinav.navigation.task.steering import physics_only
 
 
 def test_physics_alone_has_no_environment():

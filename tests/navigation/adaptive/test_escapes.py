@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pinav.navigation.control.escapes import choose_command
+from pinav.navigation.adaptive.safety import choose_command
 
 
 def test_of_the_clear_commands_the_one_that_leads_on_most_is_given():
