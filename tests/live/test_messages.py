@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pinav.live.lines import LineBuffer
 from pinav.live.messages import (
     GREATEST,
     LONGEST,
@@ -22,6 +21,7 @@ from pinav.live.messages import (
     encode,
     schema,
 )
+from pinav.live.sources import LineBuffer
 
 SCHEMA = Path(__file__).parents[2] / "docs" / "live.schema.json"
 

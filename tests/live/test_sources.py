@@ -8,10 +8,10 @@ import time
 import pytest
 
 from pinav.errors import InputError
-from pinav.live.lines import LineBuffer
 from pinav.live.sinks import FileSink, SocketSink, SourceSink, sink_of
 from pinav.live.sources import (
     FileSource,
+    LineBuffer,
     SocketSource,
     StreamSource,
     address_of,

@@ -8,7 +8,6 @@ from pathlib import Path
 import msgspec
 
 from pinav.live.checkpoint import write_session
-from pinav.live.lines import LineBuffer
 from pinav.live.messages import (
     Command,
     Event,
@@ -21,7 +20,7 @@ from pinav.live.messages import (
 )
 from pinav.live.session import Session
 from pinav.live.sinks import AbstractSink
-from pinav.live.sources import AbstractSource, Reading
+from pinav.live.sources import AbstractSource, LineBuffer, Reading
 from pinav.live.tables import TableReader
 
 CHECKPOINT_EVERY = 1.0

@@ -6,6 +6,7 @@ interval from the fall of the likelihood about it; where both count frames, the 
 are the same.
 """
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -19,7 +20,7 @@ from pinav.recordings.conventions import rotations
 from pinav.recordings.rows import COMMAND_UNITS, FRAMES, Reading
 from pinav.recordings.source import Source
 from pinav.recordings.synonyms import example_of_columns, likely_columns
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, Trajectory
 
 FIRM = 0.1
 """Share of the velocity that the commands must explain before an offset is believed."""
@@ -112,7 +113,6 @@ def with_commands(
     if not log.counts_frames:
         offset = find_offset(recording, log._replace(times=times))
         times = times + offset.value
-    merged = _hold_commands(recording, log._replace(times=times), reading)
     last = max(float(p.times[-1]) for p in recording)
     first = min(float(p.times[0]) for p in recording)
     if times[0] > last or times[-1] < first:
@@ -128,15 +128,9 @@ def with_commands(
         "commands": {**recording.provenance["commands"], **said},
         "notes": [*recording.provenance["notes"], *_note(offset)],
     }
-    return Trajectories.from_arrays(
-        [piece.times for piece in recording],
-        [piece.states for piece in recording],
-        observed=[piece.observed for piece in recording],
-        commands=merged,
-        channels=recording.channels,
-        units={**recording.units, **{n: COMMAND_UNITS[n] for n in log.commands}},
-        provenance=dict(provenance),
-    )
+    units = {**recording.units, **{n: COMMAND_UNITS[n] for n in log.commands}}
+    pieces = _hold_commands(recording, log._replace(times=times), reading)
+    return Trajectories.from_pieces(pieces, recording.channels, units, provenance)
 
 
 def _note(offset: Offset | None) -> list[str]:
@@ -156,16 +150,17 @@ def _note(offset: Offset | None) -> list[str]:
 
 def _hold_commands(
     recording: Trajectories, log: CommandLog, reading: Reading
-) -> dict[str, list[np.ndarray]]:
-    """The last command at each time; before the first one, the first."""
-    merged: dict[str, list[np.ndarray]] = {name: [] for name in log.commands}
+) -> list[Trajectory]:
+    """The pieces with the last command at each time; the first one before it."""
+    pieces = []
     for piece in recording:
         instants = piece.times - reading.delay + 1e-9
         index = np.maximum(np.searchsorted(log.times, instants, "right") - 1, 0)
-        for name, values in log.commands.items():
-            turned = reading.heading_offset if name == "heading" else 0.0
-            merged[name].append(values[index] + turned)
-    return merged
+        commands = {name: values[index] for name, values in log.commands.items()}
+        if "heading" in commands:
+            commands["heading"] = commands["heading"] + reading.heading_offset
+        pieces.append(dataclasses.replace(piece, commands=commands))
+    return pieces
 
 
 def find_offset(recording: Trajectories, log: CommandLog) -> Offset:
@@ -231,12 +226,6 @@ def _explained_fraction(
     if not inside:
         return 0.0
     moved = log._replace(times=log.times + shift)
-    pieces = Trajectories.from_arrays(
-        [piece.times for piece in recording],
-        [piece.states for piece in recording],
-        observed=[piece.observed for piece in recording],
-        commands=_hold_commands(recording, moved, Reading()),
-        channels=recording.channels,
-        units=recording.units,
-    )
-    return max(rotations(pieces))
+    pieces = _hold_commands(recording, moved, Reading())
+    channels, units = recording.channels, recording.units
+    return max(rotations(Trajectories.from_pieces(pieces, channels, units, {})))

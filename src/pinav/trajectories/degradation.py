@@ -204,19 +204,12 @@ def degrade(
         | {name: value for name, value in vars(step).items() if value is not None}
         for step in steps
     ]
-    return Trajectories.from_arrays(
-        [piece.times for piece in pieces],
-        [piece.states for piece in pieces],
-        observed=[piece.observed for piece in pieces],
-        commands={
-            name: [piece.commands[name] for piece in pieces]
-            for name in trajectories.commands
-        },
-        channels=trajectories.channels,
-        units=trajectories.units,
-        provenance=trajectories.provenance
-        | {"degradation": [*before, *notes], "degradation key": words},
-    )
+    provenance = trajectories.provenance | {
+        "degradation": [*before, *notes],
+        "degradation key": words,
+    }
+    channels, units = trajectories.channels, trajectories.units
+    return Trajectories.from_pieces(pieces, channels, units, provenance)
 
 
 def _integral(
@@ -238,7 +231,9 @@ def _with(trajectory: Trajectory, states: np.ndarray) -> Trajectory:
 
 def _hide(trajectory: Trajectory, hidden: np.ndarray) -> Trajectory:
     observed = trajectory.observed & ~hidden
-    return eqx.tree_at(lambda t: t.observed, trajectory, observed)
+    states = np.where(observed, trajectory.states, 0.0)
+    parts = (states, observed)
+    return eqx.tree_at(lambda t: (t.states, t.observed), trajectory, parts)
 
 
 def _channel_mask(

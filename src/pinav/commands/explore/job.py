@@ -2,6 +2,8 @@
 
 import dataclasses
 import html
+import importlib
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,6 @@ import jax
 
 from pinav.commands.command import CommandResult
 from pinav.commands.explore.document import PAGE, document
-from pinav.commands.explore.notebook import make_widget
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.plan import fit_of_plan, is_plan, plan_of
 from pinav.commands.explore.printing import Tree
@@ -38,14 +39,39 @@ class Explorer:
         return f'<iframe srcdoc="{html.escape(self.page)}" {size}></iframe>'
 
     def widget(self) -> Any:
-        """The page as a widget, whose conditions and path Python reads and sets.
+        """The page as a widget, which shares its conditions with Python.
 
-        Its `address` and `path` are those of `make_widget`.
+        Its attributes follow the page, and `address` moves it when it is set:
+
+        - `address`: the conditions, as the text after `#` in the page's address; empty
+          as at first.
+        - `path`: the path with its standard deviations, or the curves of bioheat, as
+          CSV.
 
         Raises:
             InputError: anywidget is not installed.
         """
-        return make_widget(self.page, self.height)
+        try:
+            anywidget = importlib.import_module("anywidget")
+            traitlets = importlib.import_module("traitlets")
+        except ImportError as error:
+            raise InputError(
+                "a widget of the explorer needs anywidget; install it with `pip "
+                "install 'pinav[notebook]'`, or show pinav.explorer(run) itself"
+            ) from error
+
+        def shared(value: str) -> Any:
+            return traitlets.Unicode(value).tag(sync=True)
+
+        module = files("pinav.commands.explore").joinpath("widget.js")
+        parts = {
+            "_esm": module.read_text(encoding="utf-8"),
+            "page": shared(self.page),
+            "height": shared(f"{self.height}px"),
+            "address": shared(""),
+            "path": shared(""),
+        }
+        return type("ExplorerWidget", (anywidget.AnyWidget,), parts)()
 
 
 def explorer(run: str | Path, *, fit: str | Path | None = None) -> Explorer:
