@@ -13,9 +13,10 @@ from pinav.analysis import Analysis, Discovery
 from pinav.evaluation import BASELINE, ErrorCurve, Evaluation
 from pinav.figures.analysis import growth_map
 from pinav.figures.errors import error_over_time
-from pinav.figures.heat import perfusion_law, place_names, probe_curves
+from pinav.figures.heat import place_names, probe_curves
 from pinav.figures.identification import errors_by_horizon, horizon_errors, speed_law
 from pinav.figures.laws import law_agreement, law_ranking
+from pinav.figures.learned_tissue import perfusion_law
 from pinav.figures.maps import (
     ERROR,
     FORCE,

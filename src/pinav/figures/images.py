@@ -5,10 +5,8 @@ from collections.abc import Callable
 from html import escape
 from pathlib import Path
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pinav.errors import InputError
 from pinav.figures.files import save_figure, svg_text
 from pinav.report.page import AbstractBlock, Image, Section, figure_html
 
@@ -78,30 +76,6 @@ class Figures:
 
     def __init__(self, run: Path) -> None:
         self.folder = run / "figures"
-
-    def image(
-        self,
-        name: str,
-        drawn: Figure | Axes,
-        caption: str,
-        *,
-        alt: str = "",
-        width: float = 1.0,
-    ) -> Image:
-        """Write a figure as PNG and SVG, and give the block that shows it.
-
-        Args:
-            name: of the files, without ending.
-            drawn: the figure, or axes of it.
-            caption: the words below it.
-            alt: what it shows, for those who do not see it; the first sentence of the
-                caption unless given.
-            width: share of the page's width.
-        """
-        figure = drawn if isinstance(drawn, Figure) else drawn.get_figure(root=True)
-        if figure is None:
-            raise InputError(f"figure {name}: expected axes that belong to a figure")
-        return Picture(name, lambda: figure, caption, alt, width).saved(self.folder)
 
     def saved(self, section: Section) -> Section:
         """The section with its pictures and movies drawn and written."""

@@ -1,6 +1,5 @@
 """A run of a case and what it reached: temperatures and doses of target and tissue."""
 
-import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,7 +18,7 @@ from pinav.thermal.dose import (
 from pinav.thermal.exposure_limits import validity_warnings
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.setup import Setup
-from pinav.thermal.solve import Observe, probes_at, solve
+from pinav.thermal.solve import Observe, Solution, probes_at, solve
 
 REGULAR_TIMES = 180
 """Times at which curves are saved, beside every switch of the field."""
@@ -182,30 +181,23 @@ def simulate(
         protocol: field; that of the case unless given.
     """
     model, protocol = model or setup.model, protocol or setup.protocol
-    probes = probes_at(model, setup.points) if len(setup.points) else None
-    watched = Watched.of(setup, probes)
-    solution = solve(
-        model,
-        protocol,
-        stepper=setup.stepper,
-        observe=watched.temperatures,
-        observe_dose=watched.doses,
-        save_at=saved_times(protocol),
-        start=setup.start,
-        damage=setup.damage,
-    )
+    solution = _follow(setup, model, protocol)
     seen, doses = jax.tree.map(np.asarray, (solution.observed, solution.observed_dose))
     times, heated = np.asarray(solution.times), end_of_heating(protocol)
     index = int(np.abs(times - heated).argmin())
-    at_end = {name: float(seen[name][index]) for name in (*SHARES, "V43")}
     highest = float(solution.hottest.max())
-    result = HeatedRun(
+    fields = (
+        _along_radius(setup, model, protocol, seen)
+        if setup.target.ndim == 1
+        else _on_planes(setup, times, seen)
+    )
+    return HeatedRun(
         title=setup.title,
         T_max=highest,
-        T10=at_end["T10"],
-        T50=at_end["T50"],
-        T90=at_end["T90"],
-        V43=at_end["V43"],
+        T10=float(seen["T10"][index]),
+        T50=float(seen["T50"][index]),
+        T90=float(seen["T90"][index]),
+        V43=float(seen["V43"][index]),
         D90=float(doses["D90"][-1]),
         heated=heated,
         CEM43T90=dose_at(seen["T90"], times),
@@ -224,20 +216,30 @@ def simulate(
         dose=np.asarray(solution.final.dose),
         points=setup.points,
         probes=seen.get("probes"),
+        **fields,
+        **_dead_shares(setup, solution.final.damage),
     )
-    along = (
-        _along_radius(setup, model, protocol, seen)
-        if setup.target.ndim == 1
-        else _on_planes(setup, times, seen)
-    )
-    return dataclasses.replace(
-        result, **along, **_dead_shares(setup, solution.final.damage)
+
+
+def _follow(setup: Setup, model: Bioheat, protocol: Piecewise) -> Solution:
+    """The run, with what is followed of it."""
+    probes = probes_at(model, setup.points) if len(setup.points) else None
+    watched = Watched.of(setup, probes)
+    return solve(
+        model,
+        protocol,
+        stepper=setup.stepper,
+        observe=watched.temperatures,
+        observe_dose=watched.doses,
+        save_at=saved_times(protocol),
+        start=setup.start,
+        damage=setup.damage,
     )
 
 
 def _along_radius(
     setup: Setup, model: Bioheat, protocol: Piecewise, seen: dict[str, np.ndarray]
-) -> PyTree:
+) -> dict[str, PyTree]:
     return {
         "radius": np.asarray(model.grid.distances()),
         "profiles": seen["field"],
@@ -245,7 +247,9 @@ def _along_radius(
     }
 
 
-def _on_planes(setup: Setup, times: np.ndarray, seen: dict[str, np.ndarray]) -> PyTree:
+def _on_planes(
+    setup: Setup, times: np.ndarray, seen: dict[str, np.ndarray]
+) -> dict[str, PyTree]:
     count = len(times)
     kept = np.unique(np.linspace(0, count - 1, min(MOMENTS, count)).round().astype(int))
     planes = tuple(
@@ -259,7 +263,7 @@ def _on_planes(setup: Setup, times: np.ndarray, seen: dict[str, np.ndarray]) -> 
     }
 
 
-def _dead_shares(setup: Setup, damage: Array | None) -> PyTree:
+def _dead_shares(setup: Setup, damage: Array | None) -> dict[str, PyTree]:
     """Dead fraction of each cell, of the target, and the largest outside it."""
     if damage is None:
         return {}

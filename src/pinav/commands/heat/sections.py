@@ -1,18 +1,17 @@
 """What a task of bioheat found: the same blocks on a terminal and in a report."""
 
-from pinav.figures.heat import (
-    fields_figure,
+from pinav.figures.heat import fields_figure, probes_figure, protocol_figure
+from pinav.figures.learned_tissue import (
     fitted_probes_figure,
     forecast_figure,
     last_frame_figure,
     laws_figure,
     mean_curves_figure,
-    probes_figure,
-    protocol_figure,
 )
 from pinav.report import Paragraph, Section, Table
+from pinav.thermal.forecast import Forecast
 from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun
-from pinav.thermal.learned_tissue import Forecast, LearnedTissue
+from pinav.thermal.learned_tissue import LearnedTissue
 from pinav.thermal.planned_run import Judgement, PlannedRun
 
 Rows = list[tuple[str, str | float]]

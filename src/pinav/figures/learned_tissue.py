@@ -1,0 +1,199 @@
+"""Figures of what was learned of a tissue: readings and their fit, laws, forecasts."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from pinav.figures.bands import band
+from pinav.figures.heat import (
+    ISOTHERMS,
+    duration,
+    figure_of,
+    place_names,
+    plane_map,
+    probe_curves,
+    sections_through,
+    titled_picture,
+)
+from pinav.figures.images import Picture
+from pinav.figures.palette import BLACK, GREY, LEARNED
+from pinav.figures.style import (
+    SMALL,
+    SPARE,
+    THIN,
+    WIDE,
+    add_legend,
+    label_axes,
+    new_figure,
+    prepare_axes,
+    title_panel,
+)
+from pinav.thermal.forecast import Forecast
+from pinav.thermal.heated_run import FOLLOWED
+from pinav.thermal.learned_tissue import FittedFrames, FittedProbes, LearnedTissue
+from pinav.thermal.learning import PerfusionCurve
+
+
+def fitted_probes_figure(title: str, fitted: FittedProbes) -> Picture:
+    """Readings of probes and the fitted model."""
+
+    def draw() -> Figure:
+        data = fitted.data
+        names, readings = place_names(data.points), (data.times, data.values)
+        curves = probe_curves(data.times, fitted.predicted, names, readings=readings)
+        return figure_of(curves)
+
+    return titled_picture("probes", title, draw, "Readings and the fitted model.")
+
+
+def mean_curves_figure(title: str, frames: FittedFrames) -> Picture:
+    """Mean temperature of each tissue over time, and its fit."""
+
+    def draw() -> Figure:
+        means = frames.means.values()
+        read = np.stack([one.read for one in means], axis=1)
+        fitted = np.stack([one.fitted for one in means], axis=1)
+        readings = frames.times, read
+        names = list(frames.means)
+        return figure_of(probe_curves(frames.times, fitted, names, readings=readings))
+
+    caption = (
+        "Mean temperature of the voxels of each tissue that are read: dots are the "
+        "readings without turns of the phase and drift, lines the fit."
+    )
+    return titled_picture("means", title, draw, caption)
+
+
+def last_frame_figure(title: str, frames: FittedFrames) -> Picture:
+    """The last frame that was fitted, the fit, and their difference."""
+    caption = (
+        f"The frame at {duration(float(frames.times[-1]))}, the last that was "
+        "fitted, without turns of the phase and drift, and the fit in the same "
+        "colours; reading less fit; white where no voxel is read; the tumour is "
+        "outlined in blue."
+    )
+    return titled_picture("frame", title, lambda: _last_frame(frames), caption)
+
+
+def _last_frame(frames: FittedFrames) -> Figure:
+    cut = sections_through(frames.target, frames.fitted, frames.spacing)[0]
+    reading, fitted = cut.of(frames.read), cut.of(frames.fitted)
+    figure = new_figure(7.5, 2.5)
+    panels = figure.subplots(1, 3)
+    shared = float(np.nanmin(fitted)) - 1.0, float(np.nanmax(fitted)) + 1.0
+    widest = float(np.nanmax(np.abs(reading - fitted)))
+    shown: tuple[tuple[np.ndarray, tuple[float, ...], str, tuple[float, float]], ...]
+    shown = (
+        (reading, (), "reading [°C]", shared),  # noise has no contours
+        (fitted, ISOTHERMS, "fit [°C]", shared),
+        (reading - fitted, (), "difference [K]", (-widest, widest)),
+    )
+    for ax, (values, levels, label, limits) in zip(panels, shown, strict=True):
+        plane_map(
+            values,
+            (frames.spacing[0], frames.spacing[1]),
+            levels=levels,
+            label=label,
+            outline=cut.of(frames.target),
+            limits=limits,
+            ax=ax,
+        )
+    for ax in panels[1:]:
+        ax.set_ylabel("")
+    # else into the next panel
+    title_panel(panels[0], cut.name.replace(", ", ",\n"))
+    return figure
+
+
+def forecast_figure(title: str, found: Forecast) -> Picture:
+    """Predicted temperatures; below, how far they may be off, which is much less."""
+    caption = (
+        "Temperatures of the target, fitted up to the dashed line, predicted after it, "
+        "and their 95 % bands on a scale of their own; with the truth where it is "
+        "known: black above, less the prediction below."
+    )
+    return titled_picture("forecast", title, lambda: _forecast(found), caption)
+
+
+def _forecast(found: Forecast) -> Figure:
+    true = found.true
+    figure = new_figure(5.0, 5.0)
+    above, below = figure.subplots(2, 1, sharex=True)
+    minutes = found.times / 60
+    for ax in (above, below):
+        prepare_axes(ax)
+        ax.axvline(
+            found.fitted_until / 60, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1
+        )
+    for index, curve in enumerate(() if true is None else true.T):
+        name = "" if index else "truth"
+        above.plot(minutes, curve, color=BLACK, lw=WIDE, alpha=0.5, label=name)
+    for index, name in enumerate(FOLLOWED):
+        color, half = SPARE[index % len(SPARE)], 1.96 * found.sd[:, index]
+        curve = found.values[:, index]
+        above.plot(minutes, curve, color=color, lw=THIN, label=name)
+        drawn = {"color": color, "alpha": 0.12, "width": 0.0}
+        band(minutes, 0 * half, (-half, half), **drawn, ax=below)
+        for side in (-half, half):
+            below.plot(minutes, side, color=color, lw=0.6, ls=(0, (1, 1)))
+        if true is not None:
+            below.plot(minutes, true[:, index] - curve, color=color, lw=THIN)
+    label_axes(above, "", "temperature [°C]")
+    off = "95 % band" if true is None else "truth less predicted"
+    label_axes(below, "time [min]", f"{off} [K]")
+    add_legend(above, columns=3)
+    title_panel(above, "(a) temperature of the target")
+    title_panel(below, "(b) 95 % bands about the prediction")
+    return figure
+
+
+MANY_TIMES = 4.0
+"""Range beyond which the axis of perfusion is logarithmic; below, it had few ticks."""
+
+
+def laws_figure(found: LearnedTissue) -> Picture:
+    """Learned perfusion with its 95 % band; pale where the tissue was not."""
+
+    def draw() -> Figure:
+        figure = new_figure(3.8 * len(found.laws), 3.2)
+        panels = figure.subplots(1, len(found.laws), squeeze=False)[0]
+        for ax, (name, law) in zip(panels, found.laws.items(), strict=True):
+            perfusion_law(law, ax=ax)
+            title_panel(ax, name)
+        add_legend(panels[0])
+        return figure
+
+    caption = (
+        "Perfusion over temperature with its 95 % band. Dotted: temperatures that "
+        "the tissue did not reach, where the law is extrapolated. Near the "
+        "arterial temperature the data do not determine perfusion."
+    )
+    return titled_picture("perfusion", found.title, draw, caption)
+
+
+def perfusion_law(law: PerfusionCurve, *, ax: Axes | None = None) -> Axes:
+    """The learned perfusion of one tissue with its band, dotted where it was not.
+
+    Args:
+        law: the law.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepare_axes(ax)
+    temperatures, drawn = law.temperatures, {"line": ":", "width": THIN, "alpha": 0.2}
+    low, high = law.band
+    band(temperatures, law.values, (low, high), truth=law.true, **drawn, ax=ax)
+    known = np.where(law.inside, law.values, np.nan)
+    ax.plot(temperatures, known, color=LEARNED, lw=THIN, label="learned, 95 % band")
+    if np.max(high) > MANY_TIMES * np.min(low):
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter(FuncFormatter(_even_tick))
+    ax.tick_params(which="both", labelsize=SMALL)
+    label_axes(ax, "temperature [°C]", "perfusion [kg/(m³ s)]")
+    return ax
+
+
+def _even_tick(value: float, _: int | None = None) -> str:
+    """A tick of a logarithmic axis if it begins with 2, 4 or 6; else nothing."""
+    return f"{value:g}" if f"{value:e}"[0] in "246" else ""
