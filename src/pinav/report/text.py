@@ -27,7 +27,8 @@ def as_text(table: Table) -> str:
 def sections_text(sections: Sequence[Section]) -> str:
     """What a terminal shows of a report: paragraphs, tables and code, no pictures.
 
-    A section of pictures alone is left out. A long table loses its last rows, and says so.
+    A section of pictures alone is left out. A long table loses its last rows, and says
+    so.
     """
     return "\n\n".join(
         f"{section.heading}\n{'-' * len(section.heading)}\n{text}"
