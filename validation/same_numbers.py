@@ -36,6 +36,9 @@ TOLERANCE = 1e-6
 SMALL = 1e-9
 """The same, relative to the largest number of an array: of its zeros."""
 
+SLICED = 64
+"""Slices of an array at most that are sought one by one."""
+
 POOLED = 1000
 """Numbers of an array at most whose elements may stand for a number of a document."""
 
@@ -365,6 +368,8 @@ def _place(
         return ""
     for axis in (-1, 0):
         parts = np.moveaxis(array, axis, 0)
+        if len(parts) > SLICED:
+            continue
         places = [_place(name, part, pieces) for part in parts]
         if all(places):
             return ", ".join(places[:3])
