@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from pinav.learning.learn import learn as learn
     from pinav.learning.learn import open_run as open_run
     from pinav.learning.learned import Learned as Learned
+    from pinav.navigation import Way as Way
+    from pinav.navigation import navigate as navigate
     from pinav.recordings import Reading as Reading
     from pinav.recordings import read_recording as read_recording
     from pinav.scenarios import find_system as find_system
@@ -69,6 +71,7 @@ _PUBLIC = {
     "learning.learn": ("learn", "open_run"),
     "learning.learned": ("Learned",),
     "identification": ("identify",),
+    "navigation": ("Way", "navigate"),
     "recordings": ("Reading", "read_recording"),
     "scenarios": ("find_system", "scenario"),
     "systems": ("System", "read_system", "write_system"),

@@ -58,7 +58,7 @@ STAGES = (
     (evaluation, "clean_trajectories"),
     (analysis, "helmholtz_split"),
     (discovery, "discover_law"),
-    (navigate_job, "navigate"),
+    (navigate_job, "compare_models"),
     (reproduce_job, "matching"),
     (reproduce_job, "predict"),
     (truth_job, "judge_trap"),

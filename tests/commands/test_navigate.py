@@ -12,9 +12,9 @@ from pinav import cli
 from pinav.actuation import AbstractProgramme, RollingActuator, SaturatingResponse
 from pinav.codec import encode
 from pinav.commands.navigate import NAVIGATE
+from pinav.commands.navigate.cells import navigation_problem
 from pinav.commands.navigate.sections import controller_table, sentences
 from pinav.commands.navigate.settings import NavigateSettings
-from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.places import numbers
 from pinav.commands.results import keep, sections_of
 from pinav.commands.steering import system_task
@@ -39,6 +39,7 @@ from pinav.navigation import (
     Quantiles,
     Suggestion,
     Summary,
+    Way,
     navigate,
 )
 from pinav.navigation.result import ComputingTimes, PlannedWay
@@ -311,16 +312,21 @@ def test_places_of_another_dimension_are_refused(tmp_path, change, message):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("optimised")
-def test_a_run_in_space_from_plan_to_report(tmp_path):
-    problem = navigation_problem(
-        NavigateSettings(**IN_SPACE, seeds=2, noise=0.02), space_run(tmp_path)
-    )
+def test_a_fit_in_space_is_navigated_from_plan_to_report(tmp_path):
     folder = RunFolder.create(
         tmp_path / "there", {"run": {"command": "navigate"}}, overwrite=True
     )
-    result = navigate(problem, seeds=2)
+    way = Way((0.0, 0.0, 0.0), (2.0, 1.0, 1.0), time_limit=8.0, noise=0.02)
+    result = navigate(space_run(tmp_path), way, seeds=2)
     assert result.controllers["learned"].success.value == 1.0
     keep(NAVIGATE, folder, result)
     drawn = [Figures(folder.path).saved(s) for s in sections_of(NAVIGATE, folder)]
     assert [section.heading for section in drawn] == ["Outcome", "Closed loop"]
     assert (folder.path / "figures" / "navigate-closed-loop.png").exists()
+
+
+def test_a_way_has_the_dimension_of_the_fit(tmp_path):
+    with pytest.raises(InputError, match="Way: expected places of 3 coordinates, got"):
+        navigate(space_run(tmp_path), Way((0.0, 0.0), (1.0, 1.0)))
+    with pytest.raises(InputError, match="Way: expected start and goal with as many"):
+        navigate(space_run(tmp_path), Way((0.0, 0.0, 0.0), (1.0, 1.0)))

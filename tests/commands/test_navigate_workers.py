@@ -13,9 +13,8 @@ from tests.sweeps.here import here
 from pinav import cli
 from pinav.commands import sweep
 from pinav.commands.navigate import NAVIGATE, cells
-from pinav.commands.navigate.cells import sweep_loops
+from pinav.commands.navigate.cells import navigation_problem, sweep_loops
 from pinav.commands.navigate.settings import NavigateOptions, NavigateSettings
-from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.sweep import start_sweep
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.learning.learned import Learned

@@ -39,6 +39,7 @@ class ParameterRecovery(eqx.Module):
         true: its true value.
         value: its learned value.
         sd: its standard deviation, where the fit gives one.
+        unit: of all of these.
     """
 
     DERIVED = ("relative_error", "z")
@@ -47,6 +48,7 @@ class ParameterRecovery(eqx.Module):
     true: float
     value: float
     sd: float | None
+    unit: str = "?"
 
     @property
     def relative_error(self) -> float:
@@ -117,7 +119,8 @@ def recovered_constants(setting: Setting) -> tuple[ParameterRecovery, ...]:
         if true is not None and name in learned:
             value, sd = learned[name].value, learned[name].sd
             known_sd = None if np.isnan(sd) else sd
-            recovered.append(ParameterRecovery(name, true, value, known_sd))
+            unit = learned[name].unit
+            recovered.append(ParameterRecovery(name, true, value, known_sd, unit))
     return tuple(recovered)
 
 

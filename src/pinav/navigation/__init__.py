@@ -12,6 +12,7 @@ from pinav.navigation.adaptive.steering import AdaptiveController as AdaptiveCon
 from pinav.navigation.adaptive.swimmer import SwimmerFlights as SwimmerFlights
 from pinav.navigation.adaptive.swimmer import fly_swimmer as fly_swimmer
 from pinav.navigation.comparison import Attempt as Attempt
+from pinav.navigation.comparison import compare_models as compare_models
 from pinav.navigation.comparison import navigate as navigate
 from pinav.navigation.control.compensation import DelayCompensation as DelayCompensation
 from pinav.navigation.control.compensation import DriftEstimation as DriftEstimation
@@ -71,6 +72,7 @@ from pinav.navigation.task.steering import SteeredSwimmer as SteeredSwimmer
 from pinav.navigation.task.steering import physics_only as physics_only
 from pinav.navigation.task.task import Task as Task
 from pinav.navigation.task.task import steered_swimmer as steered_swimmer
+from pinav.navigation.task.way import Way as Way
 from pinav.navigation.task.zones import AbstractZone as AbstractZone
 from pinav.navigation.task.zones import Behind as Behind
 from pinav.navigation.task.zones import Disc as Disc

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from pinav.errors import InputError
 from pinav.evaluation import distances
+from pinav.fitting import AbstractLearned
 from pinav.forces import forces_at
 from pinav.navigation.adaptive.scores import ORACLE
 from pinav.navigation.control.controller import AbstractController
@@ -25,6 +26,7 @@ from pinav.navigation.result import (
 from pinav.navigation.suggestion import Suggestion, suggest_trajectory
 from pinav.navigation.task.steering import SteeredSwimmer
 from pinav.navigation.task.task import Task
+from pinav.navigation.task.way import Way
 from pinav.navigation.trials.closed_loop import Episodes, run
 from pinav.navigation.trials.metrics import Interval, regret, summary
 from pinav.threads import map_on_cores
@@ -40,6 +42,32 @@ Attempt = tuple[str, Episodes | str]
 
 
 def navigate(
+    fit: AbstractLearned,
+    way: Way,
+    *,
+    samples: int = 8,
+    seeds: int = 20,
+    seed: int = 0,
+) -> Navigation:
+    """Go a way through the force that a fit has learned.
+
+    Args:
+        fit: the fit.
+        way: the way.
+        samples: models drawn from the posterior, whose spread makes uncertain regions
+            cost more; 0 takes the model for true.
+        seeds: closed loops with each model, each with its own noise.
+        seed: seed of all noise.
+
+    Raises:
+        InputError: the fit is not of a swimmer in the plane or in space, or the goal
+            cannot be reached.
+    """
+    problem = NavigationProblem.of(fit, way, samples=samples, seed=seed)
+    return compare_models(problem, seeds=seeds, seed=seed)
+
+
+def compare_models(
     problem: NavigationProblem,
     *,
     seeds: int = 20,

@@ -7,14 +7,24 @@ import jax
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from pinav.fitting import Posterior
+from pinav.dynamics import (
+    AbstractDynamics,
+    OverdampedSwimmer,
+    Swimmer,
+    takes_commands,
+)
+from pinav.errors import InputError
+from pinav.evaluation import enclosing_cube
+from pinav.fitting import AbstractLearned, Posterior
 from pinav.navigation.adaptive.scores import ORACLE
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import SteeredSwimmer, greatest_thrust, physics_only
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.task import Task, steered_swimmer
+from pinav.navigation.task.way import Way
 from pinav.navigation.trials.closed_loop import Episodes, concatenate_episodes, run_many
+from pinav.scenarios import source_system
 from pinav.trajectories import Trajectories
 
 LEARNED = "learned"
@@ -60,6 +70,51 @@ class NavigationProblem:
     samples: tuple[SteeredSwimmer, ...] = ()
     truth: str | None = None
     evidence: Evidence | None = None
+
+    @classmethod
+    def of(
+        cls, fit: AbstractLearned, way: Way, *, samples: int = 8, seed: int = 0
+    ) -> "NavigationProblem":
+        """The problem of going a way through the force that a fit has learned.
+
+        Args:
+            fit: the fit.
+            way: the way.
+            samples: models drawn from the posterior; 0 takes the model for true.
+            seed: seed of these draws.
+
+        Raises:
+            InputError: the fit is not of a swimmer in the plane or in space, or the way
+                has places of another dimension.
+        """
+        model, dim = fit.model, fit.data.dim
+        if not isinstance(model, Swimmer | OverdampedSwimmer) or dim < 2:
+            raise InputError(
+                "navigate: expected a fit of a swimmer in the plane or in space, got "
+                f"the model {fit.choice.name} of {', '.join(fit.data.channels)}"
+            )
+        if len(way.start) != dim:
+            raise InputError(
+                f"Way: expected places of {dim} coordinates, got {way.start}"
+            )
+        known, truth, source = model, None, source_system(fit.data.provenance)
+        if source is not None and source.environment is not None:
+            known, truth = source.true_swimmer, source.name
+        corners = np.array(enclosing_cube(fit.data))
+        task = way.task(model, known, "way", corners)
+        return cls(
+            task=task,
+            model=steered_swimmer(task, model),
+            samples=tuple(
+                steered_swimmer(task, draw)
+                for draw in _draws(fit, samples, seed)
+                if isinstance(draw, Swimmer | OverdampedSwimmer)
+            ),
+            truth=truth,
+            evidence=_evidence(fit, model),
+            data=fit.data,
+            units=dict(fit.units),
+        )
 
     @property
     def goal(self) -> ReachGoal:
@@ -128,3 +183,26 @@ class NavigationProblem:
 def episode_keys(seed: int, count: int) -> PRNGKeyArray:
     """Random keys of so many closed loops."""
     return jax.random.split(jax.random.key(seed), count)
+
+
+def _draws(fit: AbstractLearned, count: int, seed: int) -> list[AbstractDynamics]:
+    if fit.posterior is None or count == 0:
+        return []
+    key = jax.random.fold_in(jax.random.key(seed), 1)
+    return fit.posterior.samples(count, key=key)
+
+
+def _evidence(fit: AbstractLearned, model: AbstractDynamics) -> Evidence | None:
+    """The fit's evidence where the next trajectory can be suggested.
+
+    Not of stochastic paths, whose states are not smoothed, nor in space, where
+    candidates have no elevation.
+    """
+    evidence, posterior = fit.evidence, fit.posterior
+    if evidence is None or posterior is None:
+        return None
+    if "diffusion" in evidence.constants or takes_commands(model):
+        return None
+    if fit.data.dim > 2:
+        return None
+    return Evidence(posterior, fit.noise, evidence.states)

@@ -211,6 +211,7 @@ def _whiteness(test: Whiteness) -> Table:
 def _constants(constants: tuple[ParameterRecovery, ...]) -> Table:
     columns: dict[str, Callable[[ParameterRecovery], Cell]] = {
         "constant": lambda one: one.name,
+        "unit": lambda one: one.unit,
         "true": lambda one: one.true,
         "recovered": lambda one: one.value,
         "sd": lambda one: one.sd,

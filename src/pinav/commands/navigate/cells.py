@@ -15,7 +15,7 @@ import msgspec
 
 from pinav.commands.navigate.online import OnlineProblem, online_problem
 from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
-from pinav.commands.navigate.setup import navigation_problem
+from pinav.commands.steering import way_of
 from pinav.commands.sweep import Sweep
 from pinav.errors import InputError
 from pinav.learning.learned import Learned
@@ -86,6 +86,19 @@ class FlightsCell(msgspec.Struct, frozen=True):
     online: str
     prior: str
     digest: str
+
+
+def navigation_problem(settings: NavigateSettings, run: Learned) -> NavigationProblem:
+    """The navigation problem of a run, from its system and model alone.
+
+    Raises:
+        InputError: the run holds no fitted swimmer in the plane or in space, or the
+            settings name places of another dimension.
+    """
+    if run.data.dim > 1:
+        settings.check_dimension(run.data.dim)
+    way = dataclasses.replace(way_of(settings), sensor_noise=settings.sensor_noise)
+    return NavigationProblem.of(run, way, samples=settings.samples, seed=settings.seed)
 
 
 def sweep_loops(

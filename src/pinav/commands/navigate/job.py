@@ -4,16 +4,19 @@ from functools import partial
 
 from pinav.commands.command import CommandResult
 from pinav.commands.navigate import NAVIGATE
-from pinav.commands.navigate.cells import sweep_flights, sweep_loops
+from pinav.commands.navigate.cells import (
+    navigation_problem,
+    sweep_flights,
+    sweep_loops,
+)
 from pinav.commands.navigate.online import online_problem
 from pinav.commands.navigate.settings import NavigateOptions
-from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.results import keep
 from pinav.commands.start import start_run
 from pinav.commands.sweep import start_sweep
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.learning.learned import Learned
-from pinav.navigation import OnlineNavigation, navigate
+from pinav.navigation import OnlineNavigation, compare_models
 
 
 def run(options: NavigateOptions) -> CommandResult:
@@ -22,7 +25,7 @@ def run(options: NavigateOptions) -> CommandResult:
     if run is None or options.online.learn_online is not None:
         return _learn_online(options)
     problem = navigation_problem(settings, Learned.open(run))
-    compare = partial(navigate, problem, seeds=settings.seeds, seed=settings.seed)
+    compare = partial(compare_models, problem, seeds=settings.seeds, seed=settings.seed)
     if options.workers == WorkerSettings():
         folder = start_run(NAVIGATE, options, settings, fitted=run.name)
         return keep(NAVIGATE, folder, compare())
