@@ -39,9 +39,8 @@ def tagged_groups(command: Command) -> list[str]:
     for option, tag in tag_words(resolve(command.options)):
         group = f"{option.removeprefix('--')} options"
         _, _, tables = help_parts(help_of(command, option, tag))
-        (part,) = (
-            one for one in tables.split("\n\n ") if one.strip().startswith(group)
-        )
+        parts = re.split(r"\n\n (?=\w+ options\n)", tables)
+        (part,) = (one for one in parts if one.startswith(group))
         groups.append(f"{option} {tag}: {part.strip()}")
     return groups
 
