@@ -1,6 +1,5 @@
 """Slow reproductions of published numbers; run with `make validate`."""
 
-import json
 import os
 import subprocess
 import sys
@@ -8,6 +7,9 @@ from pathlib import Path
 
 import jax
 import pytest
+
+from pinav.commands.reproduce.result import Reproduction
+from pinav.runs import RunFolder
 
 COLD = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
 
@@ -34,10 +36,10 @@ def program(module: str, *words: str, **options) -> subprocess.CompletedProcess:
 
 @pytest.fixture(scope="session")
 def paper_run(tmp_path_factory):
-    """The paper's recipe over seeds 0 to 4 and 42, and its metrics."""
+    """The paper's recipe over seeds 0 to 4 and 42, and its result."""
     out: Path = tmp_path_factory.mktemp("paper") / "run"
     seeds = ["42", "0", "1", "2", "3", "4"]
     done = pinav("reproduce", "--recipe", "paper", "--seeds", *seeds, "--out", str(out))
     assert done.returncode == 0, done.stderr
     print(done.stdout)
-    return json.loads((out / "metrics.json").read_text())
+    return RunFolder.open(out).load("metrics", Reproduction)

@@ -11,7 +11,14 @@ from pinav.commands.identify.sections import estimate_row, gain_text, sections
 from pinav.commands.identify.settings import IdentifySettings
 from pinav.errors import InputError
 from pinav.fitting import Estimate
-from pinav.identification import Coverage, Errors, Identification, IdentifiedTrack, Row
+from pinav.identification import (
+    Coverage,
+    Errors,
+    Identification,
+    IdentifiedTrack,
+    Row,
+    identify,
+)
 from pinav.identification.estimates import QUANTITIES
 from pinav.identification.identify import pooled_coverage
 from pinav.identification.selection import RESIDUALS
@@ -165,6 +172,18 @@ def test_a_recording_without_commands(tmp_path, capsys):
     with standard_promotion():
         assert cli.run([*words, "--out", str(tmp_path / "run")]) == 0
     assert "No commands recorded: gain" in capsys.readouterr().out
+
+
+def test_tracks_that_are_done_are_not_fitted_again():
+    recording, fitted = small(commanded=False), []
+    with standard_promotion():
+        first = identify(recording, on_track=lambda *done: fitted.append(done))
+        again = identify(recording, done={0: first.tracks[0]}, on_track=pytest.fail)
+    ((place, track, fit),) = fitted
+    assert (place, track) == (0, first.tracks[0])
+    assert again.tracks == first.tracks
+    drift = first.track(first.system).system.swimmer.flow.velocity
+    np.testing.assert_allclose(drift, fit.model.flow.velocity)
 
 
 def test_files_of_pinav_are_told_from_recordings(tmp_path):

@@ -27,11 +27,13 @@ def as_text(table: Table) -> str:
 def sections_text(sections: Sequence[Section]) -> str:
     """What a terminal shows of a report: paragraphs, tables and code, no pictures.
 
-    A long table loses its last rows, and says so.
+    A section of pictures alone is left out. A long table loses its last rows, and says
+    so.
     """
     return "\n\n".join(
-        f"{section.heading}\n{'-' * len(section.heading)}\n{_section(section)}"
+        f"{section.heading}\n{'-' * len(section.heading)}\n{text}"
         for section in sections
+        if (text := _section(section))
     )
 
 

@@ -37,9 +37,18 @@ def run(options: EvaluateOptions) -> CommandResult:
 
 
 def write_numbers(folder: RunFolder, evaluation: Evaluation) -> None:
-    """Write every score as one long table, without the curves over time."""
+    """Write every score as one long table, without the curves over time.
+
+    The residuals stand by channel and test.
+    """
     content = encode(evaluation).document
     content.pop("curves")
+    if "whiteness" in content:
+        parts = content["whiteness"]
+        content["whiteness"] = {
+            channel: {part: values[index] for part, values in parts.items()}
+            for index, channel in enumerate(parts.pop("channels"))
+        }
     folder.write_table("evaluation.csv", ("quantity", "value"), [*_rows(content)])
 
 

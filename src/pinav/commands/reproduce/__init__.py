@@ -8,6 +8,8 @@ REPRODUCE = Command(
     options="pinav.commands.reproduce.settings:ReproduceOptions",
     run="pinav.commands.reproduce.job:run",
     title="The paper's benchmark",
-    report="pinav.commands.reproduce.report:reproduction_sections",
+    result="pinav.commands.reproduce.result:Reproduction",
+    file="metrics",
+    sections="pinav.commands.reproduce.sections:sections",
     resumable=True,
 )

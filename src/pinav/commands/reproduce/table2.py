@@ -1,35 +1,27 @@
 """Table 2 of the paper: its printed values, and ours beside them."""
 
 import math
-from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pinav.commands.reproduce.metrics import (
-    Errors,
-    PrintedLoss,
-    Row,
-    Spread,
-    TrainingLoss,
-)
-from pinav.evaluation import Score
-from pinav.fitting import Outcome
+from pinav.commands.reproduce.result import ROWS, ModelRollout, Reproduction
+from pinav.report import Cell, Paragraph, Table
 
 HEADER = ("model", "seed", "x", "y", "vx", "vy", "total", "position")
 
 PAPER = {
-    "physics-only": Errors(4.34, 2.46, 0.49, 0.39, 2.52, 3.53),
-    "nn-only": Errors(0.27, 0.27, 0.32, 0.28, 0.285, None),
-    "ude-untrained": Errors(3.71, 25.61, 0.59, 0.97, 12.95, None),
-    "ude": Errors(0.012, 0.013, 0.017, 0.017, 0.015, 0.0126),
+    "physics-only": (4.34, 2.46, 0.49, 0.39, 2.52, 3.53),
+    "nn-only": (0.27, 0.27, 0.32, 0.28, 0.285, None),
+    "ude-untrained": (3.71, 25.61, 0.59, 0.97, 12.95, None),
+    "ude": (0.012, 0.013, 0.017, 0.017, 0.015, 0.0126),
 }
 """The paper's printed errors: x, y, vx, vy, total; position-only from its text."""
 
-ROWS = (*PAPER, "ude-kernel")
-"""Models in the order of our table: the paper's, then what it does not have."""
+PAPER_LOSS = (3.9e4, 4.5e-1)
+"""The paper's training loss at start and end (section 3.1)."""
 
-PAPER_LOSS = PrintedLoss(start=3.9e4, end=4.5e-1)
-"""The paper's training loss (section 3.1)."""
+PAPER_STEPS = 8000
+"""Steps of Adam and L-BFGS in the paper's Table 1."""
 
 DIFFERENCES = (
     "The constants of the benchmark are identified from the paper's physics-only row, "
@@ -46,105 +38,72 @@ DIFFERENCES = (
 """Where our table and the paper's differ, and why."""
 
 
-def scored_row(model: str, seed: int | None, score: Score) -> Row:
-    """The line of a model with these errors."""
-    x, y, vx, vy = map(float, score.rmse)
-    return Row(model, seed, x, y, vx, vy, score.total, score.position)
-
-
-def cells(row: Row) -> tuple[str | int, ...]:
+def csv_row(row: ModelRollout) -> tuple[Cell, ...]:
     """A line as it stands in `table2.csv`."""
     seed = "" if row.seed is None else row.seed
-    return (row.model, seed, *(repr(error) for error in row.errors))
+    return (row.model, seed, *(repr(row.errors[name]) for name in HEADER[2:]))
 
 
-def summary(rows: Sequence[Row]) -> dict[str, Spread]:
-    """Median, best and worst total error of each model over its seeds."""
-    totals: dict[str, list[float]] = {}
-    for row in rows:
-        totals.setdefault(row.model, []).append(_total(row.total))
-    return {
-        model: Spread(float(np.median(values)), min(values), max(values))
-        for model, values in totals.items()
-    }
-
-
-def improvements(rows: Sequence[Row]) -> dict[str, float]:
-    """How many times smaller the trained UDE's total error is (median over seeds)."""
-    median = {model: _total(one.median) for model, one in summary(rows).items()}
-    factors = {
-        f"{model} / ude": median[model] / median["ude"]
-        for model in median
-        if model not in ("ude", "ude-kernel")
-    }
-    if "ude-kernel" in median:
-        factors["ude / ude-kernel"] = median["ude"] / median["ude-kernel"]
-    return factors
-
-
-def failures(
-    rows: Sequence[Row], losses: Mapping[str, Mapping[str, TrainingLoss]]
-) -> list[str]:
-    """A sentence for each training that did not converge and misses the data."""
+def table2_blocks(result: Reproduction) -> list[Paragraph | Table]:
+    """The table beside the paper's values, its spread over seeds, and the losses."""
     return [
-        f"{row.model}, seed {_seed(row)}: the fit failed ({ended.outcome}), its "
-        f"rollouts miss the data by {number(_total(row.total))}; choose other --seeds."
-        for row in rows
-        for ended in [losses.get(row.model, {}).get(_seed(row))]
-        if ended and ended.outcome in FAILED and _total(row.total) > FAILED_ERROR
+        _table2(result),
+        *map(Paragraph, result.remarks),
+        *map(Paragraph, DIFFERENCES),
+        _spread(result),
+        Table(
+            ("ratio of median total errors", "factor"),
+            list(result.improvement.items()),
+            "How many times smaller the trained UDE's error is.",
+        ),
+        _losses(result),
     ]
 
 
-FAILED = tuple(map(str, (Outcome.STALLED, Outcome.MISFIT, Outcome.DIVERGED)))
-"""Words for trainings that ended before the data were explained."""
+def _table2(result: Reproduction) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for model in ROWS:
+        rows += [
+            (row.model, _seed(row), *(row.errors[name] for name in HEADER[2:]))
+            for row in result.table2
+            if row.model == model
+        ]
+        if model in PAPER:
+            cells = ("–" if value is None else f"{value:g}" for value in PAPER[model])
+            rows.append((f"{model}, as printed in the paper", "–", *cells))
+    return Table(
+        HEADER,
+        rows,
+        "Root-mean-square errors of rollouts from the true start, dimensionless. Total "
+        "is the root mean square of the four columns.",
+    )
 
-FAILED_ERROR = 1e-2
-"""Total error beyond which such a training failed; the paper's own is 1.5e-2."""
 
-
-def text(rows: Sequence[Row]) -> str:
-    """The table for a terminal, the paper's values below ours."""
-    lines = [_line(("model", "seed", *HEADER[2:]))]
-    for row in rows:
-        lines.append(_line((row.model, _seed(row), *map(number, row.errors))))
-        if row.model in PAPER and _is_last(row, rows):
-            printed = ("-" if v is None else number(v) for v in PAPER[row.model].values)
-            lines.append(_line(("  paper", "", *printed)))
-    return "\n".join(lines)
-
-
-def summary_lines(rows: Sequence[Row]) -> list[str]:
-    """Improvement factors, and the spread over seeds where there are several."""
-    lines = [
-        f"{name}: {factor:.3g} times" for name, factor in improvements(rows).items()
+def _spread(result: Reproduction) -> Table:
+    rows = [
+        (model, spread.median, spread.best, spread.worst)
+        for model, spread in result.summary_total.items()
+        if model not in ("physics-only", "ude-kernel")
     ]
-    for model, spread in summary(rows).items():
-        if sum(row.model == model for row in rows) > 2:
-            lines.append(
-                f"{model} over seeds: median {number(_total(spread.median))}, "
-                f"best {number(_total(spread.best))}, "
-                f"worst {number(_total(spread.worst))}"
-            )
-    return lines
+    seeds = ", ".join(map(str, result.settings.seeds))
+    caption = f"Total error over the seeds {seeds}."
+    return Table(("model", "median", "best", "worst"), rows, caption)
 
 
-def number(value: float) -> str:
-    """Three significant digits, or "diverged"."""
-    return f"{value:.3g}" if np.isfinite(value) else "diverged"
+def _losses(result: Reproduction) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for row in result.table2:
+        if row.model in result.losses:
+            losses = result.losses[row.model].values[result.place(row)]
+            start, end = float(losses[0]), float(losses[-1])
+            decades = float(np.log10(losses[0] / losses[-1]))
+            steps = int(losses.size - 1)
+            rows.append((row.model, _seed(row), start, end, decades, steps))
+    decades = math.log10(PAPER_LOSS[0] / PAPER_LOSS[1])
+    rows.append(("ude, as printed", "42", *PAPER_LOSS, decades, PAPER_STEPS))
+    header = ("model", "seed", "loss at start", "at end", "decades", "iterations")
+    return Table(header, rows, "Training loss, the sum of squares of eq. (3).")
 
 
-def _total(value: float | None) -> float:
-    """An error that is null in a file is that of a rollout that diverged."""
-    return math.inf if value is None else value
-
-
-def _seed(row: Row) -> str:
-    return "-" if row.seed is None else str(row.seed)
-
-
-def _is_last(row: Row, rows: Sequence[Row]) -> bool:
-    return row is [other for other in rows if other.model == row.model][-1]
-
-
-def _line(cells: Sequence[str]) -> str:
-    return f"{cells[0]:<14}{cells[1]:>5}" + "".join(f"{cell:>10}" for cell in cells[2:])
+def _seed(row: ModelRollout) -> str:
+    return "–" if row.seed is None else str(row.seed)
