@@ -70,12 +70,13 @@ def _series(
 
 def table(study: Study) -> Table:
     """All fits of a study, errors of the force in percent."""
-    columns = {
-        f"{name} (%)" if name.startswith("force") else name: (
-            _percent(cell) if name.startswith("force") else _defined(cell)
-        )
-        for name, cell in COLUMNS.items()
-    }
+    columns: dict[str, Callable[[StudyFit], Cell]] = {}
+    for name, cell in COLUMNS.items():
+        if name.startswith("force"):
+            region = name.removeprefix("force ")
+            columns[f"{name} (%)"] = lambda fit, at=region: 100 * fit.force_error(at)
+        else:
+            columns[name] = cell
     caption = (
         "Relative L2 error of the force by ground, and position errors of rollouts: "
         "median and 90th percentile over held-out starts, share diverged."
@@ -83,28 +84,10 @@ def table(study: Study) -> Table:
     return Table.of(study.fits, columns, caption)
 
 
-def _defined(cell: Callable[[StudyFit], Cell]) -> Callable[[StudyFit], Cell]:
-    """The cell, empty where the number is not defined."""
-
-    def defined(fit: StudyFit) -> Cell:
-        value = cell(fit)
-        return None if isinstance(value, float) and math.isnan(value) else value
-
-    return defined
-
-
-def _percent(cell: Callable[[StudyFit], Cell]) -> Callable[[StudyFit], Cell]:
-    def percent(fit: StudyFit) -> Cell:
-        value = _defined(cell)(fit)
-        return 100 * value if isinstance(value, float) else value
-
-    return percent
-
-
 def csv_rows(study: Study) -> list[list[Cell]]:
     """The rows of `study.csv`, empty where a number is not defined."""
-    rows = [[_defined(cell)(fit) for cell in COLUMNS.values()] for fit in study.fits]
+    rows = [[cell(fit) for cell in COLUMNS.values()] for fit in study.fits]
     return [
-        ["" if c is None else "diverged" if c == math.inf else c for c in row]
+        ["" if c != c else "diverged" if c == math.inf else c for c in row]
         for row in rows
     ]
