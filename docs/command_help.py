@@ -11,16 +11,17 @@ from docutils import nodes
 from docutils.parsers.rst import Directive
 
 from pinav.commands import COMMANDS
-from pinav.commands.command import Command
+from pinav.commands.command import Command, resolve
 from pinav.commands.dispatch import execute
+from pinav.commands.parsing import tag_words
 
 
-def help_of(command: Command) -> str:
-    """What `pinav COMMAND --help` prints into a file."""
+def help_of(command: Command, *words: str) -> str:
+    """What `pinav COMMAND --help` prints into a file, with other words before it."""
     text = io.StringIO()
     columns = mock.patch.dict(os.environ, COLUMNS="80")
     with columns, contextlib.redirect_stdout(text):
-        execute(command, ["--help"])
+        execute(command, [*words, "--help"])
     return text.getvalue()
 
 
@@ -30,6 +31,18 @@ def help_parts(text: str) -> tuple[str, list[str], str]:
     usage, *paragraphs = head.strip().split("\n\n")
     lines = (line.rstrip() for line in tables.splitlines())
     return usage, [" ".join(part.split()) for part in paragraphs], "\n".join(lines)
+
+
+def tagged_groups(command: Command) -> list[str]:
+    """The options that belong to a choice, such as `--recipe paper`, for each one."""
+    groups = []
+    for option, tag in tag_words(resolve(command.options)):
+        group = f"{option.removeprefix('--')} options"
+        _, _, tables = help_parts(help_of(command, option, tag))
+        parts = re.split(r"\n\n (?=\w+ options\n)", tables)
+        (part,) = (one for one in parts if one.startswith(group))
+        groups.append(f"{option} {tag}: {part.strip()}")
+    return groups
 
 
 class CommandHelp(Directive):
@@ -46,7 +59,7 @@ def _section(command: Command) -> nodes.section:
     section = nodes.section(ids=[f"pinav-{command.name}"], names=[name])
     section += nodes.title(name, name)
     section += [nodes.paragraph("", "", *_words(text)) for text in paragraphs]
-    for text in (usage, tables.rstrip()):
+    for text in (usage, tables.rstrip(), *tagged_groups(command)):
         section += nodes.literal_block(text, text, language="text")
     return section
 

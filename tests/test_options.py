@@ -7,14 +7,13 @@ import re
 from functools import cache
 from pathlib import Path
 
-import msgspec
 import pytest
 from validation.truth import TRUTH
 
 from pinav.commands import COMMANDS
 from pinav.commands.command import Command, resolve
 from pinav.commands.dispatch import execute
-from pinav.commands.parsing import parse, tagged_members
+from pinav.commands.parsing import parse, tag_words
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOK = ROOT / "docs" / "notebook"
@@ -81,17 +80,10 @@ def options_of(name: str) -> set[str]:
 def tags_of(name: str) -> list[tuple[str, str]]:
     """The words that choose among options of a command, such as `--recipe paper`."""
     commands = [command for command in COMMANDS if command.name == name]
-    members = [
-        member
-        for command in commands
-        for field in msgspec.structs.fields(resolve(command.options))
-        for member in tagged_members(field.type).values()
-    ]
-    configs = [member.__struct_config__ for member in members]
-    return [(f"--{config.tag_field}", str(config.tag)) for config in configs]
+    return [words for one in commands for words in tag_words(resolve(one.options))]
 
 
-MOST_OPTIONS = 298
+MOST_OPTIONS = 283
 """Options of all commands, that of the help included; lower it as options go."""
 
 

@@ -74,6 +74,16 @@ def tagged_members(annotation: Any) -> dict[str, type[msgspec.Struct]]:
     }
 
 
+def tag_words(options: type[msgspec.Struct]) -> list[tuple[str, str]]:
+    """The words that choose among options, such as `--recipe paper`."""
+    members = [
+        member.__struct_config__
+        for field in msgspec.structs.fields(options)
+        for member in tagged_members(field.type).values()
+    ]
+    return [(f"--{member.tag_field}", str(member.tag)) for member in members]
+
+
 Members = Mapping[str, type[msgspec.Struct]]
 
 

@@ -6,7 +6,6 @@ unvisited, $d > \ell_2$. The lengths $\ell_1 < \ell_2$ are those of `Regions`.
 """
 
 import dataclasses
-from collections.abc import Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -120,20 +119,6 @@ class FieldMap(eqx.Module):
     force: Float[np.ndarray, "rows columns 2"]
     distance: Float[np.ndarray, "rows columns"]
     regions: Regions = Regions()
-
-    @classmethod
-    def of_arrays(
-        cls, arrays: Mapping[str, np.ndarray], name: str, regions: Regions | None = None
-    ) -> "FieldMap":
-        """The map of that name among the arrays that a run keeps.
-
-        Args:
-            arrays: of the run.
-            name: of the map.
-            regions: of the data; those of dimensionless data unless given.
-        """
-        x, y, distance = (arrays[f"field/{part}"] for part in ("x", "y", "distance"))
-        return cls(x, y, arrays[f"field/{name}"], distance, regions or Regions())
 
     @property
     def points(self) -> Float[np.ndarray, "point 2"]:

@@ -136,8 +136,8 @@ class Case(Strict, frozen=True):
         table = self.damage_table
         if table is None:
             return None
-        if table.keys() == {"law"} and table["law"] in DAMAGES:
-            return DAMAGES[table["law"]]
+        if table.keys() == {"law"} and str(table["law"]) in DAMAGES:
+            return DAMAGES[str(table["law"])]
         try:
             return read_module("damage", (Arrhenius,), table)
         except ValueError as error:
