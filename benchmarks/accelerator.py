@@ -26,8 +26,7 @@ from pinav.errors import InputError
 from pinav.files import write_text
 from pinav.fitting import TrajectoryLoss, curriculum, fit_many
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import ModelChoice, learned_part
-from pinav.fitting.environments.summary import summarise_data
+from pinav.fitting.environments.summary import ModelChoice, learned_part, summarise_data
 from pinav.navigation.control.default import controller
 from pinav.navigation.task.catalogue import task
 from pinav.navigation.trials.closed_loop import run_many

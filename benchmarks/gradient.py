@@ -30,8 +30,8 @@ from pinav.dynamics import (
     FixedStep,
     with_dtype,
 )
-from pinav.fitting.environments.choice import learned_part
-from pinav.fitting.matching.trainable import split_trainable
+from pinav.fitting.environments.summary import learned_part
+from pinav.fitting.matching.state import split_trainable
 from pinav.forces import paper_force
 from pinav.scenarios import paper
 from pinav.trajectories import simulate

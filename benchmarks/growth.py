@@ -24,7 +24,7 @@ from benchmarks._options import begin
 from pinav.commands.settings import Settings
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
-from pinav.figures.files import save_figure
+from pinav.figures.images import save_figure
 from pinav.figures.palette import (
     BLUE,
     GREY,
@@ -33,10 +33,8 @@ from pinav.figures.style import SMALL, add_legend, label_axes, new_figure, prepa
 from pinav.files import write_text
 from pinav.fitting import GaussNewton, Problem, TrajectoryLoss, curriculum, fit_many
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import ModelChoice, learned_part
-from pinav.fitting.environments.summary import summarise_data
-from pinav.fitting.matching.objectives import Observations
-from pinav.fitting.matching.trainable import split_trainable
+from pinav.fitting.environments.summary import ModelChoice, learned_part, summarise_data
+from pinav.fitting.matching.state import Observations, split_trainable
 from pinav.scenarios import barrier_crossings, paper
 from pinav.trajectories import Trajectories, concatenate, simulate
 

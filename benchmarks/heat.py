@@ -30,8 +30,7 @@ from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, around, outer
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import MixedPerfusion, lang
-from pinav.thermal.protocols import Piecewise
-from pinav.thermal.schedule import plan_steps
+from pinav.thermal.protocols import Piecewise, plan_steps
 from pinav.thermal.solve import default_stepper, run
 from pinav.thermal.sources import PowerSource
 from pinav.thermal.starts import State

@@ -19,9 +19,8 @@ from matplotlib.figure import Figure
 from pinav.commands.command import Command, CommandResult
 from pinav.commands.dispatch import execute
 from pinav.commands.progress import Reporter
-from pinav.commands.results import keep
+from pinav.commands.results import keep, start_run
 from pinav.commands.settings import Range, RecipeName, ResumableOptions, Settings
-from pinav.commands.start import start_run
 from pinav.commands.study.job import clean_data, with_noise
 from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.errors import FitError
@@ -55,8 +54,12 @@ from pinav.figures.style import (
 )
 from pinav.fitting import Outcome, fit_bayes
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import ModelChoice, learned_part
-from pinav.fitting.environments.summary import summarise_data, summarise_for
+from pinav.fitting.environments.summary import (
+    ModelChoice,
+    learned_part,
+    summarise_data,
+    summarise_for,
+)
 from pinav.learning.learned import ModelHeader, build_model, write_model
 from pinav.learning.matching import matching
 from pinav.learning.recipes import Curriculum, Paper

@@ -21,7 +21,7 @@ import numpy as np
 
 jax.config.update("jax_enable_x64", val=True)
 
-from pinav.figures.files import save_figure
+from pinav.figures.images import save_figure
 from pinav.figures.navigation import plan_map
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.forces import KernelPotential
@@ -29,12 +29,11 @@ from pinav.navigation.control.controller import StraightLine
 from pinav.navigation.control.default import controller
 from pinav.navigation.design.candidates import Experiment
 from pinav.navigation.design.information import PosteriorInformation, best_candidate
-from pinav.navigation.design.prior import PriorField, prior_uncertainty
+from pinav.navigation.design.result import PriorField, prior_uncertainty
 from pinav.navigation.maps import Course
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.task.catalogue import task, training
-from pinav.navigation.task.task import steered_swimmer
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle, steered_swimmer
 from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.metrics import regret, summary
 

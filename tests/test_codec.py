@@ -16,8 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from tests.damage import damaged
 
 from pinav.analysis.discovery.laws import AbstractLaw
-from pinav.analysis.discovery.potentials import POTENTIALS
-from pinav.analysis.discovery.rotations import ROTATIONS
+from pinav.analysis.discovery.potentials import POTENTIALS, ROTATIONS
 from pinav.arguments import Scalar
 from pinav.codec import SHORT, decode, encode
 from pinav.errors import InputError

@@ -19,8 +19,7 @@ from pinav.errors import FitError, InputError
 from pinav.forces import AbstractForce, GaussianBarrier, LinearDrag
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import greatest_thrust
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Disc
+from pinav.navigation.task.task import Disc, Task
 
 INTERVALS = 80
 """Of constant thrust."""

@@ -12,9 +12,8 @@ from benchmarks.fields.families import FAMILIES, random_system
 
 from pinav.analysis import Verdict, discover_law
 from pinav.analysis.discovery.laws import LawForce
-from pinav.analysis.discovery.learned_fit import laplace_posterior
-from pinav.analysis.discovery.potentials import GAUSSIAN, HARMONIC
-from pinav.analysis.discovery.rotations import GAUSSIAN_SWIRL
+from pinav.analysis.discovery.potentials import GAUSSIAN, GAUSSIAN_SWIRL, HARMONIC
+from pinav.analysis.discovery.refit import laplace_posterior
 from pinav.dynamics import FixedStep, Swimmer
 from pinav.fitting import (
     TrajectoryLoss,

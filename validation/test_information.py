@@ -25,9 +25,9 @@ from pinav.navigation.design.candidates import (
     Experiment,
 )
 from pinav.navigation.design.information import PosteriorInformation, best_candidate
-from pinav.navigation.design.prior import PriorField, prior_uncertainty
+from pinav.navigation.design.result import PriorField, prior_uncertainty
 from pinav.navigation.task.steering import CommandLimits, RollingActuator
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle
 from pinav.scenarios import many_barriers
 from pinav.systems import Observation, System
 from pinav.trajectories import concatenate, simulate

@@ -14,7 +14,7 @@ from tests.live.processes import kill_and_resume
 from tests.live.sessions import frame_line, line, steer
 from tests.rig import Robot
 
-from pinav.live.drive_estimator import DriveEstimator
+from pinav.live.estimators import DriveEstimator
 from pinav.live.messages import VERSION, EventKind, Hello, Limits
 from pinav.live.roller_pilot import RollerPilot
 from pinav.live.session import Session

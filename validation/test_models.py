@@ -19,9 +19,8 @@ from pinav.fitting import (
     principal_drags,
     rotational_fraction,
 )
-from pinav.fitting.environments.choice import ModelChoice
-from pinav.fitting.environments.mean_drag import with_tensor_drag
-from pinav.fitting.environments.summary import summarise_for
+from pinav.fitting.environments.catalogue import with_tensor_drag
+from pinav.fitting.environments.summary import ModelChoice, summarise_for
 from pinav.forces import KernelMixture, KernelPotential
 from pinav.learning.learn import open_run
 from pinav.runs import RunFolder

@@ -18,8 +18,7 @@ from pinav.evaluation import field_map, force_coverage
 from pinav.evaluation.force_fields import force_agreement
 from pinav.fitting import Posterior, StructuredFit, fit_bayes, fit_structured
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import ModelChoice
-from pinav.fitting.environments.summary import summarise_for
+from pinav.fitting.environments.summary import ModelChoice, summarise_for
 from pinav.sweeps import Cell
 from pinav.systems import System
 from pinav.trajectories import Trajectories, simulate

@@ -20,7 +20,7 @@ from pinav.commands.parsing import parse
 from pinav.commands.settings import Settings
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.errors import InputError
-from pinav.figures.files import save_figure
+from pinav.figures.images import save_figure
 from pinav.figures.style import label_axes, new_figure, prepare_axes
 from pinav.sweeps import Cell
 

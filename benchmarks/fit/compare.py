@@ -221,7 +221,7 @@ LOST = 1e100
 def _draw(options: Options, curves: dict[str, np.ndarray]) -> None:
     """The figure of the curves."""
     from benchmarks.fit.convergence import figure
-    from pinav.figures.files import save_figure
+    from pinav.figures.images import save_figure
 
     files = save_figure(figure(curves), options.out, "convergence")
     print(f"figure: {files.png}")

@@ -21,8 +21,12 @@ from pinav.fitting import (
     paper_recipe,
 )
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import ModelChoice, learned_part
-from pinav.fitting.environments.summary import summarise_data, summarise_for_matching
+from pinav.fitting.environments.summary import (
+    ModelChoice,
+    learned_part,
+    summarise_data,
+    summarise_for_matching,
+)
 from pinav.forces import KernelPotential
 from pinav.learning.matching import matching
 from pinav.learning.recipes import Curriculum

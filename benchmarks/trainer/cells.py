@@ -30,8 +30,11 @@ from pinav.fitting import (
     kernel_environment,
 )
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import ModelChoice, learned_part
-from pinav.fitting.environments.summary import summarise_for_matching
+from pinav.fitting.environments.summary import (
+    ModelChoice,
+    learned_part,
+    summarise_for_matching,
+)
 from pinav.forces import GaussianSwirl, KernelPotential, SumForce
 from pinav.learning.matching import matching
 from pinav.learning.recipes import Curriculum, Paper

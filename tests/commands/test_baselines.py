@@ -7,8 +7,7 @@ import pytest
 from pinav.evaluation import evaluate
 from pinav.fitting import Refinement
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import ModelChoice
-from pinav.fitting.environments.summary import summarise_for
+from pinav.fitting.environments.summary import ModelChoice, summarise_for
 from pinav.learning.learned import Learned, ModelHeader, build_model
 from pinav.scenarios import scenario
 from pinav.trajectories import load, simulate

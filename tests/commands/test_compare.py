@@ -15,10 +15,12 @@ from pinav.commands.compare.sections import sections, table
 from pinav.commands.compare.settings import CompareSettings
 from pinav.errors import InputError
 from pinav.fitting import ModelEvidence
-from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import ModelChoice
-from pinav.fitting.environments.mean_drag import mean_drag, with_tensor_drag
-from pinav.fitting.environments.summary import summarise_data, summarise_for
+from pinav.fitting.environments.catalogue import build, mean_drag, with_tensor_drag
+from pinav.fitting.environments.summary import (
+    ModelChoice,
+    summarise_data,
+    summarise_for,
+)
 from pinav.forces import tensor_matrix
 from pinav.learning.learned import Learned, ModelHeader, build_model
 from pinav.report.text import sections_text

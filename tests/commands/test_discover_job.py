@@ -17,9 +17,13 @@ from pinav.analysis import (
 )
 from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.laws import latex
-from pinav.analysis.discovery.potentials import GAUSSIAN, POTENTIALS, SADDLE
+from pinav.analysis.discovery.potentials import (
+    GAUSSIAN,
+    GAUSSIAN_SWIRL,
+    POTENTIALS,
+    SADDLE,
+)
 from pinav.analysis.discovery.profiles import Yukawa
-from pinav.analysis.discovery.rotations import GAUSSIAN_SWIRL
 from pinav.commands.discover import DISCOVER
 from pinav.commands.discover.sections import central_sentence, sections, sentences
 from pinav.commands.results import sections_of

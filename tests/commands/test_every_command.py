@@ -11,9 +11,8 @@ from tests.fitted_runs import blank_figures
 
 from pinav import analysis, cli
 from pinav.analysis import effects
-from pinav.analysis.discovery import discovery, screening
-from pinav.analysis.discovery.potentials import POTENTIALS
-from pinav.analysis.discovery.rotations import ROTATIONS
+from pinav.analysis.discovery import discovery, law_regression
+from pinav.analysis.discovery.potentials import POTENTIALS, ROTATIONS
 from pinav.commands import COMMANDS
 from pinav.runs import RunFolder
 
@@ -91,7 +90,7 @@ def little_work(monkeypatch):
         analysis.discover_law, laws=(*POTENTIALS[:2], *ROTATIONS[:1])
     )
     monkeypatch.setattr(discovery, "discover_law", few)
-    monkeypatch.setattr(screening, "MOST_TERMS", 1)
+    monkeypatch.setattr(law_regression, "MOST_TERMS", 1)
     monkeypatch.setattr(effects, "LYAPUNOV_POINTS", 5)
     with blank_figures():
         yield

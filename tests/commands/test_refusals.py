@@ -13,7 +13,7 @@ from pinav import cli
 from pinav.errors import InputError
 from pinav.fitting.environments.summary import DataSummary
 from pinav.learning import plan
-from pinav.learning.system_choice import choose_system
+from pinav.learning.plan import choose_system
 from pinav.trajectories import Trajectories
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from pinav.commands.identify import IDENTIFY
 from pinav.commands.identify.settings import IdentifyOptions
 from pinav.commands.recording_settings import RecordingSettings
-from pinav.commands.start import start_run
+from pinav.commands.results import start_run
 
 
 def test_a_run_names_the_files_that_decide_its_numbers(tmp_path):

@@ -18,7 +18,7 @@ from pinav.commands.study.settings import StudySettings
 from pinav.commands.sweep import Sweep
 from pinav.errors import FitError
 from pinav.figures.errors import scaling_figure
-from pinav.fitting.environments.choice import ModelChoice
+from pinav.fitting.environments.summary import ModelChoice
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import load

@@ -6,14 +6,14 @@ import pytest
 
 from pinav.fitting import Cause
 from pinav.fitting.environments.catalogue import build
-from pinav.learning import remarks
-from pinav.learning.plan import plan_fit
-from pinav.learning.remarks import (
+from pinav.learning import account
+from pinav.learning.account import (
     ASSUMED_POTENTIAL,
     assumed_potential,
     confirm_outcome,
     likely_cause,
 )
+from pinav.learning.plan import plan_fit
 from pinav.scenarios import scenario
 from pinav.trajectories import simulate
 
@@ -41,7 +41,7 @@ def test_a_potential_that_nothing_tested_is_called_assumed(
 def test_a_fit_that_misses_the_data_says_the_likely_cause(monkeypatch):
     truth = scenario("paper")
     data = simulate(truth)
-    monkeypatch.setattr(remarks, "diagnose", lambda model, data: Cause.CHAOS)
+    monkeypatch.setattr(account, "diagnose", lambda model, data: Cause.CHAOS)
     far, near = {"total": 0.5}, {"total": 1e-6}
     model = truth.true_swimmer
     (sentence,) = likely_cause(data, model, "stalled", far)

@@ -12,7 +12,7 @@ import pinav.systems
 from pinav.actuation import SaturatingResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.fitting import Estimate
-from pinav.fitting.environments.choice import ModelChoice
+from pinav.fitting.environments.summary import ModelChoice
 from pinav.forces import (
     ConstantForce,
     GaussianBarrier,
@@ -21,7 +21,7 @@ from pinav.forces import (
     SumForce,
     ZeroForce,
 )
-from pinav.learning.constants import with_units
+from pinav.learning.evidence import with_units
 from pinav.systems import System, Units
 from pinav.units import unit_of
 

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from pinav.live.checkpoint import read_session
-from pinav.live.drive_estimator import DriveEstimator
+from pinav.live.estimators import DriveEstimator
 from pinav.live.session import Session
 
 RIG = Path(__file__).parents[1] / "rig.py"

@@ -9,8 +9,7 @@ from pinav.live import loop as module
 from pinav.live.checkpoint import read_session
 from pinav.live.loop import Loop
 from pinav.live.session import Session
-from pinav.live.sinks import FileSink
-from pinav.live.sources import FileSource, Reading
+from pinav.live.sources import FileSink, FileSource, Reading
 
 
 class Killed(BaseException):

@@ -11,8 +11,7 @@ from tests.live.sessions import HELLO, frame_line, line, steer
 from tests.rig import Robot
 
 from pinav.codec import decode, encode
-from pinav.live.drive_estimator import DriveEstimator
-from pinav.live.estimators import Advice, Intent
+from pinav.live.estimators import Advice, DriveEstimator, Intent
 from pinav.live.messages import Command, EventKind, Mode
 from pinav.live.roller_pilot import RollerPilot, _tangent, _way_point
 from pinav.live.session import Session

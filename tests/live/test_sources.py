@@ -8,13 +8,16 @@ import time
 import pytest
 
 from pinav.errors import InputError
-from pinav.live.sinks import FileSink, SocketSink, SourceSink, sink_of
 from pinav.live.sources import (
+    FileSink,
     FileSource,
     LineBuffer,
+    SocketSink,
     SocketSource,
+    SourceSink,
     StreamSource,
     address_of,
+    sink_of,
     source_of,
 )
 

@@ -4,7 +4,7 @@ import io
 import json
 
 from pinav.live.messages import Event, EventKind, Mode, State
-from pinav.live.status import Printer, status_line
+from pinav.live.page import Printer, status_line
 
 STATE = State(
     seq=1,

@@ -16,8 +16,7 @@ from pinav.navigation.task.steering import (
     RollingActuator,
     SteeredSwimmer,
 )
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle, Task
 
 DRAG = 0.5
 

@@ -13,7 +13,7 @@ from pinav.commands.data_file import read_data
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.errors import InputError
 from pinav.recordings import Reading, read_recording
-from pinav.recordings.synonyms import example_of_columns
+from pinav.recordings.table import example_of_columns
 
 TXY = {"t": "t", "x": "x", "y": "y"}
 UM = {"units": {"x": "um", "t": "s"}}

@@ -10,7 +10,6 @@ from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, outer
 from pinav.thermal.design import Run, free_scale, log_d90
 from pinav.thermal.grids import RadialGrid
-from pinav.thermal.jumps import refuse_jumps
 from pinav.thermal.learning import learn
 from pinav.thermal.optimise import optimise
 from pinav.thermal.perfusion import (
@@ -24,6 +23,7 @@ from pinav.thermal.perfusion import (
 )
 from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.rosenbrock import refuse_jumps
 from pinav.thermal.sources import PowerSource, eddy_power
 from pinav.thermal.tissues import PRESETS, Blood, Tissue, mix, preset
 

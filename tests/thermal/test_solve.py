@@ -14,9 +14,8 @@ from pinav.thermal.boundaries import Dirichlet, Robin, Sides, around, outer
 from pinav.thermal.dose import value_exceeded_by
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
-from pinav.thermal.protocols import Piecewise
+from pinav.thermal.protocols import Piecewise, plan_steps
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.schedule import plan_steps
 from pinav.thermal.solve import Probes, default_stepper, probes_at, run, solve
 from pinav.thermal.sources import EddySource, PowerSource
 from pinav.thermal.starts import State

@@ -12,8 +12,7 @@ from validation.truth.trap import judge_dragged_trap, judge_trap
 from validation.truth.wall import judge_wall
 
 from pinav.commands.command import CommandResult
-from pinav.commands.results import keep
-from pinav.commands.start import start_run
+from pinav.commands.results import keep, start_run
 from pinav.errors import FitError, InputError
 
 Judge = Callable[[Case, Recording], Judgement]

@@ -22,7 +22,7 @@ from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap
 from pinav.fitting import AbstractLearned
-from pinav.fitting.environments.choice import CONSTANTS
+from pinav.fitting.environments.summary import CONSTANTS
 from pinav.forces import (
     KernelTensor,
     LinearDrag,

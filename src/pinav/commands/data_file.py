@@ -1,6 +1,7 @@
-"""The data of a command: trajectories of pinav, or a recording of a tracker."""
+"""The data of a command, and points and discs as words of the command line."""
 
 import contextlib
+import math
 from pathlib import Path
 
 import msgspec
@@ -14,6 +15,30 @@ from pinav.trajectories import (
     is_trajectories,
     load,
 )
+
+
+def numbers(option: str, text: str, *counts: int) -> tuple[float, ...]:
+    """Numbers with commas between them.
+
+    Args:
+        option: what the message calls them.
+        text: such as "0.5,1".
+        counts: how many there may be.
+
+    Raises:
+        InputError: they are not so many finite numbers.
+    """
+    try:
+        values = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) not in counts or not all(map(math.isfinite, values)):
+        example = ",".join("123456"[: counts[0]])
+        raise InputError(
+            f"{option}: expected {' or '.join(map(str, counts))} numbers with commas "
+            f"between them, such as {example}, got {text!r}"
+        )
+    return values
 
 
 def read_data(
@@ -60,7 +85,7 @@ def _as_a_table(path: Path) -> str:
     if path.suffix.lower() != ".csv" or not path.is_file():
         return ""
     from pinav.recordings.source import Source
-    from pinav.recordings.synonyms import example_of_columns, likely_columns
+    from pinav.recordings.table import example_of_columns, likely_columns
 
     with contextlib.suppress(InputError):
         source = Source.read(path)

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 import msgspec
 
 from pinav.commands.command import Command
+from pinav.commands.results import start_run
 from pinav.commands.settings import RunOptions
-from pinav.commands.start import start_run
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.report import Table
 from pinav.report.text import as_text

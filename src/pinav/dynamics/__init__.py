@@ -1,20 +1,16 @@
 """Equations of motion of swimmers, and their solvers."""
 
 from pinav.dynamics.adaptive import Adaptive as Adaptive
+from pinav.dynamics.adaptive import ForwardOnly as ForwardOnly
 from pinav.dynamics.brownian import BOLTZMANN as BOLTZMANN
 from pinav.dynamics.brownian import BrownianSwimmer as BrownianSwimmer
 from pinav.dynamics.brownian import sample_path as sample_path
 from pinav.dynamics.brownian import thermal_energy as thermal_energy
-from pinav.dynamics.commanded import drive_by_arrays as drive_by_arrays
-from pinav.dynamics.commanded import drive_by_commands as drive_by_commands
-from pinav.dynamics.commanded import takes_commands as takes_commands
-from pinav.dynamics.commanded import unbound as unbound
 from pinav.dynamics.fixed_step import RK4 as RK4
 from pinav.dynamics.fixed_step import TSIT5 as TSIT5
 from pinav.dynamics.fixed_step import FixedStep as FixedStep
 from pinav.dynamics.fixed_step import Tableau as Tableau
 from pinav.dynamics.fixed_step import linear_recursion as linear_recursion
-from pinav.dynamics.forward import ForwardOnly as ForwardOnly
 from pinav.dynamics.rollout import Outcome as Outcome
 from pinav.dynamics.rollout import Rollout as Rollout
 from pinav.dynamics.rollout import rollout as rollout
@@ -25,5 +21,9 @@ from pinav.dynamics.swimmers import Model as Model
 from pinav.dynamics.swimmers import NeuralDynamics as NeuralDynamics
 from pinav.dynamics.swimmers import OverdampedSwimmer as OverdampedSwimmer
 from pinav.dynamics.swimmers import Swimmer as Swimmer
+from pinav.dynamics.swimmers import drive_by_arrays as drive_by_arrays
+from pinav.dynamics.swimmers import drive_by_commands as drive_by_commands
 from pinav.dynamics.swimmers import paper_black_box as paper_black_box
+from pinav.dynamics.swimmers import takes_commands as takes_commands
+from pinav.dynamics.swimmers import unbound as unbound
 from pinav.dynamics.swimmers import with_dtype as with_dtype

@@ -24,10 +24,13 @@ from pinav.evaluation.force_fields import NEAR_FRACTION as NEAR_FRACTION
 from pinav.evaluation.force_fields import VISITED as VISITED
 from pinav.evaluation.force_fields import VISITED_FRACTION as VISITED_FRACTION
 from pinav.evaluation.force_fields import Agreement as Agreement
+from pinav.evaluation.force_fields import Decomposition as Decomposition
 from pinav.evaluation.force_fields import FieldMap as FieldMap
+from pinav.evaluation.force_fields import ForceLine as ForceLine
 from pinav.evaluation.force_fields import Regions as Regions
 from pinav.evaluation.force_fields import agreement as agreement
 from pinav.evaluation.force_fields import check_planar as check_planar
+from pinav.evaluation.force_fields import decompose as decompose
 from pinav.evaluation.force_fields import default_regions as default_regions
 from pinav.evaluation.force_fields import distances as distances
 from pinav.evaluation.force_fields import enclosing_cube as enclosing_cube
@@ -35,37 +38,34 @@ from pinav.evaluation.force_fields import extent as extent
 from pinav.evaluation.force_fields import field_map as field_map
 from pinav.evaluation.force_fields import force_agreement as force_agreement
 from pinav.evaluation.force_fields import force_error as force_error
-from pinav.evaluation.force_fields import force_errors as force_errors
-from pinav.evaluation.force_fields import square as square
-from pinav.evaluation.force_lines import Decomposition as Decomposition
-from pinav.evaluation.force_lines import ForceLine as ForceLine
-from pinav.evaluation.force_lines import decompose as decompose
-from pinav.evaluation.force_lines import (
+from pinav.evaluation.force_fields import (
     force_error_at_samples as force_error_at_samples,
 )
-from pinav.evaluation.force_lines import force_line as force_line
-from pinav.evaluation.force_lines import line_through as line_through
+from pinav.evaluation.force_fields import force_errors as force_errors
+from pinav.evaluation.force_fields import force_line as force_line
+from pinav.evaluation.force_fields import line_through as line_through
+from pinav.evaluation.force_fields import square as square
 from pinav.evaluation.judgement import CalibratedBand as CalibratedBand
 from pinav.evaluation.judgement import ParameterRecovery as ParameterRecovery
-from pinav.evaluation.restarts import RestartErrors as RestartErrors
-from pinav.evaluation.restarts import restart_errors as restart_errors
 from pinav.evaluation.rollouts import ErrorCurve as ErrorCurve
+from pinav.evaluation.rollouts import RestartErrors as RestartErrors
 from pinav.evaluation.rollouts import RolloutErrors as RolloutErrors
 from pinav.evaluation.rollouts import RolloutSummary as RolloutSummary
 from pinav.evaluation.rollouts import error_curve as error_curve
 from pinav.evaluation.rollouts import position_errors as position_errors
 from pinav.evaluation.rollouts import quantile as quantile
+from pinav.evaluation.rollouts import restart_errors as restart_errors
 from pinav.evaluation.rollouts import summarise as summarise
 from pinav.evaluation.scores import Score as Score
+from pinav.evaluation.scores import Whiteness as Whiteness
+from pinav.evaluation.scores import increment_residuals as increment_residuals
 from pinav.evaluation.scores import predict as predict
 from pinav.evaluation.scores import require_x64 as require_x64
 from pinav.evaluation.scores import score as score
+from pinav.evaluation.scores import whiteness as whiteness
 from pinav.evaluation.setting import held_out as held_out
 from pinav.evaluation.starts import START_SAMPLES as START_SAMPLES
 from pinav.evaluation.starts import Starts as Starts
 from pinav.evaluation.starts import estimate_starts as estimate_starts
 from pinav.evaluation.starts import first_samples as first_samples
 from pinav.evaluation.starts import without_first as without_first
-from pinav.evaluation.whiteness import Whiteness as Whiteness
-from pinav.evaluation.whiteness import increment_residuals as increment_residuals
-from pinav.evaluation.whiteness import whiteness as whiteness

@@ -27,9 +27,8 @@ from pinav.evaluation.rollouts import (
     position_errors,
     summarise,
 )
-from pinav.evaluation.scores import score
+from pinav.evaluation.scores import Whiteness, score
 from pinav.evaluation.setting import Prediction, Setting, held_out, predict_rollouts
-from pinav.evaluation.whiteness import Whiteness
 from pinav.fitting import AbstractLearned
 from pinav.trajectories import Trajectories
 

@@ -17,10 +17,9 @@ from pinav.evaluation.coverage import (
     rollout_coverage,
 )
 from pinav.evaluation.force_fields import distances
-from pinav.evaluation.scores import predict
+from pinav.evaluation.scores import Whiteness, increment_residuals, predict, whiteness
 from pinav.evaluation.setting import Setting, predict_rollouts, select_scored
 from pinav.evaluation.starts import first_samples, without_first
-from pinav.evaluation.whiteness import Whiteness, increment_residuals, whiteness
 from pinav.systems import System
 from pinav.trajectories import Trajectories
 

@@ -9,9 +9,9 @@ from pinav.figures.analysis import sobol_figure as sobol_figure
 from pinav.figures.bands import band as band
 from pinav.figures.errors import evaluation_errors_figure as evaluation_errors_figure
 from pinav.figures.errors import residuals_figure as residuals_figure
-from pinav.figures.files import FigureFiles as FigureFiles
-from pinav.figures.files import save_figure as save_figure
+from pinav.figures.images import FigureFiles as FigureFiles
 from pinav.figures.images import Picture as Picture
+from pinav.figures.images import save_figure as save_figure
 from pinav.figures.laws import evidence_bars as evidence_bars
 from pinav.figures.laws import formula_figure as formula_figure
 from pinav.figures.laws import law_agreement as law_agreement
@@ -19,7 +19,7 @@ from pinav.figures.laws import law_figure as law_figure
 from pinav.figures.laws import law_ranking as law_ranking
 from pinav.figures.maps import force_comparison as force_comparison
 from pinav.figures.maps import map_panel as map_panel
-from pinav.figures.observations import observed_paths as observed_paths
+from pinav.figures.recordings import observed_paths as observed_paths
 from pinav.figures.recordings import overlay_figure as overlay_figure
 from pinav.figures.recordings import recording_figure as recording_figure
 from pinav.figures.trajectories import acceleration_figure as acceleration_figure

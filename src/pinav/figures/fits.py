@@ -1,8 +1,10 @@
-"""Figures of a fit: its paths, its force, the profiles of terms, thermal motion."""
+"""Figures of a fit: its paths, its force, the profiles of terms, learning."""
 
-from collections.abc import Iterator
+import dataclasses
+from collections.abc import Iterator, Mapping
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -10,11 +12,22 @@ from pinav.evaluation import normal_interval
 from pinav.figures.bands import band
 from pinav.figures.images import Picture
 from pinav.figures.maps import force_comparison
-from pinav.figures.observations import observed_paths, positions_over_time
+from pinav.figures.navigation import greatest_force, paths_map, spread_map
 from pinav.figures.palette import GREEN, GREY, LEARNED, PURPLE, TRUTH
-from pinav.figures.style import add_legend, new_figure, with_unit
+from pinav.figures.recordings import observed_paths, positions_over_time
+from pinav.figures.style import (
+    DIMENSIONLESS,
+    add_legend,
+    channel_label,
+    label_axes,
+    new_figure,
+    title_panel,
+    with_unit,
+)
 from pinav.figures.trajectories import loss_curve
 from pinav.learning.findings import Findings, FoundTerm, Rollouts
+from pinav.navigation.adaptive.swimmer import ShownFlight
+from pinav.navigation.maps import Course
 from pinav.trajectories import POSITION_CHANNELS
 from pinav.units import force_unit
 
@@ -219,3 +232,59 @@ def _diffusion_figure(fit: Findings, name: str) -> Picture:
 
     caption = f"Diffusion along {name} through the middle of the data, 95 % bands."
     return Picture(f"diffusion-{name}", draw, caption, f"Diffusion over {name}")
+
+
+def moments_figure(
+    course: Course,
+    shown: ShownFlight,
+    path: Float[np.ndarray, "frame 2"],
+    *,
+    step: float,
+    thrust: float,
+    units: Mapping[str, str] = DIMENSIONLESS,
+) -> Figure:
+    """Path so far over mean and standard deviation of the force, at some moments.
+
+    Args:
+        course: start, goal and obstacles.
+        shown: what the flight has learned.
+        path: its positions [L].
+        step: time between two of them [T].
+        thrust: greatest thrust of the swimmer [L T⁻²].
+        units: unit of each channel; "1" means dimensionless.
+    """
+    maps, limit = shown.maps, greatest_force(shown.maps)
+    figure = new_figure(2.3 * len(shown.times), 5.2)
+    axes = figure.subplots(2, len(shown.times), squeeze=False)
+    moments = zip(axes.T, shown.times.tolist(), shown.means, shown.sds, strict=True)
+    for (top, low), now, mean, sd in moments:
+        so_far = path[: round(now / step) + 1]
+        field = dataclasses.replace(maps.learned, force=mean)
+        drawn = {"visit 1": [so_far]}
+        paths_map(field, course, drawn, limit=limit, units=units, ax=top)
+        ground = {"thrust": thrust, "route": so_far, "units": units}
+        spread_map(field, sd, course, **ground, ax=low)
+        unit = units.get("t", "1")
+        title_panel(top, f"t = {now:.3g}{'' if unit == '1' else f' {unit}'}")
+    return figure
+
+
+def bands_figure(
+    shown: ShownFlight, *, step: float, units: Mapping[str, str] = DIMENSIONLESS
+) -> Figure:
+    """Both components of the force along a path, with their bands of 95 %.
+
+    Args:
+        shown: what the flight has learned.
+        step: time between two positions of the path [T].
+        units: unit of each channel; "1" means dimensionless.
+    """
+    truth, mean, sd = shown.truth, shown.mean, shown.sd
+    t = step * np.arange(len(truth))
+    figure = new_figure(6.4, 3.6)
+    for k, ax in enumerate(figure.subplots(2, 1, sharex=True)):
+        ends = normal_interval(mean[:, k], sd[:, k])
+        band(t, mean[:, k], ends, truth=truth[:, k], ax=ax)
+        force = with_unit(f"$F_{'xy'[k]}$", force_unit(units))
+        label_axes(ax, channel_label("t", units) if k else "", force)
+    return figure

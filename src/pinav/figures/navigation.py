@@ -1,4 +1,4 @@
-"""Figures of navigation: the plan, routes over the force, and how runs ended."""
+"""Figures of navigation and of designs: plans, routes over the force, outcomes."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator
 
 from pinav.evaluation import FieldMap
 from pinav.figures.maps import DEVIATION, Look, draw_arrows, map_panel
@@ -22,6 +22,8 @@ from pinav.figures.palette import (
     PAPER,
     PLAIN,
     PLAN,
+    PURPLE,
+    TRACK,
     WALL,
 )
 from pinav.figures.style import (
@@ -29,6 +31,7 @@ from pinav.figures.style import (
     SMALL,
     THIN,
     WIDE,
+    add_legend,
     file_settings,
     label_axes,
     new_figure,
@@ -281,3 +284,77 @@ def _draw_regret(ax: Axes, place: int, ratio: Interval | None, color: str) -> No
     ax.plot(ratio.value, place, "o", color=color, ms=5)
     if np.isfinite(ratio.upper):
         ax.hlines(place, ratio.lower, ratio.upper, color=BLACK)
+
+
+LOOKS: Mapping[str, tuple[str, str]] = {
+    "informed": (NEXT, "-"),
+    "random": (GREY, "--"),
+    "grid": (PURPLE, "-."),
+}
+"""Colour and dash of each design."""
+
+
+def bounds_figure(
+    bounds: Mapping[str, Sequence[Float[np.ndarray, " count"]]], accuracy: float
+) -> Figure:
+    """How well the force along the way is known after each trajectory.
+
+    Args:
+        bounds: of each design, one curve a campaign.
+        accuracy: what was asked for.
+    """
+    figure = new_figure(5.2, 3.2)
+    ax = prepare_axes(figure.add_subplot())
+    for name, curves in bounds.items():
+        color, dash = LOOKS[name]
+        for index, curve in enumerate(curves):
+            label = name if index == 0 else None
+            ax.plot(100 * curve, color=color, ls=dash, lw=1.2, label=label)
+    ax.axhline(100 * accuracy, color=BLACK, lw=0.8, ls=":", label="asked for")
+    ax.set_yscale("log")
+    ax.set_ylim(top=110)
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_formatter("")
+    label_axes(ax, "trajectories", "bound of the error [%]")
+    add_legend(ax)
+    return figure
+
+
+def recordings_figure(
+    course: Course,
+    maps: ForceMaps,
+    paths: Sequence[Float[np.ndarray, "_ 2"]],
+    *,
+    way: Float[np.ndarray, "_ 2"],
+    thrust: float,
+    units: Mapping[str, str] = DIMENSIONLESS,
+) -> Figure:
+    """What was recorded, over what is not known of the force, and the planned way.
+
+    Args:
+        course: start, goal and obstacles.
+        maps: the learned force, and its standard deviation.
+        paths: positions of the trajectories [L].
+        way: the planned way [L].
+        thrust: greatest thrust of the swimmer [L T⁻²].
+        units: unit of each channel.
+    """
+    figure = new_figure(4.8, 4.8)
+    ax = figure.add_subplot()
+    assert maps.sd is not None
+    spread_map(
+        maps.learned,
+        maps.sd,
+        course,
+        thrust=thrust,
+        route=way,
+        units=units,
+        ax=ax,
+    )
+    halo = [withStroke(linewidth=2.0, foreground=BLACK)]
+    for index, path in enumerate(paths):
+        label = "recorded" if index == 0 else None
+        ax.plot(*path.T, color=TRACK, lw=0.9, path_effects=halo, label=label)
+    add_legend(ax)
+    return figure

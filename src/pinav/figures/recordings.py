@@ -1,8 +1,9 @@
-"""A recording at a glance: paths, speed against frequency, clock, commands."""
+"""Figures of a recording: paths, speeds, clock, commands, and what a model makes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -16,6 +17,7 @@ from pinav.figures.palette import (
     FILM,
     GREEN,
     GREY,
+    LEARNED,
     ORANGE,
     PAPER,
     PURPLE,
@@ -24,6 +26,8 @@ from pinav.figures.palette import (
     VERMILLION,
 )
 from pinav.figures.style import (
+    DIMENSIONLESS,
+    THIN,
     add_legend,
     channel_label,
     label_axes,
@@ -39,6 +43,71 @@ from pinav.recordings import image_positions, labels
 from pinav.recordings.quality.commands import vector
 from pinav.recordings.quality.report import Quality, positions
 from pinav.trajectories import Trajectories
+
+
+def observed_paths(
+    observed: Sequence[Float[np.ndarray, "_ 2"]],
+    predicted: Sequence[Float[np.ndarray, "_ 2"]],
+    *,
+    units: Mapping[str, str] = DIMENSIONLESS,
+    ax: Axes | None = None,
+) -> Axes:
+    """Observed positions as dots, rollouts of the model as lines, starts marked.
+
+    Args:
+        observed: positions of each trajectory [L]; NaN where not observed.
+        predicted: positions of its rollout [L].
+        units: unit of each channel; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepare_axes(ax)
+    dots = {"color": TRACK, "markersize": 2.0, "label": "observed"}
+    line = {"color": LEARNED, "lw": THIN, "label": "model"}
+    for measured, path in zip(observed, predicted, strict=True):
+        ax.plot(*measured.T, ".", **dots)
+        ax.plot(*path.T, **line)
+        dots["label"] = line["label"] = "_"
+    starts = np.array([path[0] for path in predicted])
+    ax.plot(*starts.T, "o", mfc=PAPER, mec=BLACK, markersize=4, label="start")
+    low, high = _limits(observed)
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    label_plane(ax, units, adjustable="box")
+    add_legend(ax)
+    return ax
+
+
+def positions_over_time(
+    times: Sequence[Float[np.ndarray, " time"]],
+    observed: Sequence[Float[np.ndarray, " time"]],
+    predicted: Sequence[Float[np.ndarray, " time"]],
+    *,
+    labels: tuple[str, str],
+    ax: Axes | None = None,
+) -> Axes:
+    """Observed positions on a line as dots, rollouts of the model as lines.
+
+    Args:
+        times: of each trajectory [T].
+        observed: positions [L]; NaN where not observed.
+        predicted: positions of its rollout [L].
+        labels: of the axes.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepare_axes(ax)
+    for ts, measured, path in zip(times, observed, predicted, strict=True):
+        ax.plot(ts, measured, ".", color=TRACK, markersize=1.5)
+        ax.plot(ts, path, color=LEARNED, lw=0.8)
+    label_axes(ax, *labels)
+    return ax
+
+
+def _limits(observed: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """A frame about the observed positions, with a margin of a twentieth."""
+    points = np.concatenate(observed)
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    margin = 0.05 * max(float(np.max(high - low)), 1e-300)
+    return low - margin, high + margin
+
 
 _COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 _MARKS = ("o", "s", "^", "D", "v", "P", "X")

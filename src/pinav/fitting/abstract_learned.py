@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from pinav.dynamics import AbstractDynamics
 from pinav.fitting.engine.posterior import Estimate, Posterior
-from pinav.fitting.environments.choice import ModelChoice
+from pinav.fitting.environments.summary import ModelChoice
 from pinav.systems import System, WanderingVelocity
 from pinav.trajectories import Trajectories
 from pinav.units import with_order

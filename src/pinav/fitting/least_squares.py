@@ -17,18 +17,22 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from pinav.arguments import on_device
 from pinav.errors import InputError
-from pinav.fitting.engine.constant_priors import ConstantPriors
-from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
-from pinav.fitting.engine.iterate import DEFECT_TOLERANCE, EvidenceProgress, iterate
-from pinav.fitting.engine.local_model import AbstractLocalModel, Prediction, States
-from pinav.fitting.engine.parametric_model import (
+from pinav.fitting.engine.constant_priors import (
+    ConstantPriors,
     ParametricModel,
     parameter_names,
     ravel_model,
     selected_entries,
 )
-from pinav.fitting.engine.problem import AbstractProblem, Step
-from pinav.fitting.engine.steps import AbstractStepRule, ChordSteps
+from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
+from pinav.fitting.engine.iterate import DEFECT_TOLERANCE, EvidenceProgress, iterate
+from pinav.fitting.engine.local_model import AbstractLocalModel, Prediction, States
+from pinav.fitting.engine.problem import (
+    AbstractProblem,
+    AbstractStepRule,
+    ChordSteps,
+    Step,
+)
 from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights

@@ -4,6 +4,9 @@ from pinav.identification.baselines import Baseline as Baseline
 from pinav.identification.baselines import least_squares as least_squares
 from pinav.identification.candidates import drift_only as drift_only
 from pinav.identification.candidates import gain_matrix as gain_matrix
+from pinav.identification.candidates import needs_kalman_filter as needs_kalman_filter
+from pinav.identification.candidates import record_commands as record_commands
+from pinav.identification.candidates import system_of as system_of
 from pinav.identification.candidates import with_learned as with_learned
 from pinav.identification.candidates import with_response as with_response
 from pinav.identification.candidates import with_slow_drift as with_slow_drift
@@ -37,9 +40,6 @@ from pinav.identification.selection import Row as Row
 from pinav.identification.selection import Selection as Selection
 from pinav.identification.selection import select_model as select_model
 from pinav.identification.selection import split as split
-from pinav.identification.systems import needs_kalman_filter as needs_kalman_filter
-from pinav.identification.systems import record_commands as record_commands
-from pinav.identification.systems import system_of as system_of
 from pinav.identification.tracks import Blocks as Blocks
 from pinav.identification.tracks import Track as Track
 from pinav.identification.tracks import tracks as tracks

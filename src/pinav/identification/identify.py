@@ -13,6 +13,7 @@ from pinav.errors import FitError, InputError
 from pinav.fitting import Estimate, EvidenceFit
 from pinav.forces import RollingPropulsion
 from pinav.identification.baselines import least_squares
+from pinav.identification.candidates import system_of
 from pinav.identification.estimates import estimates, gain_of
 from pinav.identification.findings import (
     DelayFindings,
@@ -31,7 +32,6 @@ from pinav.identification.rollouts import (
     coverage,
 )
 from pinav.identification.selection import RESIDUALS, Row, select_model
-from pinav.identification.systems import system_of
 from pinav.identification.tracks import Track, tracks
 from pinav.recordings.conventions import remarks
 from pinav.systems import System, parse_system, system_text

@@ -17,7 +17,7 @@ from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting import EvidenceFit, model_evidence
 from pinav.fitting.engine.evidence_fit import evidence_fit
 from pinav.fitting.engine.iterate import iterate
-from pinav.fitting.engine.steps import FullStep, ShortenedStep
+from pinav.fitting.engine.problem import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
 from pinav.identification.forecast import path_of

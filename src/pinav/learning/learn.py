@@ -22,7 +22,7 @@ from pinav.fitting import (
     may_turn,
 )
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import MIXTURE
+from pinav.fitting.environments.summary import MIXTURE
 from pinav.fitting.evidence.model_evidence import model_evidence
 from pinav.forces import AbstractForce, as_learned_force
 from pinav.identification import fit_commanded, needs_kalman_filter
@@ -37,7 +37,7 @@ from pinav.learning.learned import (
     teacher_choice,
 )
 from pinav.learning.matching import Losses, matching
-from pinav.learning.plan import FitPlan, plan_fit
+from pinav.learning.plan import FitPlan, choose_system, plan_fit
 from pinav.learning.recipes import (
     SUITED,
     Bayes,
@@ -46,7 +46,6 @@ from pinav.learning.recipes import (
     Paper,
     Recipe,
 )
-from pinav.learning.system_choice import choose_system
 from pinav.learning.thermal import fit_thermal
 from pinav.systems import System
 from pinav.trajectories import Trajectories

@@ -25,15 +25,13 @@ from pinav.fitting import (
     is_network,
 )
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import KnownSwimmer, ModelChoice
-from pinav.fitting.environments.profiles import MobilitySummary
-from pinav.fitting.environments.summary import DataSummary
+from pinav.fitting.environments.kernels import MobilitySummary
+from pinav.fitting.environments.summary import DataSummary, KnownSwimmer, ModelChoice
 from pinav.forces import as_learned_force, forces_at, split_structure
-from pinav.learning.constants import with_units
-from pinav.learning.evidence import Evidence
+from pinav.learning.evidence import Evidence, with_units
 from pinav.learning.findings import Findings
 from pinav.learning.matching import Losses
-from pinav.learning.system_choice import read_system_of, write_system_of
+from pinav.learning.plan import read_system_of, write_system_of
 from pinav.learning.thermal import ThermalFindings
 from pinav.runs import RunFolder
 from pinav.systems import System, WanderingVelocity

@@ -26,7 +26,7 @@ from pinav.fitting import (
     rates_to_match,
     substeps_for,
 )
-from pinav.fitting.matching.trainable import Trainable
+from pinav.fitting.matching.state import Trainable
 from pinav.forces import ZeroForce, as_learned_force
 from pinav.learning.recipes import Curriculum, Paper
 from pinav.trajectories import Trajectories

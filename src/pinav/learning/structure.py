@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.fitting import Posterior, derive, is_worth_a_search
-from pinav.fitting.environments.choice import MIXTURE
+from pinav.fitting.environments.summary import MIXTURE
 from pinav.forces import AbstractProfileTerm, AbstractTerm, split_structure
 from pinav.learning.findings import FoundLaw, FoundStructure, FoundTerm, Profile
 from pinav.learning.learned import Learned

@@ -1,11 +1,15 @@
-"""What a session asks of what estimates the robot, and of what steers it."""
+"""Estimators and pilots as a session asks them, and the drive of a robot."""
 
 import abc
 import dataclasses
 import enum
+import math
 
 import equinox as eqx
+import numpy as np
 
+from pinav.identification.running import RunningFit
+from pinav.identification.running.forecast import DriveEstimate, estimate, locate
 from pinav.live.messages import Frame, Hello, Point
 
 
@@ -123,3 +127,88 @@ class AbstractPilot(eqx.Module):
     @abc.abstractmethod
     def resume(self, earlier: "AbstractPilot") -> "AbstractPilot":
         """The pilot of these settings that remembers what an earlier one does."""
+
+
+class DriveEstimator(AbstractEstimator):
+    """Gain, heading offset, response, delay and drift of a robot, by `RunningFit`.
+
+    Attributes:
+        fit: what is known.
+        last: the last position that was seen, its time and standard deviation; NaN
+            before there is one.
+        known: the numbers of the drive, which change when a block closes.
+    """
+
+    fit: RunningFit = eqx.field(default_factory=RunningFit.begin)
+    last: np.ndarray = eqx.field(default_factory=lambda: np.full(4, np.nan))
+    known: DriveEstimate | None = None
+
+    @property
+    def driven(self) -> bool:
+        return self.fit.since is not None
+
+    def after(self, frame: Frame) -> "DriveEstimator":
+        fit = self.fit.after(*_parts(frame))
+        known = self.known if fit.bank is self.fit.bank else estimate(fit)
+        return DriveEstimator(fit, self._last(frame), known)
+
+    def restart(self, frame: Frame) -> "DriveEstimator":
+        fit = self.fit.restart(*_parts(frame))
+        nowhere = DriveEstimator(fit, known=self.known)
+        return dataclasses.replace(nowhere, last=nowhere._last(frame))
+
+    def whereabouts(self, time: float) -> Whereabouts | None:
+        """From the closed blocks, and from the last position if it is of this time."""
+        x, y, seen_at, sd = (float(value) for value in self.last)
+        if math.isnan(x):
+            return None
+        jitter = self.fit.jitter if math.isnan(sd) else sd**2
+        ahead = locate(self.fit, time)
+        if ahead is None:
+            return Whereabouts((x, y), self._sd_without_blocks(jitter, time - seen_at))
+        mean, variance = ahead.displacement[0], ahead.variance[0]
+        if seen_at == time:
+            part = variance / (variance + jitter + 1e-300)
+            mean = mean + part * (np.array([x, y]) - mean)
+            variance = variance * (1 - part)
+        else:
+            variance = variance + jitter
+        place = (float(mean[0]), float(mean[1]))
+        return Whereabouts(place, float(np.sqrt(variance.mean())))
+
+    def seen_at(self, time: float) -> Point | None:
+        """The position that was seen at a time [s]; none if the last one is older."""
+        x, y, seen_at, _ = (float(value) for value in self.last)
+        return (x, y) if seen_at == time else None
+
+    def _sd_without_blocks(self, jitter: float, elapsed: float) -> float | None:
+        """Of the last position, before a block is closed; none if nothing tells it."""
+        if elapsed == 0:
+            return math.sqrt(jitter) if jitter > 0 else None
+        if self.known is None:
+            return None
+        return math.sqrt(jitter) + self.known.gain * self.fit.fastest * elapsed
+
+    def drive(self) -> Drive:
+        now = self.known
+        if now is None:
+            return Drive()
+        return Drive(
+            delay=now.delay,
+            gain=now.gain,
+            gain_sd=now.gain_sd,
+            offset=now.offset,
+            drift=now.drift,
+        )
+
+    def _last(self, frame: Frame) -> np.ndarray:
+        if frame.x is None or frame.y is None:
+            return self.last
+        sd = np.nan if frame.sd is None else frame.sd
+        return np.array([frame.x, frame.y, frame.t, sd])
+
+
+def _parts(frame: Frame) -> tuple[float, tuple[float, float] | None, float, float]:
+    """Time, position and command of a frame."""
+    observed = None if frame.x is None or frame.y is None else (frame.x, frame.y)
+    return frame.t, observed, frame.frequency, frame.heading

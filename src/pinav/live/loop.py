@@ -19,8 +19,7 @@ from pinav.live.messages import (
     encode,
 )
 from pinav.live.session import Session
-from pinav.live.sinks import AbstractSink
-from pinav.live.sources import AbstractSource, LineBuffer, Reading
+from pinav.live.sources import AbstractSink, AbstractSource, LineBuffer, Reading
 from pinav.live.tables import TableReader
 
 CHECKPOINT_EVERY = 1.0

@@ -15,8 +15,13 @@ from jaxtyping import Float
 
 from pinav.identification.running import RunningFit, forecast
 from pinav.identification.running.forecast import DriveEstimate, gain_at
-from pinav.live.drive_estimator import DriveEstimator
-from pinav.live.estimators import AbstractEstimator, AbstractPilot, Advice, Intent
+from pinav.live.estimators import (
+    AbstractEstimator,
+    AbstractPilot,
+    Advice,
+    DriveEstimator,
+    Intent,
+)
 from pinav.live.messages import Hello
 from pinav.live.safety import Outlook, Reserve
 

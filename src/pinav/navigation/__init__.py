@@ -19,12 +19,12 @@ from pinav.navigation.control.compensation import DriftEstimation as DriftEstima
 from pinav.navigation.control.controller import AbstractController as AbstractController
 from pinav.navigation.control.controller import Observation as Observation
 from pinav.navigation.control.controller import StraightLine as StraightLine
-from pinav.navigation.control.costs import ArrivalCost as ArrivalCost
-from pinav.navigation.control.costs import TrackingCost as TrackingCost
 from pinav.navigation.control.default import controller as controller
-from pinav.navigation.control.gradient_mpc import GradientMPC as GradientMPC
+from pinav.navigation.control.mppi import GradientMPC as GradientMPC
 from pinav.navigation.control.mppi import PathIntegral as PathIntegral
+from pinav.navigation.control.prediction import ArrivalCost as ArrivalCost
 from pinav.navigation.control.prediction import GradientGuide as GradientGuide
+from pinav.navigation.control.prediction import TrackingCost as TrackingCost
 from pinav.navigation.control.prediction import (
     TrajectoryPrediction as TrajectoryPrediction,
 )
@@ -36,14 +36,14 @@ from pinav.navigation.design.information import (
     PosteriorInformation as PosteriorInformation,
 )
 from pinav.navigation.design.information import best_candidate as best_candidate
-from pinav.navigation.design.prior import PriorField as PriorField
-from pinav.navigation.design.prior import prior_uncertainty as prior_uncertainty
+from pinav.navigation.design.result import PriorField as PriorField
+from pinav.navigation.design.result import prior_uncertainty as prior_uncertainty
 from pinav.navigation.maps import ArenaGrid as ArenaGrid
 from pinav.navigation.maps import Course as Course
 from pinav.navigation.maps import ForceMaps as ForceMaps
+from pinav.navigation.model.predictors import TimeCost as TimeCost
 from pinav.navigation.model.tabulated import TabulatedModel as TabulatedModel
 from pinav.navigation.model.tabulated import tabulate_model as tabulate_model
-from pinav.navigation.model.time_cost import TimeCost as TimeCost
 from pinav.navigation.planning.plan import Route as Route
 from pinav.navigation.planning.plan import TimeToGo as TimeToGo
 from pinav.navigation.planning.plan import time_to_go as time_to_go
@@ -70,14 +70,14 @@ from pinav.navigation.task.steering import HelicalActuator as HelicalActuator
 from pinav.navigation.task.steering import RollingActuator as RollingActuator
 from pinav.navigation.task.steering import SteeredSwimmer as SteeredSwimmer
 from pinav.navigation.task.steering import physics_only as physics_only
+from pinav.navigation.task.task import AbstractZone as AbstractZone
+from pinav.navigation.task.task import Behind as Behind
+from pinav.navigation.task.task import Disc as Disc
+from pinav.navigation.task.task import Rectangle as Rectangle
 from pinav.navigation.task.task import Task as Task
+from pinav.navigation.task.task import Wall as Wall
 from pinav.navigation.task.task import steered_swimmer as steered_swimmer
 from pinav.navigation.task.way import Way as Way
-from pinav.navigation.task.zones import AbstractZone as AbstractZone
-from pinav.navigation.task.zones import Behind as Behind
-from pinav.navigation.task.zones import Disc as Disc
-from pinav.navigation.task.zones import Rectangle as Rectangle
-from pinav.navigation.task.zones import Wall as Wall
 from pinav.navigation.trials.closed_loop import Episodes as Episodes
 from pinav.navigation.trials.closed_loop import (
     concatenate_episodes as concatenate_episodes,

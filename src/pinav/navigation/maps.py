@@ -9,8 +9,7 @@ from jaxtyping import Float
 
 from pinav.evaluation import FieldMap
 from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Disc
+from pinav.navigation.task.task import Disc, Task
 
 Places = Float[np.ndarray, "place 2"]
 """Positions in the plane [L]."""

@@ -12,9 +12,9 @@ from pinav.dynamics import FixedStep
 from pinav.errors import InputError
 from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
 from pinav.navigation.design.information import PosteriorInformation, best_candidate
-from pinav.navigation.design.prior import PriorField, prior_uncertainty
+from pinav.navigation.design.result import PriorField, prior_uncertainty
 from pinav.navigation.problem import Evidence, NavigationProblem
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle
 
 CANDIDATES = 48
 """Candidate trajectories in each round."""

@@ -19,7 +19,7 @@ from pinav.recordings import units
 from pinav.recordings.conventions import rotations
 from pinav.recordings.rows import COMMAND_UNITS, FRAMES, Reading
 from pinav.recordings.source import Source
-from pinav.recordings.synonyms import example_of_columns, likely_columns
+from pinav.recordings.table import example_of_columns, likely_columns
 from pinav.trajectories import Trajectories, Trajectory
 
 FIRM = 0.1

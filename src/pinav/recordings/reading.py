@@ -28,7 +28,7 @@ from pinav.recordings.formats.utrack import UTrack
 from pinav.recordings.layout import Layout
 from pinav.recordings.rows import COMMAND_UNITS, Reading
 from pinav.recordings.source import DataFrame, Source
-from pinav.recordings.synonyms import example_of_columns, likely_columns
+from pinav.recordings.table import example_of_columns, likely_columns
 from pinav.trajectories import Trajectories
 
 FORMATS: tuple[AbstractFormat, ...] = (

@@ -14,18 +14,16 @@ from pinav.scenarios.crossings import (
     paper,
     swirl,
 )
-from pinav.scenarios.currents import (
-    channel_current,
-    drift_current,
-    shear_current,
-    vortex_current,
-)
 from pinav.scenarios.media import (
     anisotropic_drag,
+    channel_current,
+    drift_current,
     poiseuille,
     porous,
     shear,
+    shear_current,
     varying_director,
+    vortex_current,
 )
 from pinav.scenarios.spaces import box
 from pinav.scenarios.starts_and_thrusts import Scenario

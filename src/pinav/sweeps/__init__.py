@@ -4,8 +4,6 @@ A cell is text; its result is a folder that is written whole. Workers that are p
 of this machine or of any other leave the same files.
 """
 
-from pinav.sweeps.cell import Cell as Cell
-from pinav.sweeps.cell import Outcome as Outcome
 from pinav.sweeps.cluster import Cluster as Cluster
 from pinav.sweeps.cluster import TlsFiles as TlsFiles
 from pinav.sweeps.cluster import cluster_at as cluster_at
@@ -13,7 +11,9 @@ from pinav.sweeps.cluster import local_cluster as local_cluster
 from pinav.sweeps.status import CellState as CellState
 from pinav.sweeps.status import SweepStatus as SweepStatus
 from pinav.sweeps.status import sweep_status as sweep_status
+from pinav.sweeps.store import Cell as Cell
 from pinav.sweeps.store import CellStore as CellStore
+from pinav.sweeps.store import Outcome as Outcome
 from pinav.sweeps.store import claim as claim
 from pinav.sweeps.sweep import OpenCluster as OpenCluster
 from pinav.sweeps.sweep import map_cells as map_cells

@@ -18,8 +18,7 @@ import msgspec
 from pinav import __version__
 from pinav.errors import FitError, InputError
 from pinav.numerics import free_programs
-from pinav.sweeps.cell import Cell, Outcome
-from pinav.sweeps.store import RESULT, TRACE_FILE, CellStore
+from pinav.sweeps.store import RESULT, TRACE_FILE, Cell, CellStore, Outcome
 
 CRASHES = 3
 """Workers that a cell may crash before it counts as failed."""

@@ -11,9 +11,8 @@ from tqdm import tqdm
 from pinav import __version__
 from pinav.errors import InputError
 from pinav.sweeps.attempt import Answer, Order, process_name
-from pinav.sweeps.cell import Cell, Outcome
 from pinav.sweeps.cluster import Cluster
-from pinav.sweeps.store import CellStore
+from pinav.sweeps.store import Cell, CellStore, Outcome
 
 PAUSE = 0.5
 """How often a client looks for new workers [s]."""

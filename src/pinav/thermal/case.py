@@ -10,10 +10,11 @@ import msgspec
 
 from pinav.errors import InputError
 from pinav.thermal.boundaries import AbstractBoundary, AbstractEnds, Insulated, outer
-from pinav.thermal.case_aims import Learn, Optimise
 from pinav.thermal.case_geometry import (
     Ends,
     Grid,
+    Learn,
+    Optimise,
     Place,
     Probes,
     Side,

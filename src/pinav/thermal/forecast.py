@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from pinav.fitting.engine.posterior import Posterior
 from pinav.thermal.heated_run import FOLLOWED, Watched
-from pinav.thermal.schedule import plan_steps
+from pinav.thermal.protocols import plan_steps
 from pinav.thermal.setup import Setup
 from pinav.thermal.solve import run
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.fitting import EvidenceFit, Outcome
-from pinav.fitting.bayes.derived import derive
+from pinav.fitting.bayes.parameters import derive
 from pinav.fitting.engine.posterior import Estimate
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.forecast import Forecast, follow_target, forecast, forecast_times

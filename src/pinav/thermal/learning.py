@@ -16,18 +16,17 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
-from pinav.fitting.bayes.derived import derive
+from pinav.fitting.bayes.parameters import derive
 from pinav.fitting.engine.posterior import Posterior
-from pinav.fitting.engine.steps import ShortenedStep
+from pinav.fitting.engine.problem import ShortenedStep
 from pinav.fitting.least_squares import fit_regression
 from pinav.forces import IsotropicPrior
 from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.jumps import refuse_jumps
 from pinav.thermal.learned_perfusion import AbstractLearnedPerfusion
 from pinav.thermal.probes import ProbeData
-from pinav.thermal.protocols import AbstractProtocol
+from pinav.thermal.protocols import AbstractProtocol, Schedule, plan_steps
 from pinav.thermal.quantities import Field, Number, Numbers
-from pinav.thermal.schedule import Schedule, plan_steps
+from pinav.thermal.rosenbrock import refuse_jumps
 from pinav.thermal.solve import Observe, default_stepper, probes_at, run, solve
 from pinav.thermal.starts import AT_REST, AbstractStart
 from pinav.thermal.steppers import AbstractStepper

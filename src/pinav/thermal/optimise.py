@@ -18,9 +18,9 @@ from jaxtyping import Array, Float
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome
 from pinav.thermal.design import Constraint, DesignVariable, Quantity, Run, RunResult
-from pinav.thermal.jumps import refuse_jumps
+from pinav.thermal.protocols import Schedule, plan_steps
 from pinav.thermal.quantities import Number
-from pinav.thermal.schedule import Schedule, plan_steps
+from pinav.thermal.rosenbrock import refuse_jumps
 from pinav.thermal.solve import Solution, default_stepper, run
 from pinav.thermal.starts import AT_REST, AbstractStart, State
 from pinav.thermal.steppers import AbstractStepper

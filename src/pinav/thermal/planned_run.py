@@ -15,7 +15,7 @@ from pinav.errors import InputError
 from pinav.fitting import Outcome
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.case import Case
-from pinav.thermal.case_aims import Optimise
+from pinav.thermal.case_geometry import Optimise
 from pinav.thermal.design import (
     Constraint,
     DesignVariable,

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pinav.errors import InputError
-from pinav.thermal.case_aims import Frames, Learn
+from pinav.thermal.case_geometry import Frames, Learn
 from pinav.thermal.images import NEGLIGIBLE, Image, check_place, read_image
 from pinav.thermal.probes import HOTTEST_READING, ProbeData, load_probes
 from pinav.thermal.quantities import NOISIEST

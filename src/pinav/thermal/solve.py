@@ -12,10 +12,9 @@ from jaxtyping import Array, Float, PyTree
 from pinav.arguments import Scalar
 from pinav.thermal.bioheat import Bioheat, HeatBalance
 from pinav.thermal.dose import Arrhenius, cem43_segment
-from pinav.thermal.protocols import AbstractProtocol
+from pinav.thermal.protocols import AbstractProtocol, Schedule, plan_steps
 from pinav.thermal.quantities import Field, Number, Numbers
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.schedule import Schedule, plan_steps
 from pinav.thermal.starts import AT_REST, AbstractStart, State
 from pinav.thermal.steppers import RKL2, AbstractStepper, Watch
 

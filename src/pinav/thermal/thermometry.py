@@ -22,9 +22,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.protocols import AbstractProtocol
+from pinav.thermal.protocols import AbstractProtocol, Schedule, plan_steps
 from pinav.thermal.quantities import Field, Number
-from pinav.thermal.schedule import Schedule, plan_steps
 from pinav.thermal.solve import run
 from pinav.thermal.starts import AT_REST, AbstractStart
 from pinav.thermal.steppers import AbstractStepper

@@ -16,7 +16,7 @@ from pinav.errors import FitError, InputError
 from pinav.fitting import EvidenceFit, Outcome
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.case import Case
-from pinav.thermal.case_aims import Learn
+from pinav.thermal.case_geometry import Learn
 from pinav.thermal.grids import CartesianGrid
 from pinav.thermal.learned_perfusion import kernel_perfusion, neural_perfusion
 from pinav.thermal.learning import (

@@ -12,7 +12,7 @@ from pinav.trajectories.files import check_savable as check_savable
 from pinav.trajectories.files import is_trajectories as is_trajectories
 from pinav.trajectories.files import load as load
 from pinav.trajectories.files import save as save
-from pinav.trajectories.metadata import FORMAT as FORMAT
+from pinav.trajectories.npz_files import FORMAT as FORMAT
 from pinav.trajectories.selection import Split as Split
 from pinav.trajectories.selection import bootstrap as bootstrap
 from pinav.trajectories.selection import concatenate as concatenate
@@ -24,9 +24,9 @@ from pinav.trajectories.selection import with_missing_channels as with_missing_c
 from pinav.trajectories.selection import with_velocities as with_velocities
 from pinav.trajectories.simulation import COMMAND_UNITS as COMMAND_UNITS
 from pinav.trajectories.simulation import commands_of as commands_of
+from pinav.trajectories.simulation import local_polynomial as local_polynomial
 from pinav.trajectories.simulation import simulate as simulate
-from pinav.trajectories.smoothing import local_polynomial as local_polynomial
-from pinav.trajectories.smoothing import smooth_states as smooth_states
+from pinav.trajectories.simulation import smooth_states as smooth_states
 from pinav.trajectories.trajectories import POSITION_CHANNELS as POSITION_CHANNELS
 from pinav.trajectories.trajectories import UNKNOWN_UNIT as UNKNOWN_UNIT
 from pinav.trajectories.trajectories import Trajectories as Trajectories

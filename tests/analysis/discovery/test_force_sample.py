@@ -14,12 +14,14 @@ from pinav.analysis.discovery.law_regression import (
     fit_law,
     fit_sum,
     law_force,
+    screen,
 )
 from pinav.analysis.discovery.potentials import (
     CHANNEL,
     CONSTANT_FORCE,
     ELLIPTIC_GAUSSIAN,
     GAUSSIAN,
+    GAUSSIAN_SWIRL,
     HARMONIC,
     LATTICES,
     PLANE_WAVE,
@@ -27,8 +29,6 @@ from pinav.analysis.discovery.potentials import (
     WALL,
 )
 from pinav.analysis.discovery.profiles import CompactHill, Lorentzian
-from pinav.analysis.discovery.rotations import GAUSSIAN_SWIRL
-from pinav.analysis.discovery.screening import screen
 from pinav.errors import InputError
 
 POSITIONS = np.random.default_rng(0).uniform(0.0, 8.0, (60, 2))

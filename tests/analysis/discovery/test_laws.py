@@ -24,12 +24,16 @@ from pinav.analysis.discovery.potentials import (
     ANISOTROPIC_TRAP,
     CHANNEL,
     GAUSSIAN,
+    GAUSSIAN_SWIRL,
     HARMONIC,
     LATTICES,
     PLANE_WAVE,
     POTENTIALS,
     RING,
+    ROTATIONS,
     SADDLE,
+    SHEAR_LAYERS,
+    SWIRLS,
     WALL,
     profile_laws,
 )
@@ -38,12 +42,6 @@ from pinav.analysis.discovery.profiles import (
     Gaussian,
     InversePower,
     Lorentzian,
-)
-from pinav.analysis.discovery.rotations import (
-    GAUSSIAN_SWIRL,
-    ROTATIONS,
-    SHEAR_LAYERS,
-    SWIRLS,
 )
 from pinav.errors import InputError
 from pinav.forces import GaussianBarrier

@@ -9,24 +9,27 @@ import pytest
 from pinav.analysis import Verdict, discover_law
 from pinav.analysis.discovery.force_sample import ForceSample, Sampling
 from pinav.analysis.discovery.geometries import Center, ProfileLaw
-from pinav.analysis.discovery.law_regression import fit_law, fit_sum, law_force
-from pinav.analysis.discovery.learned_fit import laplace_posterior
+from pinav.analysis.discovery.law_regression import (
+    exchange_terms,
+    fit_law,
+    fit_sum,
+    is_explained,
+    law_force,
+    screen,
+    screen_terms,
+)
 from pinav.analysis.discovery.potentials import (
     ANISOTROPIC_TRAP,
     GAUSSIAN,
     LATTICES,
+    LIBRARY,
     RING,
     SADDLE,
+    SWIRLS,
     WALL,
 )
 from pinav.analysis.discovery.profiles import SuperGaussian
-from pinav.analysis.discovery.rotations import LIBRARY, SWIRLS
-from pinav.analysis.discovery.screening import (
-    exchange_terms,
-    is_explained,
-    screen,
-    screen_terms,
-)
+from pinav.analysis.discovery.refit import laplace_posterior
 from pinav.analysis.discovery.term_laws import (
     TermLaws,
     laws_of,
@@ -34,8 +37,8 @@ from pinav.analysis.discovery.term_laws import (
     term_laws,
 )
 from pinav.errors import InputError
-from pinav.fitting.engine.parametric_model import known_model
-from pinav.fitting.environments.choice import learned_part
+from pinav.fitting.engine.constant_priors import known_model
+from pinav.fitting.environments.summary import learned_part
 from pinav.forces import (
     CentralTerm,
     EllipticTerm,

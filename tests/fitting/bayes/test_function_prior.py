@@ -13,7 +13,7 @@ from pinav.fitting.engine.local_model import (
     PenalisedSquares,
     Prediction,
 )
-from pinav.fitting.engine.steps import ShortenedStep
+from pinav.fitting.engine.problem import ShortenedStep
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
     LinearisedObservations,

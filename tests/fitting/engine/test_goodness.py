@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pinav.fitting.engine.goodness import GoodnessOfFit, goodness_of_fit
+from pinav.fitting.engine.evidence_fit import GoodnessOfFit, goodness_of_fit
 
 RNG = np.random.default_rng(0)
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from pinav.dynamics import RK4, FixedStep, Swimmer
+from pinav.fitting.engine.constant_priors import ravel_model
 from pinav.fitting.engine.multiple_shooting import (
     advance,
     eliminate,
@@ -13,8 +14,7 @@ from pinav.fitting.engine.multiple_shooting import (
     pull_back,
     sensitivities,
 )
-from pinav.fitting.engine.parametric_model import ravel_model
-from pinav.fitting.matching.objectives import Observations
+from pinav.fitting.matching.state import Observations
 from pinav.forces import KernelForce, KernelPotential, LinearDrag, ZeroForce
 from pinav.trajectories import Trajectories
 

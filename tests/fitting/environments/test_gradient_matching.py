@@ -15,7 +15,6 @@ from pinav.fitting import (
     rates_to_match,
 )
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import ModelChoice, learned_part
 from pinav.fitting.environments.gradient_matching import (
     _choose,
     _Trial,
@@ -31,7 +30,12 @@ from pinav.fitting.environments.rates import (
     observed_rates,
     residual_forces,
 )
-from pinav.fitting.environments.summary import DataSummary, summarise_for_matching
+from pinav.fitting.environments.summary import (
+    DataSummary,
+    ModelChoice,
+    learned_part,
+    summarise_for_matching,
+)
 from pinav.forces import (
     ConstantForce,
     GaussianBarrier,

@@ -5,14 +5,13 @@ import pytest
 
 from pinav.errors import InputError
 from pinav.fitting import KernelGrid, kernel_environment
-from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.kernels import (
     LIMIT,
     MOST_WEIGHTS,
     check_size,
     num_weights,
 )
-from pinav.fitting.environments.summary import summarise_for
+from pinav.fitting.environments.summary import ModelChoice, summarise_for
 from pinav.forces import KernelForce, KernelPotential
 from pinav.trajectories import Trajectories
 

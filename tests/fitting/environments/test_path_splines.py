@@ -3,8 +3,11 @@ import pytest
 from numpy.polynomial import Polynomial
 
 from pinav.fitting import substeps_for
-from pinav.fitting.environments.path_splines import path_spline, quadrature_error
-from pinav.fitting.environments.rates import observed_rates
+from pinav.fitting.environments.rates import (
+    observed_rates,
+    path_spline,
+    quadrature_error,
+)
 from pinav.trajectories import Trajectories
 
 CHANNELS = ("x", "y", "vx", "vy")

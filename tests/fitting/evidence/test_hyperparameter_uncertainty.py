@@ -6,7 +6,7 @@ from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined
 from pinav.forces import KernelPotential, ZeroForce, kernel_centers
-from pinav.learning.remarks import narrow_prior
+from pinav.learning.account import narrow_prior
 
 PLACES = kernel_centers(np.array([[0.0, 0.0], [6.0, 6.0]]), spacing=1.0, margin=2.0)
 KERNELS = KernelPotential.with_zero_weights(PLACES, 1.0)

@@ -21,7 +21,7 @@ from pinav.fitting import (
 from pinav.fitting.langevin import Increments
 from pinav.fitting.langevin.diffusion import DiffusionField
 from pinav.fitting.langevin.drift import second_order
-from pinav.fitting.langevin.observation import Relation
+from pinav.fitting.langevin.increments import Relation
 from pinav.forces import (
     HarmonicTrap,
     KernelAxis,

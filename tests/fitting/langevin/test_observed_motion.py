@@ -18,7 +18,7 @@ from pinav.fitting import (
     fit_langevin,
     profile_environment,
 )
-from pinav.fitting.environments.profiles import ProfileSummary
+from pinav.fitting.environments.kernels import ProfileSummary
 from pinav.forces import KernelAxis, KernelBasis, KernelProfile, Warp, ZeroForce
 from pinav.trajectories import Trajectories
 

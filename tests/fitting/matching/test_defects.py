@@ -15,9 +15,9 @@ from pinav.fitting import (
     defect_recipe,
     fit,
 )
-from pinav.fitting.matching.damped_phase import DampedState
 from pinav.fitting.matching.defects import DAMPINGS, full_step
-from pinav.fitting.matching.trainable import split_trainable
+from pinav.fitting.matching.gauss_newton import DampedState
+from pinav.fitting.matching.state import split_trainable
 from pinav.fitting.matching.windows import Windows
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
 from pinav.trajectories import Trajectories

@@ -23,7 +23,7 @@ from pinav.fitting import (
     fit_many,
 )
 from pinav.fitting.matching.fit import _FitTask
-from pinav.fitting.matching.objectives import Observations
+from pinav.fitting.matching.state import Observations
 from pinav.forces import (
     GaussianBarrier,
     LinearDrag,

@@ -28,7 +28,7 @@ from pinav.fitting import (
 )
 from pinav.fitting.matching.gauss_newton import low_rank
 from pinav.fitting.matching.members import run_chunk
-from pinav.fitting.matching.trainable import split_trainable
+from pinav.fitting.matching.state import split_trainable
 from pinav.fitting.matching.windows import Windows
 from pinav.forces import (
     GaussianBarrier,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.fitting.structure.observed_forces import observed_forces
 
-from pinav.fitting.structure.pairs import scan_pairs
+from pinav.fitting.structure.patterns import scan_pairs
 from pinav.fitting.structure.proposals import propose
 from pinav.fitting.structure.starts import Region, scanned_terms
 from pinav.fitting.structure.trials import smooth_shape

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from tests.fitting.structure.observed_forces import observed_forces
 
-from pinav.fitting.engine.parametric_model import ravel_model
+from pinav.fitting.engine.constant_priors import ravel_model
 from pinav.fitting.structure.patterns import lattice_of
 from pinav.fitting.structure.response import columns, force_quadratic
 from pinav.fitting.structure.starts import (
@@ -22,7 +22,7 @@ from pinav.forces import (
     SumForce,
     kernel_centers,
 )
-from pinav.forces.hills import WIDTHS
+from pinav.forces.field_terms import WIDTHS
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 40, 2))
 REGION = Region.of(POINTS[0])

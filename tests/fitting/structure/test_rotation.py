@@ -15,10 +15,9 @@ from pinav.fitting.environments.kernels import kernel_environment
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.evidence.quadratic import Quadratic, restrict
 from pinav.fitting.structure import fit as structure_fit
-from pinav.fitting.structure.rotation import SurveyedRotation, survey_rotation
 from pinav.fitting.structure.search import Search, StructuredFit
 from pinav.fitting.structure.starts import Region, central_term
-from pinav.fitting.structure.survey import Survey
+from pinav.fitting.structure.survey import Survey, SurveyedRotation, survey_rotation
 from pinav.fitting.structure.trials import Proposal
 from pinav.forces import (
     GaussianBarrier,

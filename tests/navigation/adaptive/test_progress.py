@@ -16,8 +16,7 @@ from pinav.navigation.adaptive.progress import Progress
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import ExplorationBonus, MeanForce, axes_of
 from pinav.navigation.belief.belief import Frame
-from pinav.navigation.belief.given import GivenForce
-from pinav.navigation.belief.prior import ForcePrior
+from pinav.navigation.belief.given import ForcePrior, GivenForce
 from pinav.navigation.control.controller import Observation
 from pinav.navigation.task.steering import SteeredSwimmer
 

@@ -7,9 +7,8 @@ import pytest
 
 from pinav.codec import encode
 from pinav.navigation.belief.belief import Belief, Frame
-from pinav.navigation.belief.given import GivenForce
+from pinav.navigation.belief.given import CorrectedForce, ForcePrior, GivenForce
 from pinav.navigation.belief.motion import OverdampedMotion
-from pinav.navigation.belief.prior import CorrectedForce, ForcePrior
 
 LOWER, UPPER = np.zeros(2), np.full(2, 10.0)
 AXES = np.linspace(0, 10, 41), np.linspace(0, 10, 41)

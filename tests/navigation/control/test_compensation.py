@@ -29,8 +29,7 @@ from pinav.navigation.task.steering import (
     RollingActuator,
     SteeredSwimmer,
 )
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle, Task
 from pinav.navigation.trials.situation import advance, begin, observe
 
 pytestmark = pytest.mark.slow

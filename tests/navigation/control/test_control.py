@@ -11,11 +11,14 @@ from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.forces import UniformFlow, ZeroForce
 from pinav.navigation.control.controller import Observation
-from pinav.navigation.control.costs import ArrivalCost, TrackingCost
 from pinav.navigation.control.default import controller
-from pinav.navigation.control.gradient_mpc import GradientMPC
-from pinav.navigation.control.mppi import PathIntegral
-from pinav.navigation.control.prediction import GradientGuide, TrajectoryPrediction
+from pinav.navigation.control.mppi import GradientMPC, PathIntegral
+from pinav.navigation.control.prediction import (
+    ArrivalCost,
+    GradientGuide,
+    TrackingCost,
+    TrajectoryPrediction,
+)
 from pinav.navigation.model.predictors import SwimmerPredictor
 from pinav.navigation.model.tabulated import tabulate_model
 from pinav.navigation.planning.plan import time_to_go
@@ -25,8 +28,7 @@ from pinav.navigation.task.steering import (
     RollingActuator,
     SteeredSwimmer,
 )
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Disc, Rectangle
+from pinav.navigation.task.task import Disc, Rectangle, Task
 from pinav.navigation.trials.closed_loop import run, run_many
 
 ROLLING = RollingActuator(jnp.eye(2), LinearResponse())

@@ -40,7 +40,7 @@ from pinav.navigation.task.steering import (
     RollingActuator,
     SteeredSwimmer,
 )
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle
 
 REGION = Rectangle([0.0, -1.0], [4.0, 2.0])
 ROLLING = RollingActuator(jnp.eye(2), LinearResponse())

@@ -26,8 +26,7 @@ from pinav.navigation.task.steering import (
     RollingActuator,
     SteeredSwimmer,
 )
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Disc, Rectangle, Wall
+from pinav.navigation.task.task import Disc, Rectangle, Task, Wall
 
 ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
 GOAL, TOLERANCE = np.array([2.5, 1.5]), 0.2

@@ -34,8 +34,7 @@ from pinav.navigation.task.steering import (
     direction,
     direction_angles,
 )
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Behind, Disc, Rectangle, Wall
+from pinav.navigation.task.task import Behind, Disc, Rectangle, Task, Wall
 from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.metrics import summary
 

@@ -18,7 +18,12 @@ from pinav.analysis.discovery.force_sample import (
     Sampling,
     central_test,
 )
-from pinav.analysis.discovery.law_regression import FieldFit, law_force
+from pinav.analysis.discovery.law_regression import (
+    FieldFit,
+    law_force,
+    screen,
+    screen_terms,
+)
 from pinav.analysis.discovery.laws import (
     AbstractLaw,
     LawForce,
@@ -28,17 +33,15 @@ from pinav.analysis.discovery.laws import (
     sympy_text,
     terms_of,
 )
-from pinav.analysis.discovery.learned_fit import Learned, laplace_posterior
-from pinav.analysis.discovery.refit import Refit, refit
-from pinav.analysis.discovery.rotations import LIBRARY
-from pinav.analysis.discovery.screening import screen, screen_terms
+from pinav.analysis.discovery.potentials import LIBRARY
+from pinav.analysis.discovery.refit import Learned, Refit, laplace_posterior, refit
 from pinav.analysis.discovery.term_laws import TermLaws, term_laws
 from pinav.arguments import on_device
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
 from pinav.fitting import AbstractLearned, Outcome, Posterior
-from pinav.fitting.environments.choice import learned_part
+from pinav.fitting.environments.summary import learned_part
 from pinav.forces import as_learned_force, split_structure
 from pinav.identification import needs_kalman_filter
 from pinav.threads import map_on_cores

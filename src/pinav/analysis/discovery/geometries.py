@@ -6,12 +6,13 @@ import itertools
 import math
 from typing import final
 
-from pinav.analysis.discovery.functions import Expr, Functions
 from pinav.analysis.discovery.laws import (
     AbstractLaw,
     AbstractPotential,
     Constant,
     Constants,
+    Expr,
+    Functions,
     Landscape,
     Role,
 )

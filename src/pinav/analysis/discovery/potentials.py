@@ -1,11 +1,10 @@
-r"""The library of candidate laws: potentials, and their starts."""
+r"""The library of candidate laws: potentials, rotational forces, and their starts."""
 
 import dataclasses
 import itertools
 import math
 from typing import final
 
-from pinav.analysis.discovery.functions import Expr, Functions
 from pinav.analysis.discovery.geometries import (
     ANGLE,
     CENTER,
@@ -18,10 +17,14 @@ from pinav.analysis.discovery.geometries import (
 from pinav.analysis.discovery.laws import (
     AbstractLaw,
     AbstractPotential,
+    AbstractRotation,
     Constant,
     Constants,
+    Expr,
+    Functions,
     Landscape,
     Role,
+    Turned,
 )
 from pinav.analysis.discovery.profiles import (
     EVEN_PROFILES,
@@ -258,3 +261,49 @@ def _wave_vectors(landscape: Landscape) -> list[Pair]:
         )
         for k, turn in itertools.product(wavenumbers(landscape), turns)
     ]
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class SolidRotation(AbstractRotation):
+    r"""$\psi = -\tfrac12 \Omega r^2$: $\Omega\,(-(y - c_y),\ x - c_x)$."""
+
+    name = "solid rotation"
+    constants = (Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"), *CENTER)
+
+    def stream(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+        return -c[0] * ((x - c[1]) ** 2 + (y - c[2]) ** 2) / 2
+
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
+        return [(1.0, *center) for center in landscape.centers]
+
+
+SOLID_ROTATION = SolidRotation()
+GAUSSIAN_SWIRL = Turned(GAUSSIAN, "Gaussian swirl")
+SHEAR = Turned(ProfileLaw(Harmonic(), Line()), "shear")
+
+SWIRLS: tuple[AbstractRotation, ...] = (
+    SOLID_ROTATION,
+    *(
+        Turned(law, f"{law.name} swirl")
+        for law in profile_laws(Center())
+        if law.name != Harmonic.name
+    ),
+)
+"""Swirls about a centre."""
+
+SHEAR_LAYERS: tuple[AbstractRotation, ...] = (
+    SHEAR,
+    *(
+        Turned(law, f"shear, {law.name}")
+        for law in (*profile_laws(Line()), WALL, PLANE_WAVE)
+        if law != SHEAR.law
+    ),
+)
+"""Forces along the layers of a line."""
+
+ROTATIONS: tuple[AbstractRotation, ...] = (GAUSSIAN_SWIRL, SOLID_ROTATION, SHEAR)
+"""Candidates without a potential of a force of unknown structure."""
+
+LIBRARY: tuple[AbstractLaw, ...] = (*POTENTIALS, *ROTATIONS)
+"""Candidates of a force of unknown structure."""

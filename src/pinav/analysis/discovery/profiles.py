@@ -9,8 +9,7 @@ import abc
 import dataclasses
 from typing import ClassVar, final
 
-from pinav.analysis.discovery.functions import Expr, Functions
-from pinav.analysis.discovery.laws import Constant, Constants, Role
+from pinav.analysis.discovery.laws import Constant, Constants, Expr, Functions, Role
 
 HEIGHT = Constant("height", "U_0", Role.AMPLITUDE, "L² T⁻²")
 WIDTH = Constant("width", r"\sigma", Role.SCALE)

@@ -38,11 +38,13 @@ from pinav.analysis.discovery.potentials import (
     PLANE_WAVE,
     RING,
     SADDLE,
+    SHEAR_LAYERS,
+    SOLID_ROTATION,
+    SWIRLS,
     WALL,
     profile_laws,
 )
 from pinav.analysis.discovery.profiles import EVEN_PROFILES, Ring
-from pinav.analysis.discovery.rotations import SHEAR_LAYERS, SOLID_ROTATION, SWIRLS
 from pinav.forces import (
     AbstractProfileTerm,
     AbstractTerm,

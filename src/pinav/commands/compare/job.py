@@ -8,22 +8,25 @@ from pinav.commands.compare import COMPARE
 from pinav.commands.compare.result import Candidate, Comparison, Verdict
 from pinav.commands.compare.settings import CompareOptions, CompareSettings
 from pinav.commands.progress import Reporter
-from pinav.commands.results import keep
-from pinav.commands.start import fingerprint, start_run
+from pinav.commands.results import fingerprint, keep, start_run
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.fitting import EvidenceFit, Outcome, fit_bayes, fit_langevin, model_evidence
-from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import TIMED, ModelChoice
-from pinav.fitting.environments.mean_drag import (
+from pinav.fitting.environments.catalogue import (
+    build,
     mean_drag,
     with_linear_drag,
     with_tensor_drag,
 )
-from pinav.fitting.environments.summary import DataSummary, summarise_for
+from pinav.fitting.environments.summary import (
+    TIMED,
+    DataSummary,
+    ModelChoice,
+    summarise_for,
+)
 from pinav.fitting.evidence.model_evidence import DECISIVE
-from pinav.learning.constants import rotational_part
-from pinav.learning.system_choice import choose_system
+from pinav.learning.evidence import rotational_part
+from pinav.learning.plan import choose_system
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories, load, with_missing_channels

@@ -12,8 +12,7 @@ from pinav.commands.data_file import read_data
 from pinav.commands.design import DESIGN
 from pinav.commands.design.settings import DesignOptions, DesignSettings
 from pinav.commands.recording_settings import RecordingSettings
-from pinav.commands.results import keep
-from pinav.commands.start import fingerprint, start_run
+from pinav.commands.results import fingerprint, keep, start_run
 from pinav.commands.steering import known_task, observe_positions, system_task
 from pinav.errors import InputError
 from pinav.navigation import AdaptiveController, Course, Experiment, Rectangle, Task

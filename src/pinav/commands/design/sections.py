@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pinav.figures.design import bounds_figure, recordings_figure
 from pinav.figures.images import Picture
+from pinav.figures.navigation import bounds_figure, recordings_figure
 from pinav.navigation.design.result import (
     CampaignSummary,
     DesignResult,

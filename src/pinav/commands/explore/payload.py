@@ -18,7 +18,7 @@ from pinav.dynamics import (
     Swimmer,
     takes_commands,
 )
-from pinav.dynamics.commanded import unbound
+from pinav.dynamics.swimmers import unbound
 from pinav.errors import InputError
 from pinav.evaluation import extent, square
 from pinav.forces import ZeroForce, as_learned_force

@@ -16,7 +16,7 @@ from pinav.commands.export.spots import (
 from pinav.errors import InputError
 from pinav.evaluation import extent, require_x64
 from pinav.fitting import Posterior
-from pinav.fitting.engine.parametric_model import parameter_names
+from pinav.fitting.engine.constant_priors import parameter_names
 from pinav.forces import AbstractForce
 from pinav.learning.learned import Learned
 from pinav.trajectories import POSITION_CHANNELS

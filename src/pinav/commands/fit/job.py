@@ -9,14 +9,12 @@ from pinav.commands.fit.settings import FitOptions
 from pinav.commands.many_files import run_files
 from pinav.commands.progress import Reporter
 from pinav.commands.recording_settings import RecordingSettings
-from pinav.commands.results import keep
+from pinav.commands.results import fingerprint, keep, start_run
 from pinav.commands.settings import Settings
-from pinav.commands.start import fingerprint, start_run
 from pinav.learning.account import account
 from pinav.learning.learn import infer
 from pinav.learning.learned import Learned, is_written
-from pinav.learning.plan import FitPlan, plan_fit
-from pinav.learning.system_choice import choose_system
+from pinav.learning.plan import FitPlan, choose_system, plan_fit
 from pinav.runs import RunFolder
 
 

@@ -7,11 +7,9 @@ from pinav.commands.data_file import read_data
 from pinav.commands.identify import IDENTIFY
 from pinav.commands.identify.settings import IdentifyOptions
 from pinav.commands.many_files import run_files
-from pinav.commands.results import keep
-from pinav.commands.start import fingerprint, start_run
+from pinav.commands.results import fingerprint, keep, start_run
 from pinav.fitting import EvidenceFit
-from pinav.fitting.environments.choice import ModelChoice
-from pinav.fitting.environments.summary import summarise_data
+from pinav.fitting.environments.summary import ModelChoice, summarise_data
 from pinav.identification import (
     Identification,
     IdentifiedTrack,

@@ -15,16 +15,14 @@ from pinav.commands.live.settings import LiveOptions, LiveSettings
 from pinav.errors import InputError
 from pinav.identification.tracks import tracks
 from pinav.live.checkpoint import read_session, with_drive_of
-from pinav.live.drive_estimator import DriveEstimator
+from pinav.live.estimators import DriveEstimator
 from pinav.live.loop import Loop
 from pinav.live.messages import Command, Event, FromPinav, Limits, State
-from pinav.live.page import Page, Places
+from pinav.live.page import Page, Places, Printer
 from pinav.live.replay import lines_in, lines_of, replay
 from pinav.live.roller_pilot import RollerPilot
 from pinav.live.session import Session
-from pinav.live.sinks import sink_of
-from pinav.live.sources import source_of
-from pinav.live.status import Printer
+from pinav.live.sources import sink_of, source_of
 
 CHECKPOINT = "session.npz"
 """Name of the checkpoint in --out."""

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from pinav.commands.places import numbers
+from pinav.commands.data_file import numbers
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.settings import Range, Settings
 from pinav.errors import InputError

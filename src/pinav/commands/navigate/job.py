@@ -11,8 +11,7 @@ from pinav.commands.navigate.cells import (
 )
 from pinav.commands.navigate.online import online_problem
 from pinav.commands.navigate.settings import NavigateOptions
-from pinav.commands.results import keep
-from pinav.commands.start import start_run
+from pinav.commands.results import keep, start_run
 from pinav.commands.sweep import start_sweep
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.learning.learned import Learned

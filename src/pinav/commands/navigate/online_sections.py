@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pinav.figures.animation import Trails, save_animation
+from pinav.figures.fits import bands_figure, moments_figure
 from pinav.figures.images import Movie, Picture
-from pinav.figures.learning import bands_figure, moments_figure
 from pinav.figures.navigation import greatest_force, outcome_bars, paths_map
 from pinav.figures.style import DIMENSIONLESS, new_figure, with_unit
 from pinav.navigation import Interval, OnlineNavigation, Outcome

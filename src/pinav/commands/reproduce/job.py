@@ -10,8 +10,7 @@ from pinav.commands.reproduce import REPRODUCE
 from pinav.commands.reproduce.result import ModelRollout, Reproduction, label_of
 from pinav.commands.reproduce.settings import ReproduceOptions, ReproduceSettings
 from pinav.commands.reproduce.table2 import HEADER, csv_row
-from pinav.commands.results import keep
-from pinav.commands.start import start_run
+from pinav.commands.results import keep, start_run
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.evaluation import (
     decompose,
@@ -20,12 +19,15 @@ from pinav.evaluation import (
     score,
 )
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import ModelChoice, learned_part
-from pinav.fitting.environments.summary import summarise_for_matching
+from pinav.fitting.environments.summary import (
+    ModelChoice,
+    learned_part,
+    summarise_for_matching,
+)
 from pinav.learning.learned import Learned, ModelHeader, write_model
 from pinav.learning.matching import Losses, matching
+from pinav.learning.plan import write_system_of
 from pinav.learning.recipes import Curriculum, Paper
-from pinav.learning.system_choice import write_system_of
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.systems import System

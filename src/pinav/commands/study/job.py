@@ -38,8 +38,12 @@ from pinav.files import write_text
 from pinav.fitting import Outcome as FitOutcome
 from pinav.fitting import fit_bayes
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.choice import KnownSwimmer, ModelChoice
-from pinav.fitting.environments.summary import summarise_data, summarise_for
+from pinav.fitting.environments.summary import (
+    KnownSwimmer,
+    ModelChoice,
+    summarise_data,
+    summarise_for,
+)
 from pinav.learning.matching import matching
 from pinav.learning.recipes import Curriculum
 from pinav.scenarios import scenario

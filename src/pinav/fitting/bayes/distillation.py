@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector
-from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
+from pinav.fitting.engine.constant_priors import ParametricModel, ravel_model
 from pinav.fitting.matching.gauss_newton import chord, damped_step, row_space
 from pinav.forces import AbstractForce, kernel_centers
 from pinav.trajectories import Trajectories

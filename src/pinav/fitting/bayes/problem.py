@@ -19,7 +19,12 @@ from pinav.fitting.bayes.parameters import (
     parametrise,
     weight_leaves,
 )
-from pinav.fitting.engine.constant_priors import ConstantPriors
+from pinav.fitting.engine.constant_priors import (
+    ConstantPriors,
+    ParametricModel,
+    parameter_names,
+    selected_entries,
+)
 from pinav.fitting.engine.local_model import AbstractLocalModel, Prediction
 from pinav.fitting.engine.multiple_shooting import (
     Linearisation,
@@ -28,22 +33,18 @@ from pinav.fitting.engine.multiple_shooting import (
     predict,
     pull_back,
 )
-from pinav.fitting.engine.parametric_model import (
-    ParametricModel,
-    parameter_names,
-    selected_entries,
-)
-from pinav.fitting.engine.problem import AbstractProblem, Step
-from pinav.fitting.engine.steps import (
+from pinav.fitting.engine.problem import (
+    AbstractProblem,
     AbstractStepRule,
     ChordSteps,
     FullStep,
     ShortenedStep,
+    Step,
 )
 from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
-from pinav.fitting.matching.objectives import Observations
+from pinav.fitting.matching.state import Observations
 from pinav.trajectories import Trajectories, smooth_states
 
 States = Float[Array, "trajectory time state"]

@@ -5,8 +5,7 @@ from collections.abc import Callable
 import equinox as eqx
 
 from pinav.errors import FitError
-from pinav.fitting.engine.problem import AbstractProblem, Step
-from pinav.fitting.engine.steps import Move
+from pinav.fitting.engine.problem import AbstractProblem, Move, Step
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.outcome import Outcome
 

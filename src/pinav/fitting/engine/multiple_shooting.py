@@ -21,9 +21,9 @@ from jaxtyping import Array, Bool, Float
 
 from pinav.arguments import Scalar, State
 from pinav.dynamics import FixedStep, linear_recursion
+from pinav.fitting.engine.constant_priors import ModelOfParameters
 from pinav.fitting.engine.local_model import Prediction
-from pinav.fitting.engine.parametric_model import ModelOfParameters
-from pinav.fitting.matching.objectives import Observations
+from pinav.fitting.matching.state import Observations
 
 
 class Sensitivities(eqx.Module):

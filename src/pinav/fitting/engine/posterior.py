@@ -11,8 +11,8 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from pinav.arguments import Scalar, State, Vector, on_device
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
+from pinav.fitting.engine.constant_priors import ParametricModel
 from pinav.fitting.engine.multiple_shooting import sensitivities
-from pinav.fitting.engine.parametric_model import ParametricModel
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.quadratic import Parameters
 from pinav.forces import SumForce, as_learned_force

@@ -15,41 +15,82 @@ import numpy as np
 from pinav.dynamics import (
     AbstractDynamics,
     NeuralDynamics,
+    Swimmer,
     paper_black_box,
 )
 from pinav.errors import InputError
-from pinav.fitting.environments.choice import (
+from pinav.fitting.environments.summary import (
     BLACK_BOX,
     CONSTANTS,
     MIXTURE,
     PROFILE,
     TIMED,
+    DataSummary,
+    KernelLayer,
     KnownSwimmer,
     ModelChoice,
 )
-from pinav.fitting.environments.mean_drag import with_tensor_drag
-from pinav.fitting.environments.summary import DataSummary, KernelLayer
 from pinav.fitting.environments.terms import (
     with_terms,
 )
 from pinav.forces import (
     AbstractForce,
     ChangingPotential,
+    CholeskyTensor,
     KernelForce,
     KernelMixture,
     KernelPotential,
     KernelProfile,
     LayeredPotential,
+    LinearDrag,
     NeuralForce,
     NeuralPotential,
     PositionFeatures,
     PositionTimeFeatures,
+    TensorDrag,
     TimedKernelPotential,
     ZeroForce,
     paper_force,
     spread_weights,
     tanh_network,
+    tensor_matrix,
 )
+
+
+def with_tensor_drag(swimmer: KnownSwimmer, summary: DataSummary) -> KnownSwimmer:
+    """The swimmer with a tensor to learn as its drag; isotropic at first."""
+    matrix = mean_drag(swimmer, summary) * jnp.eye(summary.dim)
+    return dataclasses.replace(swimmer, drag=TensorDrag(CholeskyTensor.of(matrix)))
+
+
+def with_linear_drag(swimmer: KnownSwimmer, summary: DataSummary) -> KnownSwimmer:
+    """The swimmer with a number to learn as its drag."""
+    drag = LinearDrag(mean_drag(swimmer, summary))
+    return dataclasses.replace(swimmer, drag=drag)
+
+
+def mean_drag(swimmer: KnownSwimmer, summary: DataSummary | None = None) -> float:
+    """Drag averaged over all directions, in the middle of the data [T⁻¹].
+
+    Args:
+        swimmer: the known physics.
+        summary: of the data; their middle is the origin unless given.
+
+    Raises:
+        InputError: the swimmer has no drag that depends on its velocity alone.
+    """
+    drag = swimmer.drag if isinstance(swimmer, Swimmer) else None
+    if isinstance(drag, LinearDrag):
+        return float(drag.damping)
+    if isinstance(drag, TensorDrag):
+        dim = 2 if summary is None else summary.dim
+        middle = jnp.zeros(dim) if summary is None else jnp.asarray(summary.mean[:dim])
+        return float(jnp.trace(tensor_matrix(drag.tensor, middle)) / dim)
+    raise InputError(
+        "learning the drag needs physics with inertia and a drag in a fluid at rest, "
+        f"got {type(swimmer if drag is None else drag).__name__}; leave the drag out"
+    )
+
 
 Builder = Callable[[ModelChoice, KnownSwimmer, DataSummary], AbstractDynamics]
 

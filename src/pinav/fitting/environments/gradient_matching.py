@@ -32,14 +32,14 @@ from pinav.fitting.environments.force_regression import (
 )
 from pinav.fitting.environments.kernel_layers import Layer, lay_layers
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
-from pinav.fitting.environments.path_splines import DEGREE
 from pinav.fitting.environments.rates import (
+    DEGREE,
     MOST_SAMPLES,
     observed_rates,
     residual_forces,
     thin_rates,
 )
-from pinav.fitting.matching.rate_matching import Rates
+from pinav.fitting.matching.defects import Rates
 from pinav.forces import (
     KernelForce,
     KernelPotential,

@@ -12,8 +12,8 @@ from jaxtyping import Array, ArrayLike, Float
 
 from pinav.errors import InputError
 from pinav.fitting.engine.posterior import Estimate
-from pinav.fitting.langevin.increments import Increments
-from pinav.fitting.langevin.observation import (
+from pinav.fitting.langevin.increments import (
+    Increments,
     LearnedObservation,
     Observation,
     ObservedAxes,

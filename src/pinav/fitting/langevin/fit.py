@@ -25,15 +25,15 @@ from pinav.fitting.langevin.diffusion import (
     begin_motion,
     observed_axes,
 )
-from pinav.fitting.langevin.euler import fit_euler, mix_over_shapes
-from pinav.fitting.langevin.increments import Increments, Padding
-from pinav.fitting.langevin.observation import (
+from pinav.fitting.langevin.drift import fit_euler, mix_over_shapes
+from pinav.fitting.langevin.increments import (
+    Increments,
     LearnedObservation,
     Observation,
     ObservedAxes,
+    Padding,
     Relation,
 )
-from pinav.fitting.langevin.reference import SlowReference
 from pinav.fitting.langevin.result import LangevinFit
 from pinav.fitting.langevin.rounds import (
     LATER_STEPS,
@@ -46,6 +46,7 @@ from pinav.fitting.langevin.rounds import (
     motion_covariance,
 )
 from pinav.fitting.langevin.tracking import (
+    SlowReference,
     first_path,
     from_reference,
     track_reference,

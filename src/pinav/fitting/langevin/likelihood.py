@@ -21,7 +21,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from pinav.fitting.engine.constant_priors import ConstantPriors
+from pinav.fitting.engine.constant_priors import (
+    ConstantPriors,
+    ParametricModel,
+    parameter_names,
+    ravel_model,
+    selected_entries,
+)
 from pinav.fitting.engine.iterate import DEFECT_TOLERANCE
 from pinav.fitting.engine.local_model import (
     AbstractLocalModel,
@@ -29,21 +35,13 @@ from pinav.fitting.engine.local_model import (
     Prediction,
     States,
 )
-from pinav.fitting.engine.parametric_model import (
-    ParametricModel,
-    parameter_names,
-    ravel_model,
-    selected_entries,
-)
-from pinav.fitting.engine.problem import AbstractProblem
-from pinav.fitting.engine.steps import AbstractStepRule, Move
+from pinav.fitting.engine.problem import AbstractProblem, AbstractStepRule, Move
 from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
 from pinav.fitting.langevin.covariance import Bands, cut, increment_bands, score
 from pinav.fitting.langevin.diffusion import ThermalMotion
-from pinav.fitting.langevin.increments import Padding
-from pinav.fitting.langevin.observation import LearnedObservation
+from pinav.fitting.langevin.increments import LearnedObservation, Padding
 from pinav.forces.priors import AbstractPrior, MixturePrior, StationaryPrior
 from pinav.systems.priors import Normal
 

@@ -7,15 +7,14 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.dynamics import BrownianSwimmer
-from pinav.fitting.engine.evidence_fit import EvidenceFit
-from pinav.fitting.engine.goodness import GoodnessOfFit
+from pinav.fitting.engine.evidence_fit import EvidenceFit, GoodnessOfFit
 from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.langevin.checks import LangevinChecks
 from pinav.fitting.langevin.diffusion import DiffusionField
-from pinav.fitting.langevin.observation import ObservedAxes
-from pinav.fitting.langevin.reference import ReferencePath
+from pinav.fitting.langevin.increments import ObservedAxes
+from pinav.fitting.langevin.tracking import ReferencePath
 from pinav.fitting.outcome import Outcome
 
 

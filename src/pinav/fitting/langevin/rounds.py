@@ -12,8 +12,7 @@ from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import FitError
 from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
 from pinav.fitting.engine.iterate import iterate
-from pinav.fitting.engine.problem import Step
-from pinav.fitting.engine.steps import FullStep
+from pinav.fitting.engine.problem import FullStep, Step
 from pinav.fitting.environments.refinement import Refinement, iterate_refined
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.langevin.checks import (
@@ -24,17 +23,22 @@ from pinav.fitting.langevin.checks import (
 from pinav.fitting.langevin.covariance import cut, factorise, increment_bands
 from pinav.fitting.langevin.diffusion import DiffusionField, ThermalMotion
 from pinav.fitting.langevin.drift import (
+    NOT_FINITE,
     SecondOrder,
     WhitenedIncrements,
     divergences,
     drifts,
     innovations_of,
     second_order,
+    without_weights,
 )
-from pinav.fitting.langevin.euler import NOT_FINITE, without_weights
-from pinav.fitting.langevin.increments import Increments, Padding
+from pinav.fitting.langevin.increments import (
+    Increments,
+    ObservedAxes,
+    Padding,
+    Relation,
+)
 from pinav.fitting.langevin.likelihood import DiffusionProblem, Fluctuations
-from pinav.fitting.langevin.observation import ObservedAxes, Relation
 from pinav.fitting.least_squares import Regression
 from pinav.forces import KernelTensor
 from pinav.trajectories import Trajectories

@@ -12,9 +12,15 @@ from jaxtyping import Array, Float
 from pinav.arguments import on_device
 from pinav.dynamics import AbstractDynamics, with_dtype
 from pinav.fitting.matching.fit import Recipe, fit_many
-from pinav.fitting.matching.objectives import AbstractObjective, Observations
-from pinav.fitting.matching.state import AbstractCheckpoint, Fit, FitProgress
-from pinav.fitting.matching.trainable import Trainable, split_trainable
+from pinav.fitting.matching.state import (
+    AbstractCheckpoint,
+    AbstractObjective,
+    Fit,
+    FitProgress,
+    Observations,
+    Trainable,
+    split_trainable,
+)
 from pinav.fitting.outcome import CONFIRMED, Outcome
 from pinav.trajectories import Trajectories
 

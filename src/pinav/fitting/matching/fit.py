@@ -19,19 +19,18 @@ from pinav.fitting.matching.members import (
     member_losses,
     run_chunk,
 )
-from pinav.fitting.matching.objectives import (
-    AbstractObjective,
-    Observations,
-    TrajectoryLoss,
-)
 from pinav.fitting.matching.phases import AbstractPhase
 from pinav.fitting.matching.state import (
     AbstractCheckpoint,
+    AbstractObjective,
     Fit,
     FitProgress,
     FitState,
+    Observations,
+    Trainable,
+    TrajectoryLoss,
+    split_trainable,
 )
-from pinav.fitting.matching.trainable import Trainable, split_trainable
 from pinav.fitting.outcome import Outcome
 from pinav.trajectories import Trajectories
 

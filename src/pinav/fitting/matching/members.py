@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from pinav.fitting.matching.objectives import AbstractObjective, Observations
 from pinav.fitting.matching.phases import AbstractPhase
+from pinav.fitting.matching.state import AbstractObjective, Observations
 
 
 class Problem(eqx.Module):

@@ -1,14 +1,20 @@
-"""What a fit leaves behind: its result, its state while it runs, and its progress."""
+"""The result, state and objective of a fit by matching, and what it trains."""
 
 import abc
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
-from pinav.dynamics import AbstractDynamics
+from pinav.arguments import on_device
+from pinav.dynamics import AbstractDynamics, AbstractSolver, FixedStep
+from pinav.errors import InputError
 from pinav.fitting.outcome import Outcome
+from pinav.trajectories import Trajectories
 
 
 class Fit(eqx.Module):
@@ -79,3 +85,129 @@ class AbstractCheckpoint(abc.ABC):
     @abc.abstractmethod
     def save(self, state: FitState) -> None:
         """Keep `state` in place of the one saved before."""
+
+
+Trainable = Callable[[Any], PyTree]
+"""Picks a subtree of a model, or a tuple of subtrees."""
+
+
+def split_trainable(
+    model: Any, trainable: Trainable, dtype: type
+) -> tuple[PyTree, PyTree]:
+    """The model as (leaves that train, everything else), to be recombined.
+
+    Args:
+        model: the model.
+        trainable: picks a subtree or a tuple of subtrees; their inexact arrays and
+            Python floats train.
+        dtype: floating-point type of the leaves that train.
+
+    Raises:
+        InputError: the selection holds no number that could train.
+    """
+
+    def as_array(leaf: Any) -> Any:
+        return jnp.asarray(leaf, dtype) if _is_number(leaf) else leaf
+
+    def subtrees(model: Any) -> list[PyTree]:
+        return _without_nesting(trainable(model))
+
+    chosen = jax.tree.map(as_array, subtrees(model))
+    model = eqx.tree_at(subtrees, model, chosen)
+    spec = jax.tree.map(lambda _: False, model)
+    spec = eqx.tree_at(subtrees, spec, jax.tree.map(eqx.is_inexact_array, chosen))
+    if not any(jax.tree.leaves(spec)):
+        raise InputError(
+            "fit trainable: the selection holds no floating-point array or number; "
+            "pick leaves of the model, such as lambda m: m.environment"
+        )
+    return eqx.partition(model, spec)
+
+
+def _without_nesting(selection: PyTree) -> list[PyTree]:
+    """Subtrees of nested tuples in one list, as `eqx.tree_at` needs them."""
+    return jax.tree.leaves(selection, is_leaf=lambda s: not isinstance(s, tuple | list))
+
+
+def _is_number(leaf: Any) -> bool:
+    return isinstance(leaf, float) or eqx.is_inexact_array(leaf)
+
+
+class Observations(eqx.Module):
+    """Trajectories on the device, in the precision of the fit.
+
+    Attributes:
+        times: sample times [T]; padding repeats the last one.
+        states: observed states; what was not observed is zero.
+        observed: which entries of `states` are observations.
+    """
+
+    times: Float[Array, "trajectory time"]
+    states: Float[Array, "trajectory time state"]
+    observed: Bool[Array, "trajectory time state"]
+
+    @classmethod
+    def of(cls, trajectories: Trajectories, dtype: type) -> "Observations":
+        """Observations of `trajectories` in the floating-point type `dtype`."""
+        return cls(
+            jnp.asarray(trajectories.times, dtype),
+            jnp.asarray(trajectories.states, dtype),
+            on_device(trajectories.observed),
+        )
+
+
+class AbstractObjective(eqx.Module):
+    """A number that says how badly a model explains observations."""
+
+    @abc.abstractmethod
+    def __call__(
+        self, model: AbstractDynamics, observations: Observations
+    ) -> Float[Array, ""]:
+        """Loss of `model`; smaller is better, not finite means diverged."""
+
+    @abc.abstractmethod
+    def check(self, trajectories: Trajectories) -> None:
+        """Raise `InputError` where these trajectories cannot be used."""
+
+
+class TrajectoryLoss(AbstractObjective):
+    r"""Sum of squares $\sum_k |\hat u(t_k) - u(t_k)|^2$ over one rollout each.
+
+    Every trajectory is rolled out from its first observed state; entries that were
+    not observed do not count.
+
+    Attributes:
+        solver: how the rollout is integrated and its gradient taken.
+
+    Raises:
+        InputError: the first sample of a trajectory is not fully observed.
+
+    References:
+        PI-NAV paper, eq. (3).
+    """
+
+    solver: AbstractSolver = FixedStep()
+
+    def __call__(
+        self, model: AbstractDynamics, observations: Observations
+    ) -> Float[Array, ""]:
+        def residuals(
+            times: Float[Array, " time"],
+            states: Float[Array, "time state"],
+            observed: Bool[Array, "time state"],
+        ) -> Float[Array, "time state"]:
+            ys, _ = self.solver.solve(model, states[0], times)
+            return jnp.where(observed, ys - states, 0.0)
+
+        per_trajectory = jax.vmap(residuals)(
+            observations.times, observations.states, observations.observed
+        )
+        return jnp.sum(per_trajectory**2)
+
+    def check(self, trajectories: Trajectories) -> None:
+        for index, first in enumerate(trajectories.observed[:, 0]):
+            if not first.all():
+                raise InputError(
+                    f"trajectory {index}: its first sample must be fully observed, "
+                    "because the rollout starts there; drop the samples before it"
+                )

@@ -12,8 +12,13 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.fitting.evidence.model_evidence import DECISIVE
-from pinav.fitting.structure.pairs import scan_pairs
-from pinav.fitting.structure.patterns import PotentialMap, lattices, obstacles, twins
+from pinav.fitting.structure.patterns import (
+    PotentialMap,
+    lattices,
+    obstacles,
+    scan_pairs,
+    twins,
+)
 from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.starts import (
     ANGLES,

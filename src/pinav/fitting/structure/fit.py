@@ -24,7 +24,6 @@ from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.candidates import EXPLAINED
-from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
 from pinav.fitting.structure.search import (
     Search,
     StructuredFit,
@@ -33,9 +32,12 @@ from pinav.fitting.structure.search import (
 )
 from pinav.fitting.structure.survey import (
     Survey,
+    fitted_gain,
     is_network,
     is_worth_a_search,
     may_turn,
+    mixture_on,
+    survey_rotation,
 )
 from pinav.fitting.structure.trials import Proposal
 from pinav.forces import AbstractLearnedForce, KernelPotential, split_structure

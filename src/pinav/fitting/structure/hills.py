@@ -32,7 +32,7 @@ from pinav.fitting.structure.response import ForceResponse, columns
 from pinav.fitting.structure.starts import Region, central_term, obstacles_at
 from pinav.fitting.structure.summits import NUMBERS, Hills, doubtful, halves, summits
 from pinav.forces import HillsTerm, KernelPotential, ObstaclesTerm, forces_at
-from pinav.forces.hills import MIDDLE, WIDTHS
+from pinav.forces.field_terms import MIDDLE, WIDTHS
 from pinav.threads import map_on_cores
 
 MOST_HILLS = 24

@@ -17,15 +17,15 @@ from jaxtyping import Array, ArrayLike, Float, Int, PyTree
 
 from pinav.arguments import Scalar, State, Vector, on_device
 from pinav.dynamics import FixedStep
+from pinav.fitting.engine.constant_priors import ParametricModel, ravel_model
 from pinav.fitting.engine.multiple_shooting import (
     StepDerivatives,
     eliminate,
     propagate,
 )
-from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
 from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.fitting.least_squares import Slopes
-from pinav.fitting.matching.objectives import Observations
+from pinav.fitting.matching.state import Observations
 from pinav.forces import AbstractForce, AbstractTerm, ConstantForce, forces_at
 from pinav.forces.kernels import AbstractKernels
 

@@ -17,8 +17,7 @@ from pinav.arguments import Scalar, on_device
 from pinav.errors import FitError
 from pinav.fitting.engine.constant_priors import ConstantPriors, wide_priors
 from pinav.fitting.engine.iterate import iterate
-from pinav.fitting.engine.problem import Step
-from pinav.fitting.engine.steps import FullStep
+from pinav.fitting.engine.problem import FullStep, Step
 from pinav.fitting.evidence.evidence import (
     LinearisedObservations,
     Whitened,

@@ -14,9 +14,8 @@ from pinav.fitting import Posterior
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import axes_of
 from pinav.navigation.belief.belief import Frame
-from pinav.navigation.belief.given import GivenForce, take_for_granted
+from pinav.navigation.belief.given import ForcePrior, GivenForce, take_for_granted
 from pinav.navigation.belief.kernels import Points
-from pinav.navigation.belief.prior import ForcePrior
 from pinav.navigation.model.predictors import split_rates
 from pinav.navigation.model.tables import FieldTable
 from pinav.navigation.model.tabulated import tabulate_model

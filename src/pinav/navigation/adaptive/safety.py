@@ -25,8 +25,8 @@ from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.controller import Observation
 from pinav.navigation.control.prediction import TrajectoryPrediction
+from pinav.navigation.model.predictors import TimeCost
 from pinav.navigation.model.tabulated import TabulatedModel
-from pinav.navigation.model.time_cost import TimeCost
 from pinav.navigation.task.steering import AbstractActuator, Command
 
 DEVIATIONS = 3.0

@@ -23,9 +23,12 @@ from pinav.navigation.control.controller import (
     Controls,
     Observation,
 )
-from pinav.navigation.control.costs import ArrivalCost
 from pinav.navigation.control.mppi import PathIntegral
-from pinav.navigation.control.prediction import GradientGuide, TrajectoryPrediction
+from pinav.navigation.control.prediction import (
+    ArrivalCost,
+    GradientGuide,
+    TrajectoryPrediction,
+)
 from pinav.navigation.model.predictors import InertialTable
 from pinav.navigation.model.tabulated import (
     TabulatedModel,
@@ -36,8 +39,7 @@ from pinav.navigation.planning.plan import TimeToGo, check_places
 from pinav.navigation.planning.replanning import HEADROOM, Replanner
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import Command, physics_only
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle, Task
 from pinav.navigation.trials.situation import mean_thrust
 
 POINTS, SPEEDS = 25, 11

@@ -8,10 +8,13 @@ from pinav.navigation.control.compensation import (
     Timing,
 )
 from pinav.navigation.control.controller import AbstractController
-from pinav.navigation.control.costs import ArrivalCost, TrackingCost
-from pinav.navigation.control.gradient_mpc import GradientMPC
-from pinav.navigation.control.mppi import PathIntegral
-from pinav.navigation.control.prediction import GradientGuide, TrajectoryPrediction
+from pinav.navigation.control.mppi import GradientMPC, PathIntegral
+from pinav.navigation.control.prediction import (
+    ArrivalCost,
+    GradientGuide,
+    TrackingCost,
+    TrajectoryPrediction,
+)
 from pinav.navigation.model.predictors import AbstractPredictor, Drifting
 from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
 from pinav.navigation.planning.plan import check_places, time_to_go

@@ -1,4 +1,4 @@
-"""TrajectoryPrediction: what a model says will follow from a sequence of thrusts."""
+"""TrajectoryPrediction: the course that follows from thrusts, and its costs."""
 
 import abc
 
@@ -10,8 +10,14 @@ from jaxtyping import Array, Float
 from pinav.arguments import Scalar, State, Vector
 from pinav.errors import InputError
 from pinav.navigation.control.controller import Controls, Observation
-from pinav.navigation.model.predictors import AbstractPredictor, ControlMap
+from pinav.navigation.model.predictors import (
+    AbstractPredictor,
+    ControlMap,
+    TimeCost,
+    entry_fraction,
+)
 from pinav.navigation.planning.plan import TimeToGo
+from pinav.navigation.task.objectives import AbstractObjective
 from pinav.navigation.task.steering import Command
 
 
@@ -103,3 +109,87 @@ class GradientGuide(AbstractGuide):
         )
         begin = (observation.state, observation.pending[-1])
         return jax.lax.scan(move, begin, ts)[1]
+
+
+Times = Float[Array, " time"]
+"""Times [T], the first of which is now."""
+
+Course = Float[Array, "time state"]
+"""States at these times."""
+
+
+class AbstractCost(eqx.Module):
+    """The cost of a course of states; no batch axis."""
+
+    @abc.abstractmethod
+    def __call__(self, ts: Times, ys: Course, controls: Controls) -> Float[Array, ""]:
+        """Cost of a course.
+
+        Args:
+            ts: times, the first of which is now [T].
+            ys: states then.
+            controls: thrust in each step, in units of the greatest thrust.
+        """
+
+
+class ArrivalCost(AbstractCost):
+    """Time until the goal is reached; after the last state that of the plan [T].
+
+    Each unit of time costs what `TimeCost` says, and each step into a wall the
+    time limit of the task.
+
+    Attributes:
+        plan: time-to-go, goal and walls.
+    """
+
+    plan: TimeToGo
+
+    def __call__(self, ts: Times, ys: Course, controls: Controls) -> Float[Array, ""]:
+        plan = self.plan
+        xs = ys[:, : plan.goal.shape[0]]
+        fraction = jax.vmap(entry_fraction, (0, 0, None, None))(
+            xs[:-1], jnp.diff(xs, axis=0), plan.goal, plan.tolerance
+        )
+        # One until the goal is entered, zero ever after: what follows costs nothing.
+        away = jnp.cumprod(jnp.isinf(fraction).astype(ys.dtype))
+        before = jnp.concatenate([jnp.ones_like(away[:1]), away[:-1]])
+        time_cost = plan.tables.time_cost
+        running_cost = jax.vmap(time_cost.running_cost)(ts[1:], xs[1:])
+        running_cost = running_cost + _collisions(time_cost, xs) * plan.horizon
+        running = before * jnp.minimum(fraction, 1.0) * jnp.diff(ts) * running_cost
+        return jnp.sum(running) + away[-1] * plan.at(ys[-1], ts[-1])
+
+
+class TrackingCost(AbstractCost):
+    r"""Mean square distance from the target, $\int |x - r(t)|^2 dt$ [L² T].
+
+    Attributes:
+        objective: the target r.
+        time_cost: walls; what time costs more near them is added.
+        effort: weight of the squared change of the control from step to step.
+    """
+
+    objective: AbstractObjective
+    time_cost: TimeCost
+    effort: float = 0.0
+
+    def __call__(self, ts: Times, ys: Course, controls: Controls) -> Float[Array, ""]:
+        xs = ys[:, : self.time_cost.arena.dim]
+        targets = jax.vmap(self.objective.target)(ts[1:])
+        error = jnp.sum((xs[1:] - targets) ** 2, axis=1)
+        running_cost = jax.vmap(self.time_cost.running_cost)(ts[1:], xs[1:]) - 1
+        walls = running_cost + COLLISION * _collisions(self.time_cost, xs)
+        change = jnp.sum(jnp.diff(controls, axis=0) ** 2)
+        return jnp.sum((error + walls) * jnp.diff(ts)) + self.effort * change
+
+
+COLLISION = 1e3
+"""Cost of a unit of time in a wall, where a path is followed [L²]."""
+
+
+def _collisions(
+    time_cost: TimeCost, xs: Float[Array, "time dim"]
+) -> Float[Array, " step"]:
+    """One for each later position in a wall."""
+    clearance = jax.vmap(time_cost.clearance)(xs[1:])
+    return (clearance < 0).astype(xs.dtype)

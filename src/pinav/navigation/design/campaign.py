@@ -23,8 +23,7 @@ from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
 from pinav.navigation.design.choices import AbstractDesign, Stage
 from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle, Task
 from pinav.navigation.trials.situation import advance_compiled, begin, mean_thrust
 
 DRAWS = 100

@@ -11,7 +11,7 @@ from pinav.arguments import Scalar, Vector, check_positive
 from pinav.errors import InputError
 from pinav.forces import AbstractForce
 from pinav.navigation.task.steering import AbstractActuator, CommandLimits
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle
 
 
 class CommandedThrust(AbstractForce):

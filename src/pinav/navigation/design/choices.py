@@ -18,8 +18,7 @@ from pinav.navigation.belief.belief import SETTLE_EVERY, Belief
 from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
 from pinav.navigation.design.information import best_candidate
 from pinav.navigation.task.steering import AbstractActuator
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import clearance
+from pinav.navigation.task.task import Task, clearance
 
 COARSE = 2
 """Control steps that are taken at once where a candidate is only imagined."""

@@ -25,15 +25,15 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, PyTree
 from pinav.arguments import Planar
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
+from pinav.fitting.engine.constant_priors import ParametricModel
 from pinav.fitting.engine.multiple_shooting import eliminate, sensitivities
-from pinav.fitting.engine.parametric_model import ParametricModel
 from pinav.fitting.engine.posterior import Posterior
 from pinav.navigation.design.candidates import (
     CandidateTrajectories,
     CommandedThrust,
     Experiment,
 )
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle
 
 ExpectedSd = Callable[[CandidateTrajectories], float]
 """Standard deviation of the force along a way that is expected after a single

@@ -1,4 +1,4 @@
-r"""Predictors of controllers: a model, its table, or either with a drift."""
+r"""Predictors of controllers, and the cost of time at a place."""
 
 import abc
 import math
@@ -20,6 +20,7 @@ from pinav.navigation.task.steering import (
     all_directions,
     direction_angles,
 )
+from pinav.navigation.task.task import AbstractZone, Rectangle, clearance
 
 
 class AbstractPredictor(eqx.Module):
@@ -211,3 +212,68 @@ def _solve(matrix: Float[Array, "dim dim"], vector: Vector) -> Vector:
     a, b, c, d = matrix[0, 0], matrix[0, 1], matrix[1, 0], matrix[1, 1]
     x, y = vector[0], vector[1]
     return jnp.stack([d * x - b * y, a * y - c * x]) / (a * d - b * c)
+
+
+class TimeCost(eqx.Module):
+    r"""Cost of a unit of time: 1, more near walls and where the model is uncertain.
+
+    $$p(t, x) = 1 + k \max(0, 1 - c(x) / m)^2 + \rho\, (s(t, x) / u)^2,$$
+
+    with the clearance c, the standard deviation s of the model's rate and the rate u
+    that the greatest thrust gives.
+
+    Attributes:
+        keep_out: what must not be entered.
+        arena: what must not be left.
+        margin: m, from a wall, over which time costs more [L], positive.
+        steepness: k.
+        spread: s / u, dimensionless; zeros where the model is taken for true.
+        risk_aversion: $\rho$ to what is not known.
+    """
+
+    keep_out: tuple[AbstractZone, ...]
+    arena: Rectangle
+    margin: Scalar
+    steepness: float
+    spread: FieldTable
+    risk_aversion: Scalar
+
+    def clearance(self, x: Vector) -> Float[Array, ""]:
+        """Distance from the nearest forbidden place [L]."""
+        return clearance(x, self.keep_out, self.arena)
+
+    def running_cost(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        """Cost of a unit of time, at time `t` [T] and position `x` [L]."""
+        return 1 + self.nearness(self.clearance(x)) + self.risk(t, x)
+
+    def nearness(self, clearance: Float[Array, "*many"]) -> Float[Array, "*many"]:
+        """Additional cost of time at this distance from forbidden places [L]."""
+        lack = jnp.maximum(0.0, 1 - clearance / self.margin)
+        return self.steepness * lack**2
+
+    def risk(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        """Additional cost of time where the model is uncertain."""
+        return self.risk_aversion * self.spread(t, x)[0] ** 2
+
+
+def entry_fraction(
+    x: Vector, displacement: Vector, goal: Vector, tolerance: Scalar
+) -> Float[Array, ""]:
+    """Fraction of a straight step after which it enters a ball; infinite if never.
+
+    Args:
+        x: where the step begins [L].
+        displacement: the whole step [L].
+        goal: middle of the ball [L].
+        tolerance: its radius [L].
+    """
+    offset = x - goal
+    beyond = offset @ offset - jnp.asarray(tolerance, x.dtype) ** 2
+    square = displacement @ displacement
+    approach = -(offset @ displacement)
+    inner = approach**2 - square * beyond
+    meets = (inner > 0) & (approach > 0)
+    root = jnp.sqrt(jnp.where(meets, inner, 1.0))
+    fraction = (approach - root) / jnp.where(meets, square, 1.0)
+    fraction = jnp.where(meets & (fraction <= 1), fraction, jnp.inf)
+    return jnp.where(beyond <= 0, 0.0, fraction)

@@ -19,7 +19,7 @@ from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import ZeroFlow, ZeroForce, cubic_weights
 from pinav.navigation.task.steering import HeldThrust, SteeredSwimmer
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle
 
 
 def place_words(x: Vector) -> str:

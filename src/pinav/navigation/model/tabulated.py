@@ -13,6 +13,7 @@ from pinav.navigation.model.predictors import (
     ControlMap,
     InertialTable,
     OverdampedTable,
+    TimeCost,
     split_rates,
 )
 from pinav.navigation.model.tables import (
@@ -24,7 +25,6 @@ from pinav.navigation.model.tables import (
     tabulate,
     tabulate_over_time,
 )
-from pinav.navigation.model.time_cost import TimeCost
 from pinav.navigation.task.steering import SteeredSwimmer
 from pinav.navigation.task.task import Task
 

@@ -26,8 +26,7 @@ from pinav.navigation.planning.value_iteration import (
     sweep_back,
 )
 from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle, Task
 
 Start = Float[Array, "moment ..."] | None
 """Values of a plan before, from which a steady model is swept on; zeros for None."""

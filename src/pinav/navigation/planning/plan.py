@@ -10,10 +10,13 @@ from jaxtyping import Array, Bool, Float
 
 from pinav.arguments import Scalar, State, Vector
 from pinav.errors import InputError
-from pinav.navigation.model.predictors import AbstractPredictor, InertialTable
+from pinav.navigation.model.predictors import (
+    AbstractPredictor,
+    InertialTable,
+    entry_fraction,
+)
 from pinav.navigation.model.tables import Grid, place_words
 from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
-from pinav.navigation.model.time_cost import entry_fraction
 from pinav.navigation.planning.lattice import (
     arrival_test,
     phase_step,

@@ -23,8 +23,7 @@ from pinav.navigation.planning.plan import (
 )
 from pinav.navigation.planning.value_iteration import ArrivalTest
 from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.task.task import Rectangle, Task
 
 HEADROOM = 1.25
 """Greatest speed of the lattice over that of the thrust against the drag alone."""

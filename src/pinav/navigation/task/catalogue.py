@@ -30,8 +30,7 @@ from pinav.navigation.task.steering import (
     HelicalActuator,
     SteeredSwimmer,
 )
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import AbstractZone, Disc, Rectangle, Wall
+from pinav.navigation.task.task import AbstractZone, Disc, Rectangle, Task, Wall
 from pinav.scenarios import scenario
 from pinav.trajectories import Trajectories, simulate
 

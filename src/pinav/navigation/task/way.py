@@ -12,8 +12,7 @@ from pinav.errors import InputError
 from pinav.forces import AbstractCommandedForce, WallMobility
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Behind, Disc, Rectangle
+from pinav.navigation.task.task import Behind, Disc, Rectangle, Task
 
 Place = tuple[float, ...]
 """Coordinates of a place [L]."""

@@ -19,8 +19,7 @@ from pinav.arguments import Scalar, State
 from pinav.dynamics import RK4, FixedStep
 from pinav.navigation.control.controller import Observation
 from pinav.navigation.task.steering import Command, SteeredSwimmer, direction_angles
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import clearance
+from pinav.navigation.task.task import Task, clearance
 
 PARTS = 4
 """Least number of steps of the true swimmer within a control step."""

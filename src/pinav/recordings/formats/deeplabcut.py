@@ -9,7 +9,7 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.recordings.formats.format import AbstractFormat
-from pinav.recordings.formats.hdf5 import open_group
+from pinav.recordings.formats.zarr_arrays import open_group
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
 from pinav.recordings.table import Table

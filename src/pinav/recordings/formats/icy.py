@@ -5,8 +5,8 @@ from typing import final
 import numpy as np
 
 from pinav.errors import InputError
+from pinav.recordings.formats.described import number, parse_xml, root_tag
 from pinav.recordings.formats.format import AbstractFormat
-from pinav.recordings.formats.xml_tree import number, parse_xml, root_tag
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
 

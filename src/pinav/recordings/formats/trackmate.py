@@ -6,8 +6,8 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.recordings import units
+from pinav.recordings.formats.described import number, parse_xml
 from pinav.recordings.formats.format import AbstractFormat
-from pinav.recordings.formats.xml_tree import number, parse_xml
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
 from pinav.recordings.table import Table

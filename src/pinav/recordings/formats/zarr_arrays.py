@@ -1,11 +1,13 @@
-"""Groups and arrays of Zarr in a folder, of version 2 and 3, as GEFF writes them."""
+"""Groups and arrays of Zarr in a folder, and of HDF5, as bare arrays."""
 
 import dataclasses
 import gzip
+import io
 import itertools
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, final
 
@@ -214,3 +216,23 @@ def _unread(what: str) -> InputError:
         f"Zarr with {what} is not read; write the graph again with the codec zstd, or "
         "export its nodes as CSV and give --columns"
     )
+
+
+@contextmanager
+def open_group(content: bytes) -> Iterator[Any]:
+    """The root group of an HDF5 file in memory.
+
+    Raises:
+        InputError: the file is damaged, also where that shows while it is read.
+    """
+    import h5py
+
+    try:
+        with h5py.File(io.BytesIO(content), "r") as file:
+            yield file
+    except InputError:
+        raise
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        raise InputError(
+            f"damaged HDF5 file: {error}; copy it from its origin again"
+        ) from error

@@ -7,15 +7,16 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.recordings.conventions import doubts, heading_remark
-from pinav.recordings.labels import groups
-from pinav.recordings.quality.commands import Drive, drive
-from pinav.recordings.quality.localisation import Localisation, localisation
-from pinav.recordings.quality.speeds import (
+from pinav.recordings.quality.commands import (
+    Drive,
     Speed,
+    drive,
     path_length,
     speeds_by_frequency,
     window_speeds,
 )
+from pinav.recordings.quality.localisation import Localisation, localisation
+from pinav.recordings.segments import groups
 from pinav.trajectories import UNKNOWN_UNIT, Trajectories, Trajectory
 
 
