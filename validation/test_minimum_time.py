@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 from tests.navigation.steering_worlds import DRAG, open_water, without_noise
 
 from pinav.dynamics import RK4, FixedStep
@@ -33,7 +33,8 @@ def test_without_a_barrier_the_optimum_is_full_thrust_ahead():
     def left(t):
         return (t - (1 - np.exp(-DRAG * t)) / DRAG) / DRAG - way
 
-    np.testing.assert_allclose(found.time, brentq(left, 0.1, 9.0), rtol=1e-5)
+    expected = root_scalar(left, bracket=(0.1, 9.0)).root
+    np.testing.assert_allclose(found.time, expected, rtol=1e-5)
 
 
 @needs_casadi

@@ -147,6 +147,9 @@ def covered_share(folder, seed):
     learn = ["--recipe", "langevin", "--observation", "learn"]
     assert cli.run(["fit", data, "--out", run, *learn]) == 0
     maps = open_run(folder / "run").findings.force
+    assert maps is not None
+    assert maps.true is not None
+    assert maps.sd is not None
     near = maps.learned.distance < VISITED
     truth, sd = maps.true[near], maps.sd[near]
     size = np.sqrt(np.mean(truth**2))

@@ -6,11 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import fsolve, minimize
+from scipy.optimize import minimize, root
 
 from pinav.errors import FitError, InputError
 from pinav.forces import ShearFlow
 from pinav.navigation.task import catalogue as tasks
+from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import direction
 from validation import zermelo
 
@@ -47,7 +48,9 @@ def shear_end(first, time, start, rate):
 def test_linear_shear_is_crossed_as_the_closed_form_says():
     """Bryson and Ho, Applied Optimal Control, section 2.7."""
     rate, start, goal = 0.3, np.array([0.0, -1.5]), np.array([4.0, -1.0])
-    first, time = fsolve(lambda u: shear_end(*u, start, rate) - goal, [0.6, 5.0])
+    first, time = root(
+        lambda u: shear_end(u[0], u[1], start, rate) - goal, [0.6, 5.0]
+    ).x
     flow = ShearFlow(rate)
     found = zermelo.quickest(
         lambda x: flow(0.0, x), jnp.asarray(start), jnp.asarray(goal), speed=1.0,
@@ -96,6 +99,7 @@ def test_the_vortex_cannot_be_crossed_more_quickly_by_a_direct_method():
     near = direct_time(task, np.append(middles, found.time))
     np.testing.assert_allclose(near, found.time, rtol=2e-3)
     end = found.xs[-1] + 0.3 * np.asarray(direction(jnp.asarray(found.headings[-1:])))
+    assert isinstance(task.objective, ReachGoal)
     np.testing.assert_allclose(end, task.objective.goal, atol=1e-6)
     assert np.all(-task.arena.distance(jnp.asarray(found.xs.min(axis=0))) > 0)
     assert np.all(-task.arena.distance(jnp.asarray(found.xs.max(axis=0))) > 0)
