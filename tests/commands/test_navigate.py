@@ -11,12 +11,12 @@ import pytest
 from pinav import cli
 from pinav.actuation import AbstractProgramme, RollingActuator, SaturatingResponse
 from pinav.codec import encode
-from pinav.commands.data_file import numbers
 from pinav.commands.navigate import NAVIGATE
 from pinav.commands.navigate.cells import navigation_problem
 from pinav.commands.navigate.sections import controller_table, sentences
 from pinav.commands.navigate.settings import NavigateSettings
 from pinav.commands.results import keep, sections_of
+from pinav.commands.settings import numbers
 from pinav.commands.steering import system_task
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError

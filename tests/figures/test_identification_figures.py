@@ -19,7 +19,10 @@ def test_rollouts_have_equal_axes_units_and_bands():
     path = np.cumsum(np.ones((20, 2)), axis=0)
     seen = [path[4] + 0.5, path[8] - 0.5]
     parts = zip(seen, (path[:5], path[5:9]), strict=True)
-    rollouts = [ShownRollout(0.0, end[None], one, np.ones(2)) for end, one in parts]
+    rollouts = [
+        ShownRollout(0.0, np.vstack([one[:-1], end]), one, np.ones(2))
+        for end, one in parts
+    ]
     ax = rollout_paths(Paths((path,), tuple(rollouts)), units=UNITS)
     assert ax.get_aspect() == 1
     assert ax.get_xlabel() == "$x$ [µm]"

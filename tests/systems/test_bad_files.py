@@ -299,7 +299,7 @@ def test_a_bad_file_is_told_in_one_line(case, tmp_path):
     said = str(caught.value)
     assert said.startswith(str(path))
     assert "\n" not in said
-    assert len(said) < 900
+    assert len(said.removeprefix(str(path))) < 900
 
 
 @pytest.mark.parametrize("text", [GOOD, THERMAL], ids=["order 2", "order 1"])

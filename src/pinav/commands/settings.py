@@ -4,11 +4,13 @@ Only settings decide the numbers of a run; where it is written does not belong t
 This module imports no numerical library, so that `--help` is quick.
 """
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from pinav.errors import InputError
 from pinav.learning.recipes import ModelName as ModelName
 from pinav.settings import Range as Range
 from pinav.settings import Settings as Settings
@@ -52,3 +54,27 @@ class ResumableOptions(RunOptions, frozen=True, kw_only=True):
 
     config: Path | None = None
     resume: bool = False
+
+
+def numbers(option: str, text: str, *counts: int) -> tuple[float, ...]:
+    """Numbers with commas between them.
+
+    Args:
+        option: what the message calls them.
+        text: such as "0.5,1".
+        counts: how many there may be.
+
+    Raises:
+        InputError: they are not so many finite numbers.
+    """
+    try:
+        values = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) not in counts or not all(map(math.isfinite, values)):
+        example = ",".join("123456"[: counts[0]])
+        raise InputError(
+            f"{option}: expected {' or '.join(map(str, counts))} numbers with commas "
+            f"between them, such as {example}, got {text!r}"
+        )
+    return values

@@ -196,7 +196,7 @@ Gain = Float[Array, "_ _"] | Float[Array, "_"] | Float[Array, ""]
 """A matrix, which a file states; one number for each axis; one number."""
 
 
-def _as_gain(value: ArrayLike) -> Gain:
+def _as_gain(value: ArrayLike | Sequence) -> Gain:
     if np.shape(value) not in ((), (2,), (2, 2)):
         raise InputError(
             "RollingPropulsion.gain: expected a matrix of 2 rows and 2 columns, or one "

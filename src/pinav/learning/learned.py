@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -330,7 +330,7 @@ class Learned(AbstractLearned):
         training = set(_hashes(self.data))
         return sum(piece in training for piece in _hashes(data))
 
-    def force(self, positions: ArrayLike) -> Float[np.ndarray, "point dim"]:
+    def force(self, positions: ArrayLike | Sequence) -> Float[np.ndarray, "point dim"]:
         """The learned force [L T⁻²] on a swimmer at rest, at time zero.
 
         Args:

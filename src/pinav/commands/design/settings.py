@@ -5,8 +5,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from pinav.commands.data_file import numbers
-from pinav.commands.settings import Range, RunOptions
+from pinav.commands.settings import Range, RunOptions, numbers
 from pinav.commands.steering_settings import SteeringSettings
 from pinav.errors import InputError
 

@@ -5,9 +5,8 @@ from typing import Annotated
 
 import tyro
 
-from pinav.commands.data_file import numbers
 from pinav.commands.recording_settings import RecordingSettings
-from pinav.commands.settings import Range, Settings
+from pinav.commands.settings import Range, Settings, numbers
 from pinav.errors import InputError
 
 

@@ -1,6 +1,7 @@
 """The Laplace posterior of a fit: models drawn from it, and bands."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -106,7 +107,7 @@ class Posterior(eqx.Module):
             ]
 
     def force_sd(
-        self, positions: ArrayLike, time: float = 0.0
+        self, positions: ArrayLike | Sequence, time: float = 0.0
     ) -> Float[np.ndarray, "point dim"]:
         """Standard deviation of the environment's force [L T⁻²] on a swimmer at rest.
 
@@ -141,7 +142,7 @@ class Posterior(eqx.Module):
         return model.with_environment(SumForce((force, *drawn))) if drawn else model
 
     def force_jacobians(
-        self, positions: ArrayLike, time: float = 0.0
+        self, positions: ArrayLike | Sequence, time: float = 0.0
     ) -> Float[np.ndarray, "point dim parameter"]:
         """Derivatives of the environment's force on a swimmer at rest by parameters.
 

@@ -5,7 +5,7 @@ from typing import Generic, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.arguments import Scalar, State
 from pinav.navigation.task.objectives import AbstractObjective
@@ -14,7 +14,7 @@ from pinav.navigation.task.steering import Command, CommandLimits, direction_ang
 Controls = Float[Array, "step dim"]
 """Thrusts of the coming steps, in units of the greatest one."""
 
-Memory = TypeVar("Memory", bound=PyTree)
+Memory = TypeVar("Memory")
 
 
 class Observation(eqx.Module):
