@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.actuation import AbstractProgramme, RollingActuator, SaturatingResponse
+from pinav.actuation import (
+    AbstractProgramme,
+    AbstractResponse,
+    RollingActuator,
+    SaturatingResponse,
+)
 from pinav.codec import encode
 from pinav.commands.navigate import NAVIGATE
 from pinav.commands.navigate.cells import navigation_problem
@@ -80,7 +85,7 @@ def test_settings_without_sense_are_refused(change, message):
 
 
 def share(value):
-    return Interval(value, max(value - 0.1, 0), min(value + 0.1, 1))
+    return Interval(value, max(value - 0.1, 0.0), min(value + 0.1, 1.0))
 
 
 ROW = Summary(
@@ -221,6 +226,11 @@ def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
     assert float(problem.task.keep_out[0].distance(jnp.array([4.0, 6.0]))) == 1.0
 
 
+class SquareResponse(AbstractResponse):
+    def __call__(self, frequency):
+        return frequency**2
+
+
 class SquarePropulsion(AbstractCommandedForce):
     """A propulsion of which no command knows: its speed grows with the square of f."""
 
@@ -228,7 +238,7 @@ class SquarePropulsion(AbstractCommandedForce):
 
     @property
     def actuator(self):
-        return RollingActuator(jnp.eye(2), lambda frequency: frequency**2)
+        return RollingActuator(jnp.eye(2), SquareResponse())
 
     @property
     def lateness(self):

@@ -299,7 +299,7 @@ def linear(start: int, strides: Sequence[int], index: Index) -> str:
     return " + ".join([*terms, str(start)] if start or not terms else terms)
 
 
-def number(value: float) -> str:
+def number(value: float | int) -> str:
     """A number as JavaScript reads it, to its last digit."""
     is_whole = value == np.trunc(value) and 0 < abs(value) < 1e15
     text = repr(int(value) if is_whole else float(value))
