@@ -217,3 +217,12 @@ def test_damage_is_one_line(folder, seed, in_manifest):
     assert "\n" not in complaint
     assert not complaint or f"{folder.path}/thing." in complaint
     assert eqx.tree_equal(found, whole) or not in_manifest
+
+
+class Named(eqx.Module):
+    kind: str
+
+
+def test_a_field_that_would_be_taken_for_the_class_is_a_fault_of_the_program():
+    with pytest.raises(TypeError, match=r"Named.kind needs another name"):
+        encode(Named("a"))

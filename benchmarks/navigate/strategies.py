@@ -11,7 +11,7 @@ from pinav.commands.navigate.online_sections import online_table
 from pinav.navigation import (
     AdaptiveController,
     Flight,
-    Outcome,
+    FlightOutcome,
     fly_swimmer,
     judge_controllers,
     task,
@@ -57,13 +57,13 @@ def compare_strategies(out: Path, tasks: Sequence[str], seeds: int) -> None:
             document = {name: encode(one).document for name, one in outcomes.items()}
             folder.write_json(file, document)
         folder.check_file(file)
-        rows = decode(dict[str, Outcome], folder.read_json(file), {})
+        rows = decode(dict[str, FlightOutcome], folder.read_json(file), {})
         table = online_table(rows)
         folder.write_table(f"learn-online-{name}.csv", table.header, table.rows)
         print(f"{name}\n{as_text(table)}", flush=True)
 
 
-def _contest(name: str, seeds: Sequence[int]) -> dict[str, Outcome]:
+def _contest(name: str, seeds: Sequence[int]) -> dict[str, FlightOutcome]:
     """The outcome of the oracle and of each strategy on a task."""
     problem = online_task(name, position_noise=NOISE, delay=None)
     flights: dict[str, list[Flight]] = {}

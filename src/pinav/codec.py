@@ -133,6 +133,8 @@ def _encode_record(path: str, wanted: Any, value: Any, arrays: Arrays) -> Json:
         if members(wanted).get(content["kind"]) is not cls:
             raise TypeError(f"{path}: {cls.__name__} is no {wanted} that can be read")
     defaults = _fields(cls)
+    if "kind" in defaults:  # reading would take it for the name of the class
+        raise TypeError(f"{path}: {cls.__name__}.kind needs another name in a file")
     for name, hint in _hints(cls).items():
         part = getattr(value, name)
         empty = isinstance(part, tuple) and not part and defaults[name] == ()

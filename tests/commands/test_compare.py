@@ -10,7 +10,7 @@ import pytest
 
 from pinav import cli
 from pinav.commands.compare.job import check_settings, positions_alone, verdicts
-from pinav.commands.compare.result import Candidate, Comparison
+from pinav.commands.compare.result import ComparedModel, Comparison
 from pinav.commands.compare.sections import sections, table
 from pinav.commands.compare.settings import CompareSettings
 from pinav.errors import InputError
@@ -31,7 +31,7 @@ from pinav.trajectories import Trajectories
 
 def row(value, outcome="converged"):
     evidence = None if value is None else ModelEvidence(value + 1.0, 1.0)
-    return Candidate(outcome, evidence, reason="no")
+    return ComparedModel(outcome, evidence, reason="no")
 
 
 def test_a_verdict_names_the_model_of_higher_evidence_and_by_how_much():

@@ -12,8 +12,10 @@ import pytest
 import tomli_w
 
 from pinav import cli
+from pinav.runs import RunFolder
 from pinav.thermal.case import read_case
 from pinav.thermal.images import read_image
+from pinav.thermal.learned_tissue import LearnedTissue
 from pinav.thermal.readings import read_data
 from pinav.thermal.setup import Setup
 from pinav.thermal.solve import solve
@@ -234,9 +236,8 @@ def test_a_law_of_temperature_is_learned_from_frames(tmp_path, capsys):
     assert metrics["residual"] == pytest.approx(1.0, abs=0.1)
     assert metrics["residual"] < metrics["constant_residual"]
     assert metrics["laws"]["muscle"]["covered"] > 0.9
-    with np.load(out / "results.npz") as arrays:
-        at, values = (arrays[f"law/muscle/{n}"] for n in ("temperatures", "values"))
-        true = arrays["law/muscle/true"]
+    law = RunFolder.open(out).load("metrics", LearnedTissue).laws["muscle"]
+    at, values, true = law.temperatures, law.values, law.true
     # the truth is that of the case that made the frames, not where the fit started
     assert true == pytest.approx(np.interp(at, LAW["temperatures"], LAW["values"]))
     warm = (at > 40) & (at < 42)

@@ -20,10 +20,10 @@ from pinav.navigation import (
     AbstractNavigation,
     AdaptiveController,
     Course,
+    FlightOutcome,
     ForceMaps,
     Interval,
     OnlineNavigation,
-    Outcome,
     Quantiles,
 )
 from pinav.navigation.adaptive.swimmer import ShownFlight
@@ -70,7 +70,7 @@ def test_what_makes_no_sense_is_refused(words, message, tmp_path, capsys):
 
 
 SHARE = Interval(1.0, 0.8, 1.0)
-KNOWING = Outcome(
+KNOWING = FlightOutcome(
     runs=20,
     success=SHARE,
     in_time=SHARE,

@@ -27,7 +27,7 @@ from pinav.identification import (
     with_response,
 )
 from pinav.identification.findings import extrapolation
-from pinav.identification.fit import Search
+from pinav.identification.fit import CandidateSearch
 from pinav.identification.likelihood import Design, evidence_and_coefficients
 from pinav.identification.parameters import (
     DELAY,
@@ -124,7 +124,7 @@ def test_growth_of_errors_agrees_with_rollouts_of_each_length(track, fit):
 def search_of(track, system):
     """The search for the numbers that a system leaves open."""
     design, learned = Design.of(system, Blocks.of(track)), learned_parameters(system)
-    return Search(design, learned, Prior.of(track), stated_coordinates(system))
+    return CandidateSearch(design, learned, Prior.of(track), stated_coordinates(system))
 
 
 def stub_search(track, monkeypatch, slope):
@@ -135,7 +135,7 @@ def stub_search(track, monkeypatch, slope):
     def value_and_gradient(self, learned):
         return 0.0, (learned - mean) / sd**2 + slope(learned - mean)
 
-    monkeypatch.setattr(Search, "__call__", value_and_gradient)
+    monkeypatch.setattr(CandidateSearch, "__call__", value_and_gradient)
     return mean, sd, search
 
 

@@ -41,7 +41,7 @@ def taught(crossings, tmp_path_factory):
 def test_the_run_says_what_structure_its_teacher_had(taught):
     structure = taught.findings.structure
     assert structure.of_teacher
-    assert structure.terms[0].kind.startswith("central")
+    assert structure.terms[0].name.startswith("central")
     assert structure.terms[0].profile is not None
     run = open_run(taught.path)
     assert isinstance(run.model.environment, NeuralPotential)

@@ -4,7 +4,7 @@ import io
 import json
 
 from pinav.live.messages import Event, EventKind, Mode, State
-from pinav.live.page import Printer, status_line
+from pinav.live.page import EventPrinter, status_line
 
 STATE = State(
     seq=1,
@@ -25,13 +25,13 @@ STATE = State(
 
 def test_lines_for_programs_are_those_of_the_protocol():
     stream = io.StringIO()
-    Printer(stream.write).show(STATE)
+    EventPrinter(stream.write).show(STATE)
     assert json.loads(stream.getvalue())["type"] == "state"
 
 
 def test_lines_for_people_come_once_a_second_and_events_at_once():
     stream = io.StringIO()
-    printer = Printer(stream.write, people=True)
+    printer = EventPrinter(stream.write, people=True)
     import msgspec
 
     for step in range(25):

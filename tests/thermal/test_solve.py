@@ -18,7 +18,7 @@ from pinav.thermal.protocols import Piecewise, plan_steps
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import Probes, default_stepper, probes_at, run, solve
 from pinav.thermal.sources import EddySource, PowerSource
-from pinav.thermal.starts import State
+from pinav.thermal.starts import HeatState
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 
@@ -86,7 +86,7 @@ def short_run():
             schedule,
             stepper=Rosenbrock(),
             observe=probes_at(model, [0.004]),
-            start=State.at_rest(own),
+            start=HeatState.at_rest(own),
         )
         return jnp.stack(
             [
@@ -135,7 +135,7 @@ def test_a_run_is_differentiated_in_blocks_or_whole(monkeypatch, kept, cells):
 
     def outcome(scale):
         own = eqx.tree_at(lambda m: m.blood.arterial, model, 37.0 * scale)
-        begin = State.at_rest(model)
+        begin = HeatState.at_rest(model)
         found = run(
             own, protocol, schedule, stepper=stepper, observe=jnp.mean, start=begin
         )
@@ -167,7 +167,7 @@ def test_reverse_mode_in_the_plane():
             schedule,
             stepper=stepper,
             observe=jnp.max,
-            start=State.at_rest(own),
+            start=HeatState.at_rest(own),
         )
         return jnp.log(jnp.sum(found.final.dose)) + found.observed[-1]
 
@@ -198,7 +198,7 @@ def centre_rise(count):
             plan_steps(protocol, 2000.0),
             stepper=Rosenbrock(),
             observe=probe,
-            start=State.at_rest(model),
+            start=HeatState.at_rest(model),
         )
         return found.observed[-1, 0] - 37.0
 
@@ -237,7 +237,7 @@ def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel(
             schedule,
             stepper=Rosenbrock(),
             observe=probe,
-            start=State.at_rest(model),
+            start=HeatState.at_rest(model),
         ).observed[-1, 0]
 
     probe = probes_at(model, [0.0])
@@ -363,13 +363,15 @@ PLANE = CartesianGrid.cubes((20, 20), 5e-4)
         ),
         (
             lambda: solve(
-                BLAND, HOUR, start=State(jnp.asarray(1e4), jnp.ones(30), jnp.ones(30))
+                BLAND,
+                HOUR,
+                start=HeatState(jnp.asarray(1e4), jnp.ones(30), jnp.ones(30)),
             ),
             r"schedule start: expected within 0 and 3600 s, got 10000",
         ),
         (
             lambda: solve(
-                BLAND, HOUR, start=State(jnp.asarray(0.0), jnp.ones(9), jnp.ones(9))
+                BLAND, HOUR, start=HeatState(jnp.asarray(0.0), jnp.ones(9), jnp.ones(9))
             ),
             r"start: expected a temperature of shape \(30,\), .*, got \(9,\)",
         ),

@@ -16,7 +16,7 @@ from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import probes_at, solve
 from pinav.thermal.sources import PowerSource
-from pinav.thermal.starts import State
+from pinav.thermal.starts import HeatState
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 
@@ -252,7 +252,7 @@ def test_decay_in_the_box_at_every_stage(medium, switched):
         (),
         around(grid, Insulated()),
     )
-    begin = State(jnp.asarray(0.0), jnp.asarray(37 + start), jnp.zeros(grid.shape))
+    begin = HeatState(jnp.asarray(0.0), jnp.asarray(37 + start), jnp.zeros(grid.shape))
     off = switched((0, 150), [0.0])
     once = solve(model, off, start=begin)
     assert max_error(once, true) < 1.5e-3
@@ -374,7 +374,7 @@ def test_an_eigenmode_decays_as_the_grid_says(medium, switched):
     grid = RadialGrid.slab(0.03, 64)
     model = medium(grid, 0.0, (Sides(Insulated(), Insulated()),))
     shape = jnp.cos(3 * jnp.pi * grid.centers / 0.03)
-    begin = State(jnp.asarray(0.0), 37 + shape, jnp.zeros(64))
+    begin = HeatState(jnp.asarray(0.0), 37 + shape, jnp.zeros(64))
     rate = discrete_eigenmode_rate(SET_S, 3, 0.03, 64)
     found = solve(
         model, switched((0, 300), [0.0]), start=begin, stepper=Rosenbrock(0.5)

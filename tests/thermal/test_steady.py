@@ -18,7 +18,7 @@ from pinav.thermal.perfusion import MixedPerfusion, lang
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import solve
 from pinav.thermal.sources import DistantEddySource, axis_distance
-from pinav.thermal.starts import AtSteadyState, State
+from pinav.thermal.starts import AtSteadyState, HeatState
 from pinav.thermal.steady import find_steady_state, steady_state
 from pinav.thermal.tissues import Blood, Tissue
 
@@ -117,14 +117,14 @@ def test_a_run_from_the_steady_state_without_a_field_stays_there(medium):
     assert float(rest.min()) < 36.0
     assert jnp.allclose(run.final.temperature, rest, atol=1e-8)
     with pytest.raises(InputError, match=r"temperature of shape \(20,\)"):
-        solve(model, off, start=State.at(jnp.ones(9)))
+        solve(model, off, start=HeatState.at(jnp.ones(9)))
 
 
 def test_damage_is_accumulated_beside_the_dose(medium):
     closed = (Sides(Insulated(), Insulated()),)
     model = medium(RadialGrid.slab(0.03, 3), 0.0, closed, 0.0)
     off = powers((0.0, 600.0), [0.0])
-    warm = State.at(jnp.full(3, 45.0))
+    warm = HeatState.at(jnp.full(3, 45.0))
     run = solve(
         model,
         off,
@@ -136,7 +136,7 @@ def test_damage_is_accumulated_beside_the_dose(medium):
     rate = float(LIVER_DAMAGE.rate(jnp.asarray(45.0)))
     assert jnp.allclose(run.final.damage, 600.0 * rate, rtol=1e-9)
     assert jnp.allclose(run.observed_dose, jnp.array([20.0, 40.0]))
-    again = solve(model, off, start=State.at(jnp.full(3, 45.0)))
+    again = solve(model, off, start=HeatState.at(jnp.full(3, 45.0)))
     assert again.final.damage is None
 
 

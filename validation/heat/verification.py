@@ -43,7 +43,7 @@ from pinav.thermal.quantities import Number
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import probes_at, run, solve
 from pinav.thermal.sources import PowerSource
-from pinav.thermal.starts import State
+from pinav.thermal.starts import HeatState
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 
@@ -189,7 +189,7 @@ def _spots() -> Iterator[Check]:
     tissue = Tissue(0.52, 1079.0, 3540.0)
     sides = around(box, Insulated())
     decaying = Bioheat(box, tissue, Blood(1060.0), ConstantPerfusion(10.6), (), sides)
-    begin = State(jnp.asarray(0.0), jnp.asarray(37 + start), jnp.zeros(box.shape))
+    begin = HeatState(jnp.asarray(0.0), jnp.asarray(37 + start), jnp.zeros(box.shape))
     off = powers((0.0, 150.0), [0.0])
     temperature = solve(decaying, off, start=begin).final.temperature
     true = exact.periodic_box(start, np.zeros_like(start), 150.0, medium, 1e-3)

@@ -17,7 +17,7 @@ from pinav.errors import InputError
 from pinav.report import Table
 from pinav.report.text import as_text
 from pinav.runs import METRICS_FILE
-from pinav.sweeps import Cell, Outcome
+from pinav.sweeps import Cell, CellOutcome
 
 NOT_OF_THE_CELL = ("data", "out", "overwrite", "json", "config", "resume", "workers")
 """Options that do not decide what becomes of one file."""
@@ -106,7 +106,9 @@ def do_file(cell: Cell, folder: Path) -> None:
     write_report(result.folder)
 
 
-def _row(cell: Cell, outcome: Outcome, sweep: Sweep) -> dict[str, str | float | None]:
+def _row(
+    cell: Cell, outcome: CellOutcome, sweep: Sweep
+) -> dict[str, str | float | None]:
     folder = sweep.store.folder(cell)
     place = folder.relative_to(sweep.folder.path).as_posix()
     row: dict[str, str | float | None] = {"file": cell.label, "run": place}

@@ -16,10 +16,10 @@ from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.sweeps import (
     Cell,
+    CellOutcome,
     CellState,
     CellStore,
     OpenCluster,
-    Outcome,
     SweepStatus,
     TlsFiles,
     claim,
@@ -49,14 +49,14 @@ class Sweep:
         """The cells of the run."""
         return CellStore.of_run(self.folder.path)
 
-    def run(self, cells: Sequence[Cell], title: str) -> list[Outcome]:
+    def run(self, cells: Sequence[Cell], title: str) -> list[CellOutcome]:
         """Do every cell once, and say what became of each, in the order of the table.
 
         Raises:
             InputError: workers cannot do anything, such as for want of disk.
         """
 
-        def record(cell: Cell, outcome: Outcome) -> None:
+        def record(cell: Cell, outcome: CellOutcome) -> None:
             del cell, outcome  # one that is done makes the run worth keeping
             name = f"{FOLDER}/{SWEEP_FILE}"
             if name not in self.folder.manifest.entries():

@@ -164,7 +164,7 @@ def profile_figure(index: int, term: FoundTerm, fit: Findings) -> Picture | None
 
     def draw() -> Figure:
         figure = new_figure(*SMALL)
-        coordinate = "along the normal" if term.kind in STRAIGHT else "distance"
+        coordinate = "along the normal" if term.name in STRAIGHT else "distance"
         curve = profile.places, profile.force, profile.sd
         units = length, force_unit(fit.units)
         _force_band(figure.add_subplot(), coordinate, *curve, units)
@@ -173,8 +173,8 @@ def profile_figure(index: int, term: FoundTerm, fit: Findings) -> Picture | None
     return Picture(
         f"profile-{index}",
         draw,
-        f"The force of the term '{term.kind}' with its band of 95 %.",
-        f"Profile of the term {term.kind}",
+        f"The force of the term '{term.name}' with its band of 95 %.",
+        f"Profile of the term {term.name}",
     )
 
 

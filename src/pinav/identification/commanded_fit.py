@@ -56,7 +56,7 @@ from pinav.identification.estimates import (
     learned_numbers,
     posterior_over,
 )
-from pinav.identification.fit import Search
+from pinav.identification.fit import CandidateSearch
 from pinav.identification.likelihood import (
     Design,
     Field,
@@ -253,7 +253,7 @@ class _Problem:
         if environment is not None:
             self.weights = GaussianWeights(environment.prior())
         learned = learned_parameters(system)
-        self.search = Search(self.design, learned, prior, stated)
+        self.search = CandidateSearch(self.design, learned, prior, stated)
 
     def quadratic(self, learned: np.ndarray) -> tuple[Quadratic, FlatBlock, float]:
         """Squares as a function of the weights, coefficients integrated out."""
@@ -288,7 +288,9 @@ class _Problem:
         """Prior of the field of highest evidence at this noise, and the weights."""
         return self.weights.infer(self.quadratic(learned)[0], shape, 1.0)
 
-    def with_prior_of(self, learned: np.ndarray, inference: Inference) -> Search:
+    def with_prior_of(
+        self, learned: np.ndarray, inference: Inference
+    ) -> CandidateSearch:
         """The search for the noise, the weights of the field integrated out."""
         self.search.field = self.field
         if isinstance(self.weights, GaussianWeights):
@@ -390,7 +392,7 @@ def _result(
     )
 
 
-def _log_prior(search: Search, learned: np.ndarray) -> float:
+def _log_prior(search: CandidateSearch, learned: np.ndarray) -> float:
     sd = search.prior.sd[search.places]
     offset = (learned - search.prior.mean[search.places]) / sd
     constant = np.log(sd).sum() + 0.5 * len(sd) * np.log(2 * np.pi)

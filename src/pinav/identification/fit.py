@@ -74,7 +74,7 @@ def fit_track(
     with jax.enable_x64(new_val=True):
         learned = learned_parameters(system, wandering_gain=wandering_gain)
         design = Design.of(system, Blocks.of(track))
-        search = Search(design, learned, prior, stated_coordinates(system))
+        search = CandidateSearch(design, learned, prior, stated_coordinates(system))
         # Starts that coincide are searched once.
         begins = np.unique(search.begins(start), axis=0)
         sizes = search.sizes(start)
@@ -99,7 +99,7 @@ WHITE = ("wandering.memory", BLOCK_NOISE)
 """Noise that is small where the velocity of a track is nearly white."""
 
 
-class Search:
+class CandidateSearch:
     """The posterior of the nonlinear parameters of a system, by Laplace's method.
 
     Attributes:

@@ -57,12 +57,12 @@ class FoundLaw:
     """A law that the potential of a profile follows.
 
     Attributes:
-        kind: the word for it.
+        name: the word for it.
         formula: of the potential, in LaTeX, for unit height.
         constants: the height [L² T⁻²] first.
     """
 
-    kind: str
+    name: str
     formula: str
     constants: dict[str, Estimate]
 
@@ -87,14 +87,14 @@ class FoundTerm:
     """A term of the force.
 
     Attributes:
-        kind: the word for it.
+        name: the word for it.
         formula: in LaTeX.
         geometry: its numbers, such as a centre [L] or an angle [rad].
         law: that its profile follows, if any.
         profile: of the force, where the term has one.
     """
 
-    kind: str
+    name: str
     formula: str
     geometry: tuple[Estimate, ...]
     law: FoundLaw | None = None

@@ -22,7 +22,7 @@ STATUS_EVERY = 1.0
 """Seconds of the rig's clock between two lines for people."""
 
 
-class Printer:
+class EventPrinter:
     """Prints what is said.
 
     Attributes:

@@ -47,7 +47,7 @@ class Reserve(eqx.Module):
     until: float = math.nan
 
 
-class Verdict(eqx.Module):
+class SafetyVerdict(eqx.Module):
     """What the filter says of a command.
 
     Attributes:
@@ -82,7 +82,7 @@ class Outlook(eqx.Module):
     frequency: float
     discs: Float[np.ndarray, "disc 3"]
 
-    def judge(self, wanted: Order, reserve: Reserve) -> Verdict:
+    def judge(self, wanted: Order, reserve: Reserve) -> SafetyVerdict:
         """Let a command through, or give another one.
 
         Args:
@@ -100,7 +100,7 @@ class Outlook(eqx.Module):
             margins = self.clearances(firsts, firsts, AHEAD).min(axis=-1)
         if margins.max() < 0:
             if self._is_clear(reserve):
-                return Verdict(reserve.order, reserve, changed=True)
+                return SafetyVerdict(reserve.order, reserve, changed=True)
             margins = self._chances(firsts)
         lead = firsts[:, 0] * np.cos(firsts[:, 1] - wanted[1])
         best = choose_command(margins, lead)
@@ -108,7 +108,7 @@ class Outlook(eqx.Module):
         apart = self.clearances(firsts[best], escapes, AHEAD).min(axis=-1)
         ends = self.time + self.step + AHEAD
         reserve = Reserve(escapes[np.argmax(apart)], ends)
-        return Verdict(firsts[best], reserve, changed=best > 0)
+        return SafetyVerdict(firsts[best], reserve, changed=best > 0)
 
     def _chances(
         self, orders: Float[np.ndarray, "order 2"]

@@ -109,7 +109,7 @@ class Session:
     counts: Counts = Counts()
     known_in: str = ""
 
-    def after(self, line: bytes, *, newest: bool = True) -> "Outcome":
+    def after(self, line: bytes, *, newest: bool = True) -> "SessionOutcome":
         """The session after a line, and what is answered.
 
         Args:
@@ -133,21 +133,23 @@ class Session:
         """An event at the time of the last frame."""
         return Event(t=None if self.last is None else self.last.t, kind=kind, text=text)
 
-    def _refuse(self, reason: str) -> "Outcome":
+    def _refuse(self, reason: str) -> "SessionOutcome":
         """Skip a line; say so for the first of a row, and end where a row is long."""
         in_row = self.refused_in_row + 1
         session = dataclasses.replace(
             self, refused_in_row=in_row, counts=self.counts.plus("refused")
         )
         if in_row == 1:
-            return Outcome(session, (self.event(EventKind.REFUSED, reason[:200]),))
+            return SessionOutcome(
+                session, (self.event(EventKind.REFUSED, reason[:200]),)
+            )
         if in_row % REFUSED_IN_A_ROW == 0:
             text = f"{in_row} lines in a row were no messages"
             event = self.event(EventKind.REFUSED, text)
-            return Outcome(session, (event,), hang_up=True)
-        return Outcome(session)
+            return SessionOutcome(session, (event,), hang_up=True)
+        return SessionOutcome(session)
 
-    def _greet(self, hello: Hello) -> "Outcome":
+    def _greet(self, hello: Hello) -> "SessionOutcome":
         """Begin, go on after a new connection, or begin anew with what was learned."""
         if hello.version != VERSION:
             text = f"protocol version {hello.version}, expected {VERSION}"
@@ -166,24 +168,24 @@ class Session:
             session = dataclasses.replace(session, mode=Mode.WAITING)
         resumed_at = None if last is None else last.seq
         ready = Ready(version=VERSION, session=hello.session, resumed_at=resumed_at)
-        return Outcome(session, (ready,))
+        return SessionOutcome(session, (ready,))
 
-    def _end(self, bye: Bye) -> "Outcome":
+    def _end(self, bye: Bye) -> "SessionOutcome":
         session = dataclasses.replace(self, mode=Mode.STOPPED, ended=True)
         text = f"the rig has ended the session: {bye.reason or 'no reason given'}"
-        return Outcome(session, (self.event(EventKind.BYE, text),))
+        return SessionOutcome(session, (self.event(EventKind.BYE, text),))
 
-    def _see(self, frame: Frame, *, newest: bool) -> "Outcome":
+    def _see(self, frame: Frame, *, newest: bool) -> "SessionOutcome":
         """Learn from a frame, and answer it."""
         if self.last is not None and frame.seq <= self.last.seq:
             counts = self.counts.plus("repeated")
             session = dataclasses.replace(self, counts=counts, repeating=True)
             text = f"frame {frame.seq} after frame {self.last.seq}: ignored"
             event = self.event(EventKind.REPEATED, text)
-            return Outcome(session, () if self.repeating else (event,))
+            return SessionOutcome(session, () if self.repeating else (event,))
         session, events = self._learn(frame)
         session, answers = session._act(newest=newest)
-        return Outcome(session, (*events, *answers))
+        return SessionOutcome(session, (*events, *answers))
 
     def _learn(self, frame: Frame) -> tuple["Session", tuple[Event, ...]]:
         """The session that has learned a frame, and what was strange about it."""
@@ -338,7 +340,7 @@ class Session:
 
 
 @dataclasses.dataclass(frozen=True)
-class Outcome:
+class SessionOutcome:
     """What a line leads to.
 
     Attributes:

@@ -6,7 +6,7 @@ how well.
 
 from pinav.navigation.adaptive.flight import fly as fly
 from pinav.navigation.adaptive.scores import Flight as Flight
-from pinav.navigation.adaptive.scores import Outcome as Outcome
+from pinav.navigation.adaptive.scores import FlightOutcome as FlightOutcome
 from pinav.navigation.adaptive.scores import judge_controllers as judge_controllers
 from pinav.navigation.adaptive.steering import AdaptiveController as AdaptiveController
 from pinav.navigation.adaptive.swimmer import SwimmerFlights as SwimmerFlights

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pinav.navigation.adaptive.scores import Outcome, judge_controllers
+from pinav.navigation.adaptive.scores import FlightOutcome, judge_controllers
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.swimmer import ShownFlight, SwimmerFlights
 from pinav.navigation.maps import Course, ForceMaps
@@ -145,7 +145,7 @@ class OnlineNavigation(AbstractNavigation):
     prior: bool
     units: dict[str, str]
     course: Course
-    controllers: dict[str, Outcome]
+    controllers: dict[str, FlightOutcome]
     paths: dict[str, tuple[Float[np.ndarray, "_ 2"], ...]]
     shown: ShownFlight
 

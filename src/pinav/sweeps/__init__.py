@@ -12,8 +12,8 @@ from pinav.sweeps.status import CellState as CellState
 from pinav.sweeps.status import SweepStatus as SweepStatus
 from pinav.sweeps.status import sweep_status as sweep_status
 from pinav.sweeps.store import Cell as Cell
+from pinav.sweeps.store import CellOutcome as CellOutcome
 from pinav.sweeps.store import CellStore as CellStore
-from pinav.sweeps.store import Outcome as Outcome
 from pinav.sweeps.store import claim as claim
 from pinav.sweeps.sweep import OpenCluster as OpenCluster
 from pinav.sweeps.sweep import map_cells as map_cells

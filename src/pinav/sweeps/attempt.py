@@ -18,7 +18,7 @@ import msgspec
 from pinav import __version__
 from pinav.errors import FitError, InputError
 from pinav.numerics import free_programs
-from pinav.sweeps.store import RESULT, TRACE_FILE, Cell, CellStore, Outcome
+from pinav.sweeps.store import RESULT, TRACE_FILE, Cell, CellOutcome, CellStore
 
 CRASHES = 3
 """Workers that a cell may crash before it counts as failed."""
@@ -119,7 +119,7 @@ def _carry_out(order: Order) -> None:
         again = bool(reason)
         reason = reason or _do(cell, here, order)
         seconds = round(time.monotonic() - begin, 3)
-        store.publish(cell, here, Outcome(seconds, reason, again, __version__))
+        store.publish(cell, here, CellOutcome(seconds, reason, again, __version__))
     except (OSError, InputError):
         shutil.rmtree(here, ignore_errors=True)
         raise

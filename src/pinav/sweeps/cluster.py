@@ -79,7 +79,7 @@ class Cluster:
         if any(future.status != "pending" for future in futures):
             return
         distributed: Any = importlib.import_module("distributed")
-        lost = distributed.client.FutureCancelledError  # which its status tells
+        lost = distributed.CancelledError  # their status tells which
         with contextlib.suppress(TimeoutError, lost), self.client.as_current():
             distributed.wait(futures, timeout=seconds, return_when="FIRST_COMPLETED")
 

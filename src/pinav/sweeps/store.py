@@ -103,7 +103,7 @@ class Cell(msgspec.Struct, frozen=True):
         return f"{words or 'cell'}-{self.hash[:HASH_DIGITS]}"
 
 
-class Outcome(msgspec.Struct, frozen=True):
+class CellOutcome(msgspec.Struct, frozen=True):
     """What became of a cell.
 
     Attributes:
@@ -178,7 +178,7 @@ class CellStore:
         """Where the files of a finished cell are."""
         return self.path / cell.name
 
-    def outcome(self, cell: Cell) -> Outcome | None:
+    def outcome(self, cell: Cell) -> CellOutcome | None:
         """What became of a cell; none where it is not done.
 
         Raises:
@@ -186,7 +186,7 @@ class CellStore:
         """
         return self.outcome_of(cell.name)
 
-    def outcome_of(self, name: str) -> Outcome | None:
+    def outcome_of(self, name: str) -> CellOutcome | None:
         """What became of the cell of that name; none where it is not done.
 
         Raises:
@@ -195,7 +195,7 @@ class CellStore:
         folder = self.path / name
         try:
             content = (folder / OUTCOME_FILE).read_bytes()
-            return msgspec.json.decode(content, type=Outcome)
+            return msgspec.json.decode(content, type=CellOutcome)
         except FileNotFoundError:
             if folder.exists():
                 raise InputError(
@@ -228,7 +228,7 @@ class CellStore:
                 "continue with --resume"
             ) from error
 
-    def wait_for(self, cell: Cell) -> Outcome | None:
+    def wait_for(self, cell: Cell) -> CellOutcome | None:
         """The outcome of a cell that a worker says is done.
 
         A network's file system may show what another machine wrote seconds later;
@@ -278,7 +278,7 @@ class CellStore:
         (attempt / START_FILE).write_bytes(msgspec.json.encode(start))
         return attempt
 
-    def publish(self, cell: Cell, attempt: Path, outcome: Outcome) -> None:
+    def publish(self, cell: Cell, attempt: Path, outcome: CellOutcome) -> None:
         """Make the files of an attempt those of the cell, all at once.
 
         Where another attempt was first, its files stay, and these are dropped.

@@ -12,7 +12,7 @@ from pinav import __version__
 from pinav.errors import InputError
 from pinav.sweeps.attempt import Answer, Order, process_name
 from pinav.sweeps.cluster import Cluster
-from pinav.sweeps.store import Cell, CellStore, Outcome
+from pinav.sweeps.store import Cell, CellOutcome, CellStore
 
 PAUSE = 0.5
 """How often a client looks for new workers [s]."""
@@ -29,8 +29,8 @@ def map_cells(
     *,
     timeout: float | None = None,
     title: str = "cells",
-    on_done: Callable[[Cell, Outcome], None] = lambda cell, outcome: None,
-) -> list[Outcome]:
+    on_done: Callable[[Cell, CellOutcome], None] = lambda cell, outcome: None,
+) -> list[CellOutcome]:
     """Do every cell once; those that the store holds are done.
 
     The caller holds the folder (`claim`). Without a cell to do, no worker is started.
@@ -133,7 +133,7 @@ class _Sweep:
         )
         return msgspec.json.encode(order).decode()
 
-    def collect(self) -> list[tuple[Cell, Outcome]]:
+    def collect(self) -> list[tuple[Cell, CellOutcome]]:
         """Wait a little; the cells that are done since.
 
         Raises:
@@ -154,7 +154,7 @@ class _Sweep:
                     results.append((cell, outcome))
         return results
 
-    def _settle(self, future: Any, cell: Cell) -> Outcome | None:
+    def _settle(self, future: Any, cell: Cell) -> CellOutcome | None:
         """What became of a cell; none where its worker was lost."""
         words = self.cluster.answer(future)
         if words is None:

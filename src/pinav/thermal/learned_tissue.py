@@ -157,7 +157,7 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
     constant = fit if settings.kind == "constant" else task.learn_constants(data)
     residuals = task.residuals(fit.model, data)
     comparison, by_constant = (
-        Comparison.of(residuals, one.model, data) for one in (fit, constant)
+        TissueComparison.of(residuals, one.model, data) for one in (fit, constant)
     )
     in_frames = isinstance(residuals, ThermometryResiduals)
     constants = fit.constants.items()
@@ -201,7 +201,7 @@ def _compare(task: TissueFit, fit: EvidenceFit) -> tuple[LearnedQuantity, ...]:
     )
 
 
-class Comparison(eqx.Module):
+class TissueComparison(eqx.Module):
     """What a model predicts, beside the readings.
 
     Attributes:
@@ -220,7 +220,7 @@ class Comparison(eqx.Module):
         residuals: ProbeResiduals | ThermometryResiduals,
         model: Bioheat,
         data: Readings,
-    ) -> "Comparison":
+    ) -> "TissueComparison":
         """The comparison of a model."""
         if isinstance(residuals, ThermometryResiduals):
             predicted, readings = map(np.asarray, _correct(residuals, model))
@@ -238,7 +238,7 @@ class Comparison(eqx.Module):
 
 
 def _frames(
-    setup: Setup, residuals: ThermometryResiduals, comparison: Comparison
+    setup: Setup, residuals: ThermometryResiduals, comparison: TissueComparison
 ) -> FittedFrames:
     predicted, corrected = comparison.predicted, comparison.readings
     grid, cells = setup.model.grid, np.asarray(residuals.cells)
@@ -284,7 +284,7 @@ def _forecast(task: TissueFit, fit: EvidenceFit) -> Forecast | None:
     true = None if task.truth is None else follow_target(setup, times)(task.truth.model)
     residual = None
     if len(every.times) > len(fitted.times):
-        whole = Comparison.of(task.residuals(fit.model, every), fit.model, every)
+        whole = TissueComparison.of(task.residuals(fit.model, every), fit.model, every)
         residual = _rms(whole.scaled[len(fitted.times) :])
     return Forecast(
         times=times,

@@ -22,7 +22,7 @@ from pinav.thermal.protocols import Schedule, plan_steps
 from pinav.thermal.quantities import Number
 from pinav.thermal.rosenbrock import refuse_jumps
 from pinav.thermal.solve import Solution, default_stepper, run
-from pinav.thermal.starts import AT_REST, AbstractStart, State
+from pinav.thermal.starts import AT_REST, AbstractStart, HeatState
 from pinav.thermal.steppers import AbstractStepper
 
 VIOLATION, ACTIVE = 0.01, 0.02
@@ -216,7 +216,7 @@ class _Problem(eqx.Module):
     constraints: tuple[Constraint, ...]
     stepper: AbstractStepper
     schedule: Schedule
-    begin: State
+    begin: HeatState
 
     def trial(self, numbers: Float[Array, " number"]) -> Run:
         """The run at some design variables."""

@@ -15,7 +15,7 @@ from pinav.thermal.dose import Arrhenius, cem43_segment
 from pinav.thermal.protocols import AbstractProtocol, Schedule, plan_steps
 from pinav.thermal.quantities import Field, Number, Numbers
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.starts import AT_REST, AbstractStart, State
+from pinav.thermal.starts import AT_REST, AbstractStart, HeatState
 from pinav.thermal.steppers import RKL2, AbstractStepper, Watch
 
 
@@ -58,7 +58,7 @@ class Solution(eqx.Module):
     observed: PyTree
     observed_dose: PyTree
     hottest: Float[Array, " step"]
-    final: State
+    final: HeatState
     energy: EnergyBalance
 
 
@@ -148,13 +148,13 @@ def run(
     balance, begin = HeatBalance.of(model), _with_damage(start.state(model), damage)
     watch = _Following(observe, observe_dose, jnp.asarray(cutoff), damage).watch
 
-    def advance(carry: State, inputs: PyTree) -> tuple[State, PyTree]:
+    def advance(carry: HeatState, inputs: PyTree) -> tuple[HeatState, PyTree]:
         durations, forced = inputs
         total = carry.dose, carry.damage
         marched = stepper.march(
             balance, carry.temperature, total, durations, forced, watch
         )
-        after = State(carry.time, marched.temperature, *marched.total)
+        after = HeatState(carry.time, marched.temperature, *marched.total)
         return after, (marched.kept, marched.flows)
 
     # one block where reverse mode may keep the states of all steps
@@ -205,12 +205,12 @@ class _Following(eqx.Module):
         return Watch(accrue, keep)
 
 
-def _with_damage(state: State, damage: Arrhenius | None) -> State:
+def _with_damage(state: HeatState, damage: Arrhenius | None) -> HeatState:
     """The state with the damage of so far, or with none where none is followed."""
     if damage is None:
-        return State(state.time, state.temperature, state.dose)
+        return HeatState(state.time, state.temperature, state.dose)
     so_far = jnp.zeros_like(state.dose) if state.damage is None else state.damage
-    return State(state.time, state.temperature, state.dose, so_far)
+    return HeatState(state.time, state.temperature, state.dose, so_far)
 
 
 def _levels(

@@ -21,7 +21,7 @@ class AbstractStart(eqx.Module):
     """What the tissue is like when a run begins."""
 
     @abc.abstractmethod
-    def state(self, model: Bioheat) -> "State":
+    def state(self, model: Bioheat) -> "HeatState":
         """The state of a model, differentiable by its numbers.
 
         Raises:
@@ -29,7 +29,7 @@ class AbstractStart(eqx.Module):
         """
 
 
-class State(AbstractStart):
+class HeatState(AbstractStart):
     r"""Everything that a run needs to go on.
 
     Attributes:
@@ -45,17 +45,17 @@ class State(AbstractStart):
     damage: Field | None = None
 
     @classmethod
-    def at(cls, temperature: Field) -> "State":
+    def at(cls, temperature: Field) -> "HeatState":
         """A temperature [°C] at the begin of a protocol, no dose."""
         return cls(jnp.asarray(0.0), temperature, jnp.zeros_like(temperature))
 
     @classmethod
-    def at_rest(cls, model: Bioheat) -> "State":
+    def at_rest(cls, model: Bioheat) -> "HeatState":
         """Everything at the arterial temperature, no dose."""
         arterial = jnp.asarray(model.blood.arterial, float)
         return cls.at(jnp.full(model.grid.shape, arterial))
 
-    def state(self, model: Bioheat) -> "State":
+    def state(self, model: Bioheat) -> "HeatState":
         for name in ("temperature", "dose"):
             shape = getattr(self, name).shape
             if shape != model.grid.shape:
@@ -69,8 +69,8 @@ class State(AbstractStart):
 class AtRest(AbstractStart):
     """Everything at the arterial temperature."""
 
-    def state(self, model: Bioheat) -> State:
-        return State.at_rest(model)
+    def state(self, model: Bioheat) -> HeatState:
+        return HeatState.at_rest(model)
 
 
 class AtSteadyState(AbstractStart):
@@ -84,9 +84,11 @@ class AtSteadyState(AbstractStart):
     amplitude: Scalar = 0.0
     frequency: Scalar = 1e5
 
-    def state(self, model: Bioheat) -> State:
+    def state(self, model: Bioheat) -> HeatState:
         steady = steady_state(model, self.amplitude, self.frequency)
-        return State.at(eqx.error_if(steady.temperature, ~steady.converged, NOT_STEADY))
+        return HeatState.at(
+            eqx.error_if(steady.temperature, ~steady.converged, NOT_STEADY)
+        )
 
 
 AT_REST = AtRest()
@@ -99,7 +101,7 @@ HOTTEST = 150.0
 """Highest temperature [°C] that tissue may begin with; beyond it they are kelvins."""
 
 
-def read_state(path: Path, shape: tuple[int, ...]) -> State:
+def read_state(path: Path, shape: tuple[int, ...]) -> HeatState:
     """The end of another run, or temperatures of a file of NumPy.
 
     Args:
@@ -138,7 +140,7 @@ def read_state(path: Path, shape: tuple[int, ...]) -> State:
             f"{path}: expected doses >= 0 CEM43 min, got "
             f"{dose[~((dose >= 0) & np.isfinite(dose))][0]:g}; take results of a run"
         )
-    return State(
+    return HeatState(
         jnp.asarray(0.0), jnp.asarray(temperature, float), jnp.asarray(dose, float)
     )
 

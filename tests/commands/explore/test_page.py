@@ -24,6 +24,7 @@ from pinav.commands.explore.warmth import heat_payload
 from pinav.evaluation import square
 from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
+from pinav.thermal.heated_run import HeatedRun
 
 pytestmark = [
     pytest.mark.slow,
@@ -130,11 +131,11 @@ def test_a_run_of_bioheat_is_that_of_the_package(browser, heated, tmp_path):
     (tmp_path / "heat.html").write_text(page)
     browser.open(f"file://{tmp_path}/heat.html", width=360)
     browser.wait_for("globalThis.explorer?.result !== undefined")
-    arrays = dict(np.load(folder / "results.npz"))
+    result = RunFolder.open(folder).load("metrics", HeatedRun)
     for name in ("hottest", "T90", "D90"):
         times, values = np.array(browser.run(f"explorer.series('{name}')")).T
-        saved = arrays["dose/D90" if name == "D90" else name]
-        error = np.interp(arrays["times"], times, values) - saved
+        saved = (result.doses if name == "D90" else result.temperatures)[name]
+        error = np.interp(result.times, times, values) - saved
         assert np.abs(error).max() < 3 * BAR * np.ptp(saved), name
     assert browser.run("document.documentElement.scrollWidth") <= 360
     before = browser.run("explorer.series('hottest').at(-1)[1]")
@@ -169,17 +170,17 @@ def test_a_run_of_bioheat_in_a_box_is_read_as_it_was_run(plane, browser, boxed):
     browser.open("about:blank")
     browser.open(address, width=360)
     browser.wait_for("globalThis.explorer?.elapsed !== undefined")
-    arrays = dict(np.load(boxed / "results.npz"))
+    result = RunFolder.open(boxed).load("metrics", HeatedRun)
     section = browser.run("explorer.section.normal")
-    saved = arrays[f"section/{section}"]
+    (saved,) = (p.temperatures for p in result.planes if p.axis == section)
     page = browser.run("[...explorer.section.temperature]")
     sides = np.array(browser.run("explorer.section.box"))[1::2]
     cell = tuple((5 / sides * saved.shape[1:]).astype(int))
     np.testing.assert_allclose(page, saved.reshape(-1), atol=1e-4)
-    for time in (arrays["section/times"][7], 41.3):
+    for time in (result.moments[7], 41.3):
         browser.run(f"explorer.change({{ time: {time} }})")
         browser.wait_for("!explorer.request")
-        there = np.interp(time, arrays["section/times"], saved[:, *cell])
+        there = np.interp(time, result.moments, saved[:, *cell])
         assert browser.run("explorer.reading()") == pytest.approx(there, abs=1e-3)
     browser.run("document.getElementById('paths').focus()")
     browser.press("ArrowRight")
@@ -189,9 +190,7 @@ def test_a_run_of_bioheat_in_a_box_is_read_as_it_was_run(plane, browser, boxed):
     assert browser.run("explorer.conditions.x") > 5
     assert "quantity=dose" in browser.run("location.hash")
     assert "CEM43" in browser.run("document.getElementById('unit').textContent")
-    assert browser.run("explorer.table().split('\\n').length") == 2 + len(
-        arrays["times"]
-    )
+    assert browser.run("explorer.table().split('\\n').length") == 2 + len(result.times)
     assert browser.run("document.documentElement.scrollWidth") <= 360
     assert browser.run("explorer.elapsed") < 1000 / 10
     for trouble in ("Runtime.exceptionThrown", "Log.entryAdded"):

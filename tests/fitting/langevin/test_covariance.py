@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pinav.fitting.langevin.covariance import (
-    Bands,
+    Tridiagonal,
     cut,
     factorise,
     increment_bands,
@@ -102,7 +102,7 @@ def test_padding_changes_nothing():
     mask = np.ones((COUNT, 1))
     mask[6:] = 0.0
     residuals = RNG.normal(size=(COUNT, 1)) * mask
-    cropped = Bands(bands().diagonal[:6], bands().beside[:6])
+    cropped = Tridiagonal(bands().diagonal[:6], bands().beside[:6])
     short = score(cut(cropped, jnp.ones((6, 1))), jnp.asarray(residuals[:6]))
     padded = score(cut(bands(), jnp.asarray(mask)), jnp.asarray(residuals))
     assert float(padded.value) == pytest.approx(float(short.value))

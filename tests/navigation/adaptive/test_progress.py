@@ -16,7 +16,7 @@ from pinav.navigation.adaptive.progress import Progress
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import ExplorationBonus, MeanForce, axes_of
 from pinav.navigation.belief.belief import Frame
-from pinav.navigation.belief.given import ForcePrior, GivenForce
+from pinav.navigation.belief.given import BeliefPrior, GivenForce
 from pinav.navigation.control.controller import Observation
 from pinav.navigation.task.steering import SteeredSwimmer
 
@@ -102,7 +102,7 @@ def walled(adaptive):
     force = np.zeros((len(x), len(y), 2))
     force[(x > 4.5) & (x < 6.5), :, 0] = -2.0 * adaptive.thrust
     places = np.array([[1.0, 5.0], [2.0, 5.0]])
-    prior = ForcePrior(GivenForce.of((x, y), force), places, 1e-4 * np.eye(4))
+    prior = BeliefPrior(GivenForce.of((x, y), force), places, 1e-4 * np.eye(4))
     known = prior.lead(adaptive.believe(frame_at(1.0, 5.0)))
     return dataclasses.replace(adaptive, known=known)
 

@@ -7,7 +7,7 @@ import pytest
 
 from pinav.codec import encode
 from pinav.navigation.belief.belief import Belief, Frame
-from pinav.navigation.belief.given import CorrectedForce, ForcePrior, GivenForce
+from pinav.navigation.belief.given import BeliefPrior, CorrectedForce, GivenForce
 from pinav.navigation.belief.motion import OverdampedMotion
 
 LOWER, UPPER = np.zeros(2), np.full(2, 10.0)
@@ -34,7 +34,7 @@ def nothing_known():
 
 def prior(force, places):
     places = np.array(places, float)
-    return ForcePrior(force, places, SD**2 * np.eye(2 * len(places)))
+    return BeliefPrior(force, places, SD**2 * np.eye(2 * len(places)))
 
 
 @pytest.fixture(scope="module")

@@ -34,7 +34,12 @@ from pinav.analysis.discovery.laws import (
     terms_of,
 )
 from pinav.analysis.discovery.potentials import LIBRARY
-from pinav.analysis.discovery.refit import Learned, Refit, laplace_posterior, refit
+from pinav.analysis.discovery.refit import (
+    LearnedOnPaths,
+    Refit,
+    laplace_posterior,
+    refit,
+)
 from pinav.analysis.discovery.term_laws import TermLaws, term_laws
 from pinav.arguments import on_device
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
@@ -251,7 +256,7 @@ def discover_law(
         )
     if isinstance(model, Swimmer):
         trajectories = with_velocities(trajectories)
-    learned = Learned.of(posterior, trajectories, solver)
+    learned = LearnedOnPaths.of(posterior, trajectories, solver)
     sampling = Sampling.of(posterior, trajectories, learned.num_effective)
     sample = sampling.of_force()
     terms = None if laws is not None else _terms_of(sampling)
@@ -282,7 +287,7 @@ def _terms_of(sampling: Sampling) -> tuple[TermLaws, ...] | None:
 def _refit_best(
     screened: list[FieldFit],
     model: Swimmer | OverdampedSwimmer,
-    learned: Learned,
+    learned: LearnedOnPaths,
     refits: int,
 ) -> list[tuple[FieldFit, Refit]]:
     """The most promising laws, refitted; sums first where they gained on their terms.
@@ -310,7 +315,7 @@ def _refit_best(
 
 
 def _rank(
-    refitted: list[tuple[FieldFit, Refit]], learned: Learned, *, inertia: bool
+    refitted: list[tuple[FieldFit, Refit]], learned: LearnedOnPaths, *, inertia: bool
 ) -> tuple[Candidate, ...]:
     """Candidates in the order of their criterion on the trajectories."""
     pairs = sorted(refitted, key=lambda pair: pair[1].bic)

@@ -281,7 +281,7 @@ MISFIT_PROBABILITY = 1e-3
 """A law fits if it leaves a misfit that chance makes more often than this."""
 
 
-class Learned(eqx.Module):
+class LearnedOnPaths(eqx.Module):
     """A learned force held against the trajectories once more.
 
     Attributes:
@@ -299,7 +299,7 @@ class Learned(eqx.Module):
     @classmethod
     def of(
         cls, posterior: Posterior, trajectories: Trajectories, solver: FixedStep
-    ) -> "Learned":
+    ) -> "LearnedOnPaths":
         """Linearise the mean model about states that fulfil its dynamics.
 
         Raises:

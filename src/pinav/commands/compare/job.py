@@ -5,7 +5,7 @@ from typing import Any
 
 from pinav.commands.command import CommandResult
 from pinav.commands.compare import COMPARE
-from pinav.commands.compare.result import Candidate, Comparison, Verdict
+from pinav.commands.compare.result import ComparedModel, Comparison, ComparisonVerdict
 from pinav.commands.compare.settings import CompareOptions, CompareSettings
 from pinav.commands.progress import Reporter
 from pinav.commands.results import fingerprint, keep, start_run
@@ -89,12 +89,12 @@ def compare(
 ) -> Comparison:
     """Fit each model and weigh their evidence; a finished fit is not done again."""
     known = check_settings(settings, data)
-    rows: dict[str, Candidate] = {}
+    rows: dict[str, ComparedModel] = {}
     for name in dict.fromkeys(settings.models):
         stored = f"evidence-{name}"
         if not folder.has(f"{stored}.json"):
             folder.store(stored, _candidate(name, settings, known, data, folder))
-        rows[name] = folder.load(stored, Candidate)
+        rows[name] = folder.load(stored, ComparedModel)
     return Comparison(rows, tuple(verdicts(rows)))
 
 
@@ -104,13 +104,13 @@ def _candidate(
     known: System,
     data: Trajectories,
     folder: RunFolder,
-) -> Candidate:
+) -> ComparedModel:
     """The evidence of one candidate."""
     try:
         result = fit_model(name, settings, known, data, folder)
     except FitError as error:
-        return Candidate("failed", reason=str(error))
-    return Candidate(
+        return ComparedModel("failed", reason=str(error))
+    return ComparedModel(
         outcome=str(result.outcome),
         evidence=model_evidence(result.linear, result.hyperparameters),
         noise=float(result.hyperparameters.noise),
@@ -182,7 +182,7 @@ def _positions(data: Trajectories) -> list[str]:
     return list(data.channels[: data.dim])
 
 
-def verdicts(rows: dict[str, Candidate]) -> list[Verdict]:
+def verdicts(rows: dict[str, ComparedModel]) -> list[ComparisonVerdict]:
     """The answer of the evidence to each question that two of the models answer.
 
     A difference of less than `DECISIVE` nats is called not decisive.
@@ -198,13 +198,13 @@ def verdicts(rows: dict[str, Candidate]) -> list[Verdict]:
 
 
 def _verdict(
-    names: tuple[str, str], meanings: list[str], rows: dict[str, Candidate]
-) -> Verdict:
+    names: tuple[str, str], meanings: list[str], rows: dict[str, ComparedModel]
+) -> ComparisonVerdict:
     simple, rich = (rows[name].log_evidence for name in names)
     caveats = _caveats(rows, names)
     if simple is None or rich is None:
         text = f"No verdict on {meanings[0]} or {meanings[1]}: {caveats}."
-        return Verdict(names, None, text)
+        return ComparisonVerdict(names, None, text)
     difference = rich - simple
     preferred, other = meanings if difference < 0 else meanings[::-1]
     strength = "decisive" if abs(difference) >= DECISIVE else "not decisive"
@@ -214,10 +214,10 @@ def _verdict(
     )
     if caveats:
         text += f" Caution: {caveats}."
-    return Verdict(names, difference, text)
+    return ComparisonVerdict(names, difference, text)
 
 
-def _caveats(rows: dict[str, Candidate], names: tuple[str, str]) -> str:
+def _caveats(rows: dict[str, ComparedModel], names: tuple[str, str]) -> str:
     bad = [name for name in names if rows[name].outcome != CONVERGED]
     return " and ".join(f"the fit of {name} {rows[name].outcome}" for name in bad)
 

@@ -6,7 +6,7 @@ from pinav.fitting import Estimate, ModelEvidence
 
 
 @dataclasses.dataclass(frozen=True)
-class Candidate:
+class ComparedModel:
     """The evidence of one model.
 
     Attributes:
@@ -32,7 +32,7 @@ class Candidate:
 
 
 @dataclasses.dataclass(frozen=True)
-class Verdict:
+class ComparisonVerdict:
     """The answer of the evidence to a question.
 
     Attributes:
@@ -55,5 +55,5 @@ class Comparison:
         verdicts: answers to the questions that two of the candidates decide.
     """
 
-    models: dict[str, Candidate]
-    verdicts: tuple[Verdict, ...]
+    models: dict[str, ComparedModel]
+    verdicts: tuple[ComparisonVerdict, ...]

@@ -209,27 +209,27 @@ def _law_words(law: FoundLaw) -> str:
         f"{name} {number(one.value, 4)} ± {number(one.sd, 2)}"
         for name, one in law.constants.items()
     ]
-    return f"potential: {law.kind} of {', '.join(constants)}"
+    return f"potential: {law.name} of {', '.join(constants)}"
 
 
 def _place(term: FoundTerm) -> str:
     if not term.geometry:
-        return term.kind
+        return term.name
     values = [one.value for one in term.geometry]
     deviations = [one.sd for one in term.geometry]
-    if term.kind in ("wall", "shear layer"):
+    if term.name in ("wall", "shear layer"):
         degrees = float(np.degrees(values[0]) % 360)
         spread = number(float(np.degrees(deviations[0])), 2)
-        return f"{term.kind} with its normal at {number(degrees, 5)} ± {spread} degrees"
-    if term.kind == HillsTerm.KIND:
+        return f"{term.name} with its normal at {number(degrees, 5)} ± {spread} degrees"
+    if term.name == HillsTerm.KIND:
         count = HillsTerm.count(len(values))
         centers = np.reshape(values[: 2 * count], (count, 2))
         places = ", ".join(f"({number(x, 4)}, {number(y, 4)})" for x, y in centers)
         spread = number(max(deviations[: 2 * count]), 2)
-        return f"{count} {term.kind} at {places} ± {spread}"
-    word = "about" if term.kind.startswith("central") else "with"
+        return f"{count} {term.name} at {places} ± {spread}"
+    word = "about" if term.name.startswith("central") else "with"
     numbers = ", ".join(number(value, 4) for value in values)
-    return f"{term.kind} {word} ({numbers}) ± {number(max(deviations), 2)}"
+    return f"{term.name} {word} ({numbers}) ± {number(max(deviations), 2)}"
 
 
 def _thermal(thermal: ThermalFindings) -> list[AbstractBlock]:

@@ -18,7 +18,7 @@ from pinav.live.checkpoint import read_session, with_drive_of
 from pinav.live.estimators import DriveEstimator
 from pinav.live.loop import Loop
 from pinav.live.messages import Command, Event, FromPinav, Limits, State
-from pinav.live.page import Page, Places, Printer
+from pinav.live.page import EventPrinter, Page, Places
 from pinav.live.replay import lines_in, lines_of, replay
 from pinav.live.roller_pilot import RollerPilot
 from pinav.live.session import Session
@@ -57,7 +57,7 @@ class Tally:
         page: shows it in a browser, where there is one.
     """
 
-    printer: Printer
+    printer: EventPrinter
     page: Page | None
     states: int = 0
     commands: int = 0
@@ -131,7 +131,7 @@ def run(options: LiveOptions) -> CommandResult:
         if options.page is not None:
             page = stack.enter_context(Page.serve(options.page, _places(options)))
             print(f"page: {page.address}", file=sys.stderr, flush=True)
-        tally = Tally(Printer(_print, people=options.status), page)
+        tally = Tally(EventPrinter(_print, people=options.status), page)
         if options.replay:
             _replay(options, tally)
         else:

@@ -11,7 +11,7 @@ from pinav.figures.fits import bands_figure, moments_figure
 from pinav.figures.images import Movie, Picture
 from pinav.figures.navigation import greatest_force, outcome_bars, paths_map
 from pinav.figures.style import DIMENSIONLESS, new_figure, with_unit
-from pinav.navigation import Interval, OnlineNavigation, Outcome
+from pinav.navigation import FlightOutcome, Interval, OnlineNavigation
 from pinav.report import Cell, Paragraph, Section, Table, quantity
 
 DRAWN = 8
@@ -72,7 +72,7 @@ def online_sections(result: OnlineNavigation) -> list[Section]:
 
 
 def online_table(
-    controllers: Mapping[str, Outcome], units: Mapping[str, str] = DIMENSIONLESS
+    controllers: Mapping[str, FlightOutcome], units: Mapping[str, str] = DIMENSIONLESS
 ) -> Table:
     """One row for each controller.
 
@@ -81,7 +81,7 @@ def online_table(
         units: unit of each channel; "1" means dimensionless.
     """
     length, time = units.get("x", "1"), units.get("t", "1")
-    columns: dict[str, Callable[[Outcome], Cell]] = {
+    columns: dict[str, Callable[[FlightOutcome], Cell]] = {
         "success": lambda row: percent_interval(row.success),
         "in time": lambda row: percent_interval(row.in_time),
         "violation": lambda row: percent_interval(row.violation),

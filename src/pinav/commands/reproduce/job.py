@@ -35,7 +35,7 @@ from pinav.trajectories import Trajectories, load, save, simulate
 
 
 @dataclasses.dataclass(frozen=True)
-class Entry:
+class TrainedKind:
     """One kind of model that is trained, for all its seeds.
 
     Attributes:
@@ -57,10 +57,12 @@ class Entry:
         return [label_of(self.name, seed) for seed in self.seeds]
 
 
-def entries(settings: ReproduceSettings) -> list[Entry]:
+def entries(settings: ReproduceSettings) -> list[TrainedKind]:
     """What the recipe trains."""
     return [
-        Entry(name, (None,) if model.startswith("kernel-") else settings.seeds, model)
+        TrainedKind(
+            name, (None,) if model.startswith("kernel-") else settings.seeds, model
+        )
         for name, model in REPRODUCED[settings.recipe].items()
     ]
 
@@ -103,7 +105,10 @@ def model_file(label: str) -> str:
 
 
 def _write_fits(
-    entry: Entry, settings: ReproduceSettings, data: Trajectories, folder: RunFolder
+    entry: TrainedKind,
+    settings: ReproduceSettings,
+    data: Trajectories,
+    folder: RunFolder,
 ) -> None:
     """Train, and write losses first: a model file says that all of its fit is there."""
     known = scenario("paper").swimmer

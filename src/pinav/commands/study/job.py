@@ -47,7 +47,7 @@ from pinav.fitting.environments.summary import (
 from pinav.learning.matching import matching
 from pinav.learning.recipes import Curriculum
 from pinav.scenarios import scenario
-from pinav.sweeps import Cell, CellStore, Outcome, sweep_status
+from pinav.sweeps import Cell, CellOutcome, CellStore, sweep_status
 from pinav.systems import System
 from pinav.trajectories import GaussianNoise, Trajectories, degrade, simulate
 
@@ -114,7 +114,7 @@ def study(name: str, world: str, settings: StudySettings, sweep: Sweep) -> Study
     return Study(name, world, tuple(fits))
 
 
-def _fit_of(cell: Cell, outcome: Outcome, store: CellStore) -> StudyFit:
+def _fit_of(cell: Cell, outcome: CellOutcome, store: CellStore) -> StudyFit:
     """The fit of a cell that is done; one that failed has no scores."""
     if outcome.failure:
         return _without_scores(cell, f"failed: {outcome.failure}")

@@ -39,7 +39,7 @@ MARGIN, NUM_SAMPLES = 4.0, 400
 """Reach of the grid of targets beyond the samples, in widths; samples at most."""
 
 
-class Grid(eqx.Module):
+class DistillationGrid(eqx.Module):
     """Places of targets beside the samples.
 
     Attributes:
@@ -51,10 +51,10 @@ class Grid(eqx.Module):
     num_points: int
 
 
-OF_KERNELS = Grid(spacing=0.7, num_points=1200)
+OF_KERNELS = DistillationGrid(spacing=0.7, num_points=1200)
 """As fine as free kernels vary."""
 
-OF_STRUCTURE = Grid(spacing=0.45, num_points=1500)
+OF_STRUCTURE = DistillationGrid(spacing=0.45, num_points=1500)
 """As fine as a network that may turn asks for: on the coarser grid it misses a ring ten
 times as much between the places as at them."""
 
@@ -80,7 +80,7 @@ def distillation_targets(
     *,
     dim: int,
     width: float,
-    grid: Grid = OF_KERNELS,
+    grid: DistillationGrid = OF_KERNELS,
 ) -> DistillationTargets:
     """Values of a force at the samples, and on a grid around them.
 

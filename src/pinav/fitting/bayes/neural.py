@@ -18,8 +18,8 @@ from pinav.dynamics import FixedStep
 from pinav.fitting.bayes.distillation import (
     OF_KERNELS,
     OF_STRUCTURE,
+    DistillationGrid,
     DistillationTargets,
-    Grid,
     distil,
     distil_closely,
     distillation_targets,
@@ -115,7 +115,7 @@ class FitSpecification(eqx.Module):
         )
 
 
-def _grid_of(force: AbstractForce) -> Grid:
+def _grid_of(force: AbstractForce) -> DistillationGrid:
     """Where a network is compared with a force."""
     return OF_STRUCTURE if split_structure(force)[0] else OF_KERNELS
 

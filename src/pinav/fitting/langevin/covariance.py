@@ -29,7 +29,7 @@ UNROLL = 8
 """Steps of a recursion that are compiled as one."""
 
 
-class Bands(eqx.Module):
+class Tridiagonal(eqx.Module):
     """A symmetric tridiagonal matrix for each row.
 
     Attributes:
@@ -41,7 +41,7 @@ class Bands(eqx.Module):
     beside: Rows
 
 
-class Factor(eqx.Module):
+class TridiagonalFactor(eqx.Module):
     r"""Lower factor L of the bands, $\Sigma = L L^\top$.
 
     Attributes:
@@ -63,7 +63,7 @@ def increment_bands(
     intervals: Rows,
     exposure: Scalar | Rows,
     variance: Scalar | Rows,
-) -> Bands:
+) -> Tridiagonal:
     r"""Covariance of increments.
 
     Args:
@@ -74,13 +74,13 @@ def increment_bands(
     """
     blurred = diffusion * jnp.minimum(exposure, intervals) / 3
     before = jnp.concatenate([blurred[:1], blurred[:-1]])
-    return Bands(
+    return Tridiagonal(
         2 * diffusion * intervals - 4 * blurred + 2 * before + 2 * variance,
         blurred - variance,
     )
 
 
-def cut(bands: Bands, mask: Rows) -> Bands:
+def cut(bands: Tridiagonal, mask: Rows) -> Tridiagonal:
     """The bands with unit variance and no neighbours where there is no increment.
 
     Args:
@@ -89,13 +89,13 @@ def cut(bands: Bands, mask: Rows) -> Bands:
     """
     # Padding is independent and of unit variance: it adds nothing to the likelihood.
     follows = jnp.concatenate([mask[1:], jnp.zeros_like(mask[:1])])
-    return Bands(
+    return Tridiagonal(
         jnp.where(mask > 0, bands.diagonal, 1.0),
         jnp.where(follows > 0, bands.beside, 0.0),
     )
 
 
-def factorise(bands: Bands) -> Factor:
+def factorise(bands: Tridiagonal) -> TridiagonalFactor:
     """The lower factor; a variance that rounding makes negative counts as tiny."""
 
     def step(carry: Array, row: tuple[Array, Array]) -> tuple[Array, tuple]:
@@ -109,14 +109,14 @@ def factorise(bands: Bands) -> Factor:
 
     start = jnp.zeros_like(bands.diagonal[0])
     rows = bands.diagonal, bands.beside
-    return Factor(*jax.lax.scan(step, start, rows, unroll=UNROLL)[1])
+    return TridiagonalFactor(*jax.lax.scan(step, start, rows, unroll=UNROLL)[1])
 
 
 LEAST = 1e-10
 """Share of its variance that an increment keeps, given all before it, at least."""
 
 
-def whiten(factor: Factor, values: Rows) -> Rows:
+def whiten(factor: TridiagonalFactor, values: Rows) -> Rows:
     """$L^{-1} r$: what each increment adds to those before it (innovations)."""
 
     def step(carry: Array, row: tuple[Array, Array, Array]) -> tuple[Array, Array]:
@@ -129,7 +129,7 @@ def whiten(factor: Factor, values: Rows) -> Rows:
     return jax.lax.scan(step, jnp.zeros_like(values[0]), rows, unroll=UNROLL)[1]
 
 
-def pull_back(factor: Factor, values: Rows) -> Rows:
+def pull_back(factor: TridiagonalFactor, values: Rows) -> Rows:
     r"""$L^{-\top} w$; of innovations it is $\Sigma^{-1} r$."""
 
     def step(carry: Array, row: tuple[Array, Array, Array]) -> tuple[Array, Array]:
@@ -142,7 +142,7 @@ def pull_back(factor: Factor, values: Rows) -> Rows:
     return jax.lax.scan(step, start, rows, reverse=True, unroll=UNROLL)[1]
 
 
-def inverse_bands(factor: Factor) -> Bands:
+def inverse_bands(factor: TridiagonalFactor) -> Tridiagonal:
     r"""The three bands of $\Sigma^{-1}$.
 
     $Z_{nn} = l_n^{-2} + (m_n/l_n)^2 Z_{n+1,n+1}$ and
@@ -158,10 +158,10 @@ def inverse_bands(factor: Factor) -> Bands:
 
     rows = factor.diagonal, factor.below
     start = jnp.zeros_like(factor.diagonal[0])
-    return Bands(*jax.lax.scan(step, start, rows, reverse=True, unroll=UNROLL)[1])
+    return Tridiagonal(*jax.lax.scan(step, start, rows, reverse=True, unroll=UNROLL)[1])
 
 
-class Score(eqx.Module):
+class LikelihoodScore(eqx.Module):
     r"""Log likelihood of increments without drift, and its slopes.
 
     Attributes:
@@ -171,11 +171,11 @@ class Score(eqx.Module):
     """
 
     value: Float[Array, ""]
-    by_bands: Bands
+    by_bands: Tridiagonal
     pulled: Rows
 
 
-def score(bands: Bands, residuals: Rows) -> Score:
+def score(bands: Tridiagonal, residuals: Rows) -> LikelihoodScore:
     r"""Log likelihood $-\tfrac12(r^\top\Sigma^{-1}r + \log\det\Sigma)$ and its slopes.
 
     Args:
@@ -187,9 +187,9 @@ def score(bands: Bands, residuals: Rows) -> Score:
     pulled = pull_back(factor, innovations)
     inverse = inverse_bands(factor)
     following = jnp.concatenate([pulled[1:], jnp.zeros_like(pulled[:1])])
-    return Score(
+    return LikelihoodScore(
         -0.5 * (jnp.sum(innovations**2) + factor.log_determinant),
-        Bands(
+        Tridiagonal(
             0.5 * (pulled**2 - inverse.diagonal), pulled * following - inverse.beside
         ),
         pulled,

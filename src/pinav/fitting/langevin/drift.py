@@ -26,7 +26,7 @@ from pinav.fitting.environments.refinement import Refinement, iterate_refined
 from pinav.fitting.evidence.evidence import LinearisedObservations
 from pinav.fitting.evidence.shape_mixture import mix_shapes
 from pinav.fitting.evidence.weights import GaussianWeights
-from pinav.fitting.langevin.covariance import Factor, whiten
+from pinav.fitting.langevin.covariance import TridiagonalFactor, whiten
 from pinav.fitting.langevin.increments import Increments, Padding, Relation
 from pinav.fitting.least_squares import Regression
 from pinav.forces import KernelTensor
@@ -50,7 +50,7 @@ class WhitenedIncrements(eqx.Module):
     positions: Float[Array, "increment dim"]
     targets: Float[Array, "increment dim"]
     intervals: Float[Array, " increment"]
-    factor: Factor
+    factor: TridiagonalFactor
     padding: Padding
     counts: tuple[int, ...] = eqx.field(static=True)
 

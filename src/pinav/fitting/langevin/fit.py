@@ -38,7 +38,7 @@ from pinav.fitting.langevin.result import LangevinFit
 from pinav.fitting.langevin.rounds import (
     LATER_STEPS,
     SCORING_STEPS,
-    Belief,
+    RoundResult,
     diffusion_share,
     fit_drift,
     fit_motion,
@@ -176,7 +176,7 @@ def _fit_in_turns(
     path = None if reference is None else first_path(reference, increments)
     first = increments if path is None else from_reference(increments, path)
     motion = begin_motion(diffusion, observation, first)
-    belief = Belief.first(swimmer, motion, first)
+    belief = RoundResult.first(swimmer, motion, first)
     turns = 0
     while True:
         before, turns = belief, turns + 1

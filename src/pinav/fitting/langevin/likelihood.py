@@ -39,7 +39,7 @@ from pinav.fitting.engine.problem import AbstractProblem, AbstractStepRule, Move
 from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
-from pinav.fitting.langevin.covariance import Bands, cut, increment_bands, score
+from pinav.fitting.langevin.covariance import Tridiagonal, cut, increment_bands, score
 from pinav.fitting.langevin.diffusion import ThermalMotion
 from pinav.fitting.langevin.increments import LearnedObservation, Padding
 from pinav.forces.priors import AbstractPrior, MixturePrior, StationaryPrior
@@ -266,7 +266,7 @@ def local_terms(
     mask = jnp.broadcast_to(padding.mask[..., None], (*padding.mask.shape, len(axes)))
     intervals = jnp.broadcast_to(data.intervals[..., None], mask.shape)
 
-    def bands(logs: Array, exposure: Array, variance: Array) -> Bands:
+    def bands(logs: Array, exposure: Array, variance: Array) -> Tridiagonal:
         local = increment_bands(jnp.exp(logs), intervals, exposure, variance)
         return cut(local, mask)
 

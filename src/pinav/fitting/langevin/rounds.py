@@ -47,7 +47,7 @@ SCORING_STEPS, LATER_STEPS = 10, 3
 """Steps of Fisher's scoring at most, from moments and from the round before."""
 
 
-class Belief(eqx.Module):
+class RoundResult(eqx.Module):
     """What is known after a round.
 
     Attributes:
@@ -67,12 +67,12 @@ class Belief(eqx.Module):
     @classmethod
     def first(
         cls, swimmer: OverdampedSwimmer, motion: ThermalMotion, increments: Increments
-    ) -> "Belief":
+    ) -> "RoundResult":
         """Constant diffusion and no drift."""
         second = SecondOrder.none(increments, motion.diffusion)
         return cls(swimmer, motion, second, second.means, increments)
 
-    def moved_from(self, before: "Belief") -> float:
+    def moved_from(self, before: "RoundResult") -> float:
         """Squared change of all means, in variances of the increments."""
         change = np.asarray(self.means - before.means)
         spread = 2 * self.local_diffusion * self.increments.intervals[:, None]
@@ -92,7 +92,7 @@ def _diagonals(
     return jax.vmap(motion.diffusion.diagonal)(positions)
 
 
-def fluctuations(belief: Belief, padding: Padding) -> Fluctuations:
+def fluctuations(belief: RoundResult, padding: Padding) -> Fluctuations:
     """Increments about the means of a belief."""
     increments, second = belief.increments, belief.second
     tensor = belief.motion.diffusion
@@ -122,8 +122,8 @@ def _kernels(
 
 
 def fit_motion(
-    belief: Belief, relation: Relation, padding: Padding, max_steps: int
-) -> tuple[Belief, DiffusionProblem | None, Step | None]:
+    belief: RoundResult, relation: Relation, padding: Padding, max_steps: int
+) -> tuple[RoundResult, DiffusionProblem | None, Step | None]:
     """Diffusion and observation given the drift; unchanged where both are known.
 
     Args:
@@ -151,7 +151,7 @@ def fit_motion(
 
 
 def whiten_increments(
-    belief: Belief, relation: Relation, padding: Padding
+    belief: RoundResult, relation: Relation, padding: Padding
 ) -> WhitenedIncrements:
     """The increments as innovations of the belief's thermal motion."""
     increments, motion = belief.increments, belief.motion
@@ -193,12 +193,12 @@ def _factor(
 
 
 def fit_drift(
-    belief: Belief,
+    belief: RoundResult,
     relation: Relation,
     padding: Padding,
     refine: Refinement | None,
     trajectories: Trajectories,
-) -> tuple[Belief, EvidenceFit]:
+) -> tuple[RoundResult, EvidenceFit]:
     """The force given diffusion and observation, and what follows from it.
 
     Raises:
@@ -233,7 +233,7 @@ def _drift_problem(
     )
 
 
-def follow(belief: Belief, relation: Relation, swimmer: Any) -> Belief:
+def follow(belief: RoundResult, relation: Relation, swimmer: Any) -> RoundResult:
     """The belief with a force, and the means and corrections that follow from it."""
     increments, motion = belief.increments, belief.motion
     second = second_order(swimmer, motion.diffusion, increments, relation)
@@ -242,11 +242,11 @@ def follow(belief: Belief, relation: Relation, swimmer: Any) -> Belief:
     if relation.einstein:
         speeds = speeds + divergences(motion.diffusion, positions)
     means = speeds * jnp.asarray(increments.intervals)[:, None] + second.means
-    return Belief(swimmer, motion, second, means, increments)
+    return RoundResult(swimmer, motion, second, means, increments)
 
 
 def diffusion_share(
-    belief: Belief,
+    belief: RoundResult,
     relation: Relation,
     padding: Padding,
     fit: EvidenceFit,
@@ -288,7 +288,7 @@ known to a third, and it is the smaller part."""
 
 
 def langevin_checks(
-    belief: Belief,
+    belief: RoundResult,
     relation: Relation,
     padding: Padding,
     observation: tuple[ObservedAxes, ...],

@@ -24,7 +24,7 @@ from pinav.fitting.langevin.drift import divergence
 from pinav.fitting.langevin.increments import Increments, Padding, Relation
 from pinav.fitting.langevin.likelihood import local_terms
 from pinav.fitting.langevin.rounds import (
-    Belief,
+    RoundResult,
     fluctuations,
     follow,
 )
@@ -158,13 +158,13 @@ def from_reference(increments: Increments, path: ReferencePath) -> Increments:
 
 
 def track_reference(
-    belief: Belief,
+    belief: RoundResult,
     relation: Relation,
     padding: Padding,
     recorded: Increments,
     reference: SlowReference,
     path: ReferencePath,
-) -> tuple[Belief, ReferencePath]:
+) -> tuple[RoundResult, ReferencePath]:
     """The path after one step, and the belief that follows from it.
 
     Args:
@@ -202,7 +202,7 @@ def track_reference(
 
 
 def _by_height(
-    belief: Belief, relation: Relation, padding: Padding, axis: int
+    belief: RoundResult, relation: Relation, padding: Padding, axis: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Slope of the log likelihood by the coordinate of each increment; information."""
     motion, increments = belief.motion, belief.increments

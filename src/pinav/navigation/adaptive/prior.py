@@ -14,7 +14,7 @@ from pinav.fitting import Posterior
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import axes_of
 from pinav.navigation.belief.belief import Frame
-from pinav.navigation.belief.given import ForcePrior, GivenForce, take_for_granted
+from pinav.navigation.belief.given import BeliefPrior, GivenForce, take_for_granted
 from pinav.navigation.belief.kernels import Points
 from pinav.navigation.model.predictors import split_rates
 from pinav.navigation.model.tables import FieldTable
@@ -89,7 +89,7 @@ def with_prior_of(
     rows = rows.reshape(-1, rows.shape[-1])
     covariance = rows @ posterior.covariance @ rows.T
     covariance += (DISTRUST * adaptive.thrust) ** 2 * np.eye(len(rows))
-    prior = ForcePrior(rate, places[chosen], covariance)
+    prior = BeliefPrior(rate, places[chosen], covariance)
     start = np.asarray(task.start[:2], float)
     first = Frame(0.0, start, task.position_sd, np.zeros(2))
     return dataclasses.replace(adaptive, known=prior.lead(adaptive.believe(first)))

@@ -51,7 +51,7 @@ CLOCK = 1e-6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Verdict:
+class CommandVerdict:
     """The decision of the filter on a command.
 
     Attributes:
@@ -74,7 +74,7 @@ def check_command(
     time_cost: TimeCost,
     thrust: float,
     horizon: float,
-) -> Verdict:
+) -> CommandVerdict:
     """Let a command through, or give a safer one.
 
     Args:
@@ -89,7 +89,7 @@ def check_command(
     """
     near = float(_clearance(time_cost, observation.state))
     if near > farthest(np.asarray(observation.state), thrust, horizon):
-        return Verdict(command, near, changed=False)
+        return CommandVerdict(command, near, changed=False)
     # The tables of the last plan are older than the belief, by half a time unit.
     predictor = MeanForce().tables(belief, physics, thrust).predictor
     # A camera may be far quicker than a swimmer that takes minutes to cross the arena.
@@ -103,9 +103,9 @@ def check_command(
     margins = np.append(float(jnp.max(after)), others)
     best = choose_command(margins, np.append(np.inf, others))
     if best == 0:
-        return Verdict(command, float(margins[0]), changed=False)
+        return CommandVerdict(command, float(margins[0]), changed=False)
     safer = prediction.command(observation, controls[best - 1])
-    return Verdict(safer, float(margins[best]), changed=True)
+    return CommandVerdict(safer, float(margins[best]), changed=True)
 
 
 def farthest(

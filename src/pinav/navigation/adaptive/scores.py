@@ -97,7 +97,7 @@ class Flight:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Outcome:
+class FlightOutcome:
     """Flights of one controller on one task.
 
     Attributes:
@@ -140,7 +140,7 @@ def judge_flights(
     flights: Sequence[Flight],
     own_limit: float,
     oracle: Sequence[Flight] = (),
-) -> Outcome:
+) -> FlightOutcome:
     """The outcome of some flights.
 
     Args:
@@ -159,7 +159,7 @@ def judge_flights(
     frames = np.concatenate([flight.learn_times for flight in flights])
     commands = np.concatenate([flight.command_times[1:] for flight in flights])
     plans = np.concatenate([flight.replan_times[1:] for flight in flights])
-    return Outcome(
+    return FlightOutcome(
         runs=count,
         success=proportion(sum(flight.reached for flight in flights), count),
         in_time=proportion(int(np.sum(times <= own_limit)), count),
@@ -182,7 +182,7 @@ def judge_flights(
 
 def judge_controllers(
     flights: Mapping[str, Sequence[Flight]], own_limit: float
-) -> dict[str, Outcome]:
+) -> dict[str, FlightOutcome]:
     """The outcome of each controller, in pairs with the oracle.
 
     Args:

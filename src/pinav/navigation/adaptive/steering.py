@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pinav.errors import InputError
 from pinav.navigation.adaptive.known import motion_of, with_known
 from pinav.navigation.adaptive.progress import Progress
-from pinav.navigation.adaptive.safety import Verdict, check_command
+from pinav.navigation.adaptive.safety import CommandVerdict, check_command
 from pinav.navigation.adaptive.strategies import AbstractStrategy, ExplorationBonus
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.motion import AbstractMotion, Vector
@@ -103,7 +103,7 @@ class ControllerState:
     controls: Controls
     progress: Progress
     pending: Float[Array, "command 2"]
-    verdict: Verdict | None = None
+    verdict: CommandVerdict | None = None
     learn_time: float = math.nan
     plan_time: float = math.nan
     command_time: float = math.nan

@@ -155,7 +155,7 @@ class CorrectedForce(AbstractKernels):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class ForcePrior:
+class BeliefPrior:
     """The force of an earlier fit, and how well its data told it.
 
     Attributes:
