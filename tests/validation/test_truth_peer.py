@@ -1,5 +1,6 @@
 """StochasticForceInference is asked for the right quantities, where it is installed."""
 
+import jax
 import numpy as np
 import pytest
 from validation.truth.peer import infer_ring, infer_wall
@@ -8,6 +9,13 @@ pytestmark = pytest.mark.extras
 
 HEAT, DIFFUSION = 0.004, 0.1
 """Thermal energy [pN um], and diffusion normal to the wall [um²/s]."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def standard_promotion():
+    """The peer joins arrays of two precisions, which strict promotion forbids."""
+    with jax.numpy_dtype_promotion("standard"):
+        yield
 
 
 def test_the_drift_and_diffusion_of_a_ring_are_found():
