@@ -179,7 +179,7 @@ def test_two_attempts_at_once_leave_one_result(tmp_path):
     first, second = store.begin(cell), store.begin(cell)
     for number, attempt in enumerate((first, second)):
         (attempt / "result" / "square.txt").write_text(str(number))
-        outcome = pinav.sweeps.Outcome(float(number))
+        outcome = pinav.sweeps.CellOutcome(float(number))
         store.publish(cell, attempt, outcome)
     assert (store.folder(cell) / "square.txt").read_text() == "0"
     assert store.outcome(cell).seconds == 0.0
