@@ -13,6 +13,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Array, Float
 
+from pinav.analysis.discovery.law_regression import MISFIT_PROBABILITY
 from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer, with_dtype
 from pinav.errors import FitError
@@ -275,10 +276,6 @@ def _inverse(
     inverse = inverse / np.outer(root, root)
     inverse[lost, lost] = np.inf
     return inverse
-
-
-MISFIT_PROBABILITY = 1e-3
-"""A law fits if it leaves a misfit that chance makes more often than this."""
 
 
 class LearnedOnPaths(eqx.Module):
