@@ -20,6 +20,7 @@ ORDER = [
     "threads",
     "units",
     "settings",
+    "reading",
     "sweeps",
     "arguments",
     "codec",

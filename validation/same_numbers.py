@@ -44,7 +44,7 @@ POOLED = 1000
 
 SHORT = ("--thrust", "1", "--time-limit", "8", "--step", "0.5", "--seeds", "2")
 COARSE = ("--arena=0,0,10,10", "--tolerance", "0.5", "--designs", "grid")
-RAW = ("--heading-offset", "1.5708")
+RAW = ("--reading", "heading_offset=1.5708")
 
 STEPS: dict[str, tuple[str, ...]] = {
     "exact": ("simulate", "barrier-crossings", "--count", "3"),

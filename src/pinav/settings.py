@@ -6,6 +6,7 @@ This module imports no numerical library, so that `--help` is quick.
 import dataclasses
 import math
 import typing
+from typing import Any
 
 import msgspec
 
@@ -23,24 +24,30 @@ class Range:
         above: the number is larger than this.
         below: the number is smaller than this.
         most: largest number that is allowed.
+        doubling: a power of two alone is allowed.
     """
 
     least: Number | None = None
     above: Number | None = None
     below: Number = math.inf
     most: Number | None = None
+    doubling: bool = False
 
     def __str__(self) -> str:
+        if self.doubling:
+            return "a power of two, such as 256"
         if self.most is not None:
             return f"{self.least:g} to {self.most:g}"
+        if self.below < math.inf and self.above is None:
+            return f"from {self.least:g} to below {self.below:g}"
         if self.below < math.inf:
             return f"between {self.above:g} and {self.below:g}"
         if self.above is not None:
             return f"a number > {self.above:g}"
         return f"{self.least:g} or more"
 
-    def check(self, name: str, value: Number | tuple[Number, ...] | None) -> None:
-        """Require that the value, or each of several, lies within; none always does.
+    def check(self, name: str, value: Any) -> None:
+        """Require that the value, or each of several, lies within; words always do.
 
         Raises:
             InputError: it lies outside, or is not finite.
@@ -49,11 +56,91 @@ class Range:
         above = -math.inf if self.above is None else self.above
         most = math.inf if self.most is None else self.most
         for number in value if isinstance(value, tuple) else (value,):
-            if number is None:
+            if number is None or isinstance(number, str):
                 continue
-            if not (low <= number <= most and above < number < self.below):
-                option = name.replace("_", "-")
-                raise InputError(f"--{option}: expected {self}, got {number}")
+            allowed = low <= number <= most and above < number < self.below
+            if self.doubling and allowed:
+                allowed = math.log2(number).is_integer()
+            if not allowed:
+                raise InputError(f"{option(name)}: expected {self}, got {number}")
+
+
+@dataclasses.dataclass(frozen=True)
+class Several:
+    """A setting of several different values; stands in its annotation.
+
+    Attributes:
+        least: how many there are at least.
+    """
+
+    least: int = 1
+
+    def check(self, name: str, values: tuple[Any, ...]) -> None:
+        """Require so many values, none of them twice.
+
+        Raises:
+            InputError: there are fewer, or one stands twice.
+        """
+        for value in values:
+            if values.count(value) > 1:
+                raise InputError(f"{option(name)}: {value} is given twice; drop one")
+        if len(values) < self.least:
+            word = "one" if self.least == 1 else f"{self.least} different ones"
+            raise InputError(
+                f"{option(name)}: expected at least {word}, got {len(values)}"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class Numbers:
+    """A word of numbers with commas between them; stands in its annotation.
+
+    Attributes:
+        counts: how many numbers there may be.
+        option: the option, where it is not called as its field.
+    """
+
+    counts: tuple[int, ...]
+    option: str = ""
+
+    def check(self, name: str, value: str | tuple[str, ...] | None) -> None:
+        """Require so many finite numbers in the word, or in each of several.
+
+        Raises:
+            InputError: there are others.
+        """
+        for word in value if isinstance(value, tuple) else (value,):
+            if word is not None:
+                numbers(self.option or option(name), word, *self.counts)
+
+
+def option(name: str) -> str:
+    """The option of a field."""
+    return f"--{name.replace('_', '-')}"
+
+
+def numbers(option: str, text: str, *counts: int) -> tuple[float, ...]:
+    """Numbers with commas between them.
+
+    Args:
+        option: what the message calls them.
+        text: such as "0.5,1".
+        counts: how many there may be.
+
+    Raises:
+        InputError: they are not so many finite numbers.
+    """
+    try:
+        values = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) not in counts or not all(map(math.isfinite, values)):
+        example = ",".join("123456"[: counts[0]])
+        raise InputError(
+            f"{option}: expected {' or '.join(map(str, counts))} numbers with commas "
+            f"between them, such as {example}, got {text!r}"
+        )
+    return values
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -72,7 +159,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 value.check()
                 continue
             for allowed in getattr(hints[name], "__metadata__", ()):
-                if isinstance(allowed, Range):
+                if isinstance(allowed, Range | Several | Numbers):
                     allowed.check(name, value)
         self.check_together()
 

@@ -126,9 +126,9 @@ def test_paths_are_drawn_over_a_still_of_the_film(circles, tmp_path, capsys):
     assert "still.png: cannot be read as an image" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("y_down", [True, False])
-def test_positions_go_back_to_the_pixels_of_the_file(circles, y_down):
-    data = read_recording(circles, Reading(mpp=0.345, y_down=y_down))
+@pytest.mark.parametrize("y", ["down", "up"])
+def test_positions_go_back_to_the_pixels_of_the_file(circles, y):
+    data = read_recording(circles, Reading(mpp=0.345, y=y))
     text = circles.read_text().splitlines()[1:401]
     pixels = np.array([line.split(",")[4:6] for line in text], float)
     again = image_positions(data, data.trajectory(0).states)

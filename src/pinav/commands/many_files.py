@@ -48,6 +48,8 @@ def run_files(command: Command, options: FilesOptions) -> CommandResult:
     Raises:
         InputError: a file is missing or given twice, or the folder cannot be used.
     """
+    if not options.data:
+        raise InputError("expected a file of data, got none; give one or more")
     cells = [_cell(command, options, path) for path in options.data]
     names = [cell.system for cell in cells]
     for name in names:

@@ -14,6 +14,7 @@ import tyro
 
 from pinav.commands.plain_help import plain_help
 from pinav.errors import InputError
+from pinav.reading import Reading
 
 Content = dict[str, Any]
 """Settings as TOML holds them, or arguments by keyword."""
@@ -160,7 +161,9 @@ def _one_line(box: str) -> str:
     """A boxed message without its title, its rules, its frame and its last advice."""
     lines = (line.strip("│╭╮╰╯├┤─ ") for line in box.splitlines()[1:])
     message = " ".join(line for line in lines if line)
-    return message.partition("For full helptext")[0].strip().rstrip(".")
+    for advice in ("For full helptext", "Argument helptext"):
+        message = message.partition(advice)[0]
+    return message.strip().rstrip(".")
 
 
 def _file_content(argv: Sequence[str]) -> Content:
@@ -204,6 +207,7 @@ def _group(content: Content, fields: Content) -> Content:
     Raises:
         msgspec.ValidationError: an entry has the wrong type, or no group knows it.
     """
+    reading = content.pop("reading", {}) if "reading" in fields else None
     groups = {
         name: field.type
         for name, field in fields.items()
@@ -214,7 +218,8 @@ def _group(content: Content, fields: Content) -> Content:
         for name, kind in groups.items()
     }
     known = set.union(*names.values())
-    return {
+    found = {} if reading is None else {"reading": Reading.of_content(reading)}
+    return found | {
         name: msgspec.convert(
             {
                 key: value

@@ -8,17 +8,45 @@ import msgspec
 import tyro
 from tyro.constructors import (
     ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
     StructConstructorSpec,
     StructFieldSpec,
     StructTypeInfo,
 )
+
+from pinav.errors import InputError
+from pinav.reading import Pairs
 
 
 def plain_help() -> ConstructorRegistry:
     """Rules by which tyro describes the options of pinav."""
     registry = ConstructorRegistry()
     registry.struct_rule(_PlainStruct())
+    registry.primitive_rule(_pairs)
     return registry
+
+
+def _pairs(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+    """The words of names and what they stand for, such as x=X."""
+    if info.type != Pairs | None:
+        return None
+    return PrimitiveConstructorSpec(
+        nargs="*",
+        metavar="[NAME=WORD [NAME=WORD ...]]",
+        instance_from_str=_pairs_of,
+        is_instance=lambda value: value is None or isinstance(value, dict),
+        str_from_instance=lambda value: [f"{k}={v}" for k, v in (value or {}).items()],
+    )
+
+
+def _pairs_of(words: list[str]) -> Pairs:
+    pairs = [word.partition("=") for word in words]
+    for name, sign, value in pairs:
+        if not (name and value):
+            word = f"{name}{sign}{value}"
+            raise InputError(f"expected words such as x=X, got {word!r}")
+    return {name: value for name, _, value in pairs}
 
 
 class _PlainStruct:

@@ -10,6 +10,7 @@ from pinav.codec import encode
 from pinav.commands.command import Command, CommandResult, resolve
 from pinav.commands.settings import ResumableOptions, RunOptions
 from pinav.errors import InputError
+from pinav.reading import Reading
 from pinav.report import Section, Table
 from pinav.report.text import sections_text
 from pinav.runs import RunFolder
@@ -33,9 +34,12 @@ def start_run(
     resume = isinstance(options, ResumableOptions) and options.resume
     if resume and options.overwrite:
         raise InputError("--resume and --overwrite: choose one of them")
-    content = [
-        item for s in settings for item in msgspec.to_builtins(s, enc_hook=str).items()
-    ]
+    content = []
+    for group in settings:
+        if isinstance(group, Reading):
+            content += [("reading", group.content() or None)]
+        else:
+            content += msgspec.to_builtins(group, enc_hook=str).items()
     config: dict[str, Any] = {
         key: list(value) if isinstance(value, tuple) else value
         for key, value in content

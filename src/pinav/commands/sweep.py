@@ -21,7 +21,6 @@ from pinav.sweeps import (
     CellStore,
     OpenCluster,
     SweepStatus,
-    TlsFiles,
     claim,
     cluster_at,
     local_cluster,
@@ -77,12 +76,9 @@ def workers_of(settings: WorkerSettings) -> OpenCluster:
 
     One worker, too, is a process: its single thread gives the bytes of all others.
     """
-    if settings.scheduler is None:
-        return functools.partial(local_cluster, settings.workers)
-    tls = None
-    if settings.tls_ca and settings.tls_cert and settings.tls_key:
-        tls = TlsFiles(settings.tls_ca, settings.tls_cert, settings.tls_key)
-    return functools.partial(cluster_at, settings.scheduler, tls)
+    workers = settings.workers
+    opened = cluster_at if isinstance(workers, str) else local_cluster
+    return functools.partial(opened, workers)
 
 
 @contextlib.contextmanager

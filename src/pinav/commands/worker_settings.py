@@ -6,41 +6,24 @@ from typing import Annotated
 import tyro
 
 from pinav.commands.settings import Range, ResumableOptions, Settings
-from pinav.errors import InputError
 
 
 class WorkerSettings(Settings, frozen=True):
     """Who does the cells of a sweep: docs/scale.md.
 
     Attributes:
-        workers: Processes of this machine that work side by side.
-        scheduler: Address of a Dask scheduler that runs, such as tcp://host:8786; its
-            workers do the work and share --out.
-        tls_ca: Certificate of the authority that client and cluster trust.
-        tls_cert: Certificate of this client.
-        tls_key: Private key of this client.
+        workers: Processes of this machine that work side by side, or the address of a
+            Dask scheduler that runs, such as tcp://host:8786, whose workers share
+            --out.
         cell_timeout: Seconds after which one piece of work counts as failed.
     """
 
-    workers: Annotated[int, Range(1)] = 1
-    scheduler: str | None = None
-    tls_ca: Path | None = None
-    tls_cert: Path | None = None
-    tls_key: Path | None = None
+    workers: Annotated[int | str, Range(1), tyro.conf.arg(metavar="N|ADDRESS")] = 1
     cell_timeout: Annotated[float | None, Range(above=0)] = None
 
-    def check_together(self) -> None:
-        if self.scheduler is not None and self.workers != 1:
-            raise InputError("--workers and --scheduler: choose one of them")
-        files = (self.tls_ca, self.tls_cert, self.tls_key)
-        given = [file for file in files if file is not None]
-        if given and (self.scheduler is None or len(given) < len(files)):
-            raise InputError(
-                "--tls-ca, --tls-cert and --tls-key: give all three, with --scheduler"
-            )
-        for file in given:
-            if not file.is_file():
-                raise InputError(f"{file}: expected a file of a certificate or key")
+
+ALONE = WorkerSettings()
+"""This process does the work; of several cells, a process of this machine."""
 
 
 class FilesOptions(ResumableOptions, frozen=True, kw_only=True):
@@ -52,12 +35,10 @@ class FilesOptions(ResumableOptions, frozen=True, kw_only=True):
     """
 
     data: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    workers: WorkerSettings = WorkerSettings()
+    workers: WorkerSettings = ALONE
 
-    def check_together(self) -> None:
-        if not self.data:
-            raise InputError("expected a file of data, got none; give one or more")
-        if len(self.data) == 1 and self.workers != WorkerSettings():
-            raise InputError(
-                "--workers and the options beside it are for several files; drop them"
-            )
+    @property
+    def file(self) -> Path | None:
+        """The only file, where this process makes its run."""
+        single = len(self.data) == 1 and self.workers == ALONE
+        return self.data[0] if single else None

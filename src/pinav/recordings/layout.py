@@ -13,6 +13,7 @@ from typing import Any, final
 import numpy as np
 
 from pinav.errors import InputError
+from pinav.reading import Reading
 from pinav.recordings import units
 from pinav.recordings.table import Table
 
@@ -51,6 +52,11 @@ class Layout:
     def faults(self) -> dict[str, str] | None:
         """Where a table notes its bad rows; None where they are refused."""
         return None if self.strict else {}
+
+
+def layout_of(reading: Reading) -> Layout:
+    """How a table stands in the file that is read."""
+    return Layout(reading.sheet, reading.skip, reading.strict)
 
 
 STRICT = Layout(strict=True)

@@ -1,9 +1,11 @@
 """`read_recording`: a tracker's file, whatever its format, as `Trajectories`."""
 
-import dataclasses
 import os
 
+import msgspec
+
 from pinav.errors import InputError
+from pinav.reading import PLAIN, Reading
 from pinav.recordings.assembly import assemble
 from pinav.recordings.command_log import read_log, with_commands
 from pinav.recordings.formats.column_map import MappedTable
@@ -25,8 +27,8 @@ from pinav.recordings.formats.trackmate_project import TrackMateProject
 from pinav.recordings.formats.trackpy import Trackpy
 from pinav.recordings.formats.trex import TRex
 from pinav.recordings.formats.utrack import UTrack
-from pinav.recordings.layout import Layout
-from pinav.recordings.rows import COMMAND_UNITS, Reading
+from pinav.recordings.layout import Layout, layout_of
+from pinav.recordings.rows import COMMAND_UNITS
 from pinav.recordings.source import DataFrame, Source
 from pinav.recordings.table import example_of_columns, likely_columns
 from pinav.trajectories import Trajectories
@@ -54,9 +56,6 @@ FORMATS: tuple[AbstractFormat, ...] = (
 )
 """The formats, in the order in which a file is tried."""
 
-PLAIN = Reading()
-"""A file that says everything of itself."""
-
 
 def read_recording(
     path: str | os.PathLike[str] | DataFrame, reading: Reading = PLAIN
@@ -81,9 +80,9 @@ def read_recording(
     name = "DataFrame" if isinstance(path, DataFrame) else os.fspath(path)
     try:
         source = (
-            Source.of_frame(path, reading.layout)
+            Source.of_frame(path, layout_of(reading))
             if isinstance(path, DataFrame)
-            else Source.read(path, reading.layout)
+            else Source.read(path, layout_of(reading))
         )
         commands = reading.commands
         tracked = reading if commands is None else _without_commands(reading)
@@ -156,7 +155,7 @@ def _without_commands(reading: Reading) -> Reading:
         if name not in COMMAND_UNITS
     }
     stated = {n: u for n, u in (reading.units or {}).items() if n not in COMMAND_UNITS}
-    return dataclasses.replace(
+    return msgspec.structs.replace(
         reading,
         columns=columns or None,
         units=stated or None,

@@ -5,7 +5,6 @@ of this machine or of any other leave the same files.
 """
 
 from pinav.sweeps.cluster import Cluster as Cluster
-from pinav.sweeps.cluster import TlsFiles as TlsFiles
 from pinav.sweeps.cluster import cluster_at as cluster_at
 from pinav.sweeps.cluster import local_cluster as local_cluster
 from pinav.sweeps.status import CellState as CellState

@@ -10,7 +10,6 @@ from pinav.commands.settings import (
     Range,
     Settings,
 )
-from pinav.errors import InputError
 
 
 class AnalyseSettings(Settings, frozen=True):
@@ -29,17 +28,11 @@ class AnalyseSettings(Settings, frozen=True):
 
     points: Annotated[int, Range(5)] = 41
     draws: Annotated[int, Range(2)] = 32
-    samples: Annotated[int, Range(1)] = 256
+    samples: Annotated[int, Range(2, doubling=True)] = 256
     reference: Annotated[int, Range(0)] = 0
     relative: Annotated[float, Range(above=0, below=1)] = 0.1
     shift: Annotated[float, Range(above=0)] = 0.1
     seed: int = 0
-
-    def check_together(self) -> None:
-        if self.samples & (self.samples - 1) or self.samples < 2:
-            raise InputError(
-                f"--samples: expected a power of two, such as 256, got {self.samples}"
-            )
 
 
 class AnalyseOptions(Settings, frozen=True):

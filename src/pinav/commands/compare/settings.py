@@ -9,9 +9,9 @@ from pinav.commands.settings import (
     Range,
     ResumableOptions,
     Settings,
+    Several,
     SystemName,
 )
-from pinav.errors import InputError
 
 Candidate = Literal[
     "kernel-potential",
@@ -39,7 +39,7 @@ class CompareSettings(Settings, frozen=True):
         max_steps: Steps of each fit at most.
     """
 
-    models: tuple[Candidate, ...] = (
+    models: Annotated[tuple[Candidate, ...], Several(2)] = (
         "kernel-potential",
         "kernel-force",
         "kernel-mixture",
@@ -47,13 +47,6 @@ class CompareSettings(Settings, frozen=True):
     noise: float | None = None
     system: SystemName = None
     max_steps: Annotated[int, Range(1)] = 20
-
-    def check_together(self) -> None:
-        if len(set(self.models)) < 2:
-            raise InputError(
-                "--models: expected two or more different ones, such as --models "
-                "kernel-potential kernel-force"
-            )
 
 
 class CompareOptions(ResumableOptions, frozen=True):

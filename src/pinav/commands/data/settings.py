@@ -6,7 +6,6 @@ from typing import Literal
 import tyro
 
 from pinav.commands.settings import AsJson, Settings
-from pinav.errors import InputError
 
 
 class DataOptions(Settings, frozen=True, kw_only=True):
@@ -15,7 +14,7 @@ class DataOptions(Settings, frozen=True, kw_only=True):
     Attributes:
         what: "list" prints the recordings with repository, licence and checksum;
             "fetch NAME" brings one into a folder of cases.
-        name: Name of the recording to fetch.
+        name: Name of the recording to fetch, or of the only one to print.
         out: Folder below which it is put.
         source: The authors' file, where it is at hand; downloaded unless given.
         json: Print the recordings as JSON, for scripts, and nothing else.
@@ -26,10 +25,3 @@ class DataOptions(Settings, frozen=True, kw_only=True):
     out: Path = Path("truth")
     source: Path | None = None
     json: AsJson = False
-
-    def check_together(self) -> None:
-        if (self.what == "fetch") != bool(self.name):
-            raise InputError(
-                f"pinav data {self.what}: expected the name of a recording after "
-                "fetch, and none after list"
-            )

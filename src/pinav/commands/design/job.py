@@ -11,7 +11,6 @@ from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.design import DESIGN
 from pinav.commands.design.settings import DesignOptions, DesignSettings
-from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.results import fingerprint, keep, start_run
 from pinav.commands.steering import known_task, observe_positions, system_task
 from pinav.errors import InputError
@@ -104,7 +103,7 @@ def _suggest(
     options: DesignOptions, settings: DesignSettings, system: System
 ) -> tuple[RunFolder, DesignResult]:
     """The knowledge of recordings, and the trajectory to record next."""
-    parts = [read_data(path, RecordingSettings()) for path in options.data]
+    parts = [read_data(path) for path in options.data]
     data = concatenate(parts) if len(parts) > 1 else parts[0]
     task = known_task(settings, system, data)
     adaptive = _adaptive(task, settings)
@@ -150,9 +149,15 @@ def _experiment(settings: DesignSettings, adaptive: AdaptiveController) -> Exper
     """The recording of trajectories, and the region of release.
 
     Raises:
-        InputError: the place of release is outside of the arena.
+        InputError: the place of release is outside of the arena, or a trajectory has
+            less than two steps.
     """
     task, box = adaptive.task, settings.release_box()
+    if settings.duration < 2 * task.step:
+        raise InputError(
+            f"--duration: expected two steps or more, got {settings.duration:g} with "
+            f"--step {task.step:g}"
+        )
     region = task.arena
     if box is not None:
         region = Rectangle(list(box[:2]), list(box[2:]))

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from pinav.commands.settings import Range, RunOptions, numbers
+from pinav.commands.settings import Numbers, Range, RunOptions, Several, numbers
 from pinav.commands.steering_settings import SteeringSettings
 from pinav.errors import InputError
 
@@ -25,25 +25,19 @@ class DesignSettings(SteeringSettings, frozen=True):
         seeds: Simulation: campaigns of each design, each with its own noise.
     """
 
-    release: Annotated[str | None, tyro.conf.arg(metavar="X0,Y0,X1,Y1")] = None
+    release: Annotated[
+        str | None, Numbers((4,)), tyro.conf.arg(metavar="X0,Y0,X1,Y1")
+    ] = None
     duration: Annotated[float, Range(above=0)] = 5.0
     position_noise: Annotated[float, Range(above=0)] = 0.02
     accuracy: Annotated[float, Range(above=0, below=1)] = 0.1
     most: Annotated[int, Range(1)] = 24
-    designs: tuple[DesignName, ...] = ("informed", "random", "grid")
+    designs: Annotated[tuple[DesignName, ...], Several()] = (
+        "informed",
+        "random",
+        "grid",
+    )
     seeds: Annotated[int, Range(1)] = 4
-
-    def check_together(self) -> None:
-        SteeringSettings.check_together(self)
-        self.places()
-        self.release_box()
-        if not self.designs:
-            raise InputError("--designs: expected at least one, such as informed")
-        if self.duration < 2 * self.step:
-            raise InputError(
-                f"--duration: expected two steps or more, got {self.duration:g} with "
-                f"--step {self.step:g}"
-            )
 
     def release_box(self) -> tuple[float, ...] | None:
         """Corners of the rectangle in which swimmers can be released.

@@ -27,8 +27,8 @@ def run(options: EvaluateOptions) -> CommandResult:
     further = options.calibrate
     evaluation = evaluate(
         fit,
-        read_data(options.data, options.recording),
-        calibration=further and read_data(further, options.recording),
+        read_data(options.data, options.reading),
+        calibration=further and read_data(further, options.reading),
         regions=None if options.regions is None else Regions(*options.regions),
         names=(options.data.name, further.name if further else ""),
     )

@@ -5,11 +5,12 @@ from typing import Annotated
 
 import tyro
 
-from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.settings import (
     AsJson,
+    ReadingWords,
     Settings,
 )
+from pinav.reading import PLAIN
 
 
 class EvaluateOptions(Settings, frozen=True):
@@ -38,5 +39,5 @@ class EvaluateOptions(Settings, frozen=True):
     regions: Annotated[
         tuple[float, float] | None, tyro.conf.arg(metavar="FLOAT FLOAT")
     ] = None
-    recording: RecordingSettings = RecordingSettings()
+    reading: ReadingWords = PLAIN
     json: AsJson = False

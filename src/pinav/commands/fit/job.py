@@ -8,9 +8,7 @@ from pinav.commands.fit import FIT
 from pinav.commands.fit.settings import FitOptions
 from pinav.commands.many_files import run_files
 from pinav.commands.progress import Reporter
-from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.results import fingerprint, keep, start_run
-from pinav.commands.settings import Settings
 from pinav.learning.account import account
 from pinav.learning.learn import infer
 from pinav.learning.learned import Learned, is_written
@@ -20,11 +18,11 @@ from pinav.runs import RunFolder
 
 def run(options: FitOptions) -> CommandResult:
     """Fit as the command line does."""
-    file, *others = options.data
-    if others:
+    file = options.file
+    if file is None:
         return run_files(FIT, options)
     settings = options.settings
-    data = read_data(file, options.recording)
+    data = read_data(file, options.reading)
     plan = plan_fit(
         choose_system(settings.system, data),
         data,
@@ -36,10 +34,8 @@ def run(options: FitOptions) -> CommandResult:
         depth=settings.depth,
     )
     identity = {"data": fingerprint(plan.data), "system": plan.system.name}
-    groups: list[Settings] = [settings, options.recipe]
-    if options.recording != RecordingSettings():
-        groups.append(options.recording)
-    folder = start_run(FIT, options, *groups, **identity)
+    settings_of_run = (settings, options.recipe, options.reading)
+    folder = start_run(FIT, options, *settings_of_run, **identity)
     return keep(FIT, folder, fit(plan, folder).findings)
 
 

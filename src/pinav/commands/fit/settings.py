@@ -2,11 +2,17 @@
 
 from typing import Annotated, Literal
 
-from pinav.commands.recording_settings import RecordingSettings
-from pinav.commands.settings import ModelName, Range, Settings, SystemName
+from pinav.commands.settings import (
+    ModelName,
+    Range,
+    ReadingWords,
+    Settings,
+    SystemName,
+)
 from pinav.commands.worker_settings import FilesOptions
 from pinav.errors import InputError
 from pinav.learning.recipes import Recipe, Suited
+from pinav.reading import PLAIN
 
 
 class FitSettings(Settings, frozen=True):
@@ -53,8 +59,8 @@ class FitOptions(FilesOptions, frozen=True, kw_only=True):
     vy and, for several trajectories, trajectory; an empty cell is a missing
     observation. The recipe bayes needs positions alone: vx, vy may be missing.
 
-    A recording: the file of a tracker (pinav inspect says what it holds); the options
-    of pinav inspect say how it is read. First pinav identify finds how the swimmer
+    A recording: the file of a tracker (pinav inspect says what it holds); --reading
+    says how it is read. First pinav identify finds how the swimmer
     responds to its commands.
 
     The recipe (--recipe default, bayes, langevin, curriculum, paper) has options of its
@@ -63,4 +69,4 @@ class FitOptions(FilesOptions, frozen=True, kw_only=True):
 
     settings: FitSettings = FitSettings()
     recipe: Recipe = Suited()
-    recording: RecordingSettings = RecordingSettings()
+    reading: ReadingWords = PLAIN

@@ -28,15 +28,15 @@ from pinav.trajectories import Trajectories
 
 def run(options: IdentifyOptions) -> CommandResult:
     """Identify as the command line does; tracks that are done stay done."""
-    file, *others = options.data
-    if others:
+    file = options.file
+    if file is None:
         return run_files(IDENTIFY, options)
-    recording = read_data(file, options.recording)
+    recording = read_data(file, options.reading)
     if recording.channels == ("x", "y", "z"):
         recording = recording.only(("x", "y"))  # the commands are headings in the plane
     settings = options.settings
     folder = start_run(
-        IDENTIFY, options, settings, options.recording, data=fingerprint(recording)
+        IDENTIFY, options, settings, options.reading, data=fingerprint(recording)
     )
     fits: dict[str, EvidenceFit] = {}
 

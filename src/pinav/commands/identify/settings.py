@@ -2,9 +2,9 @@
 
 from typing import Annotated, Literal
 
-from pinav.commands.recording_settings import RecordingSettings
-from pinav.commands.settings import Range, Settings
+from pinav.commands.settings import Range, ReadingWords, Settings
 from pinav.commands.worker_settings import FilesOptions
+from pinav.reading import PLAIN
 
 
 class IdentifySettings(Settings, frozen=True):
@@ -35,4 +35,4 @@ class IdentifyOptions(FilesOptions, frozen=True, kw_only=True):
     """
 
     settings: IdentifySettings = IdentifySettings()
-    recording: RecordingSettings = RecordingSettings()
+    reading: ReadingWords = PLAIN

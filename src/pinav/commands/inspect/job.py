@@ -5,18 +5,21 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
+import tomli_w
 
 from pinav import __version__
 from pinav.codec import encode
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.inspect.settings import InspectOptions, RecordingSettings
+from pinav.commands.inspect.settings import InspectOptions
 from pinav.errors import InputError
 from pinav.figures import overlay_figure, recording_figure
 from pinav.figures.images import Figures
 from pinav.files import write_text
 from pinav.fitting import judge_increments
+from pinav.reading import Reading
 from pinav.recordings.conventions import in_words
 from pinav.recordings.quality.commands import Drive
 from pinav.recordings.quality.report import Quality, Run, Track, quality
@@ -25,10 +28,12 @@ from pinav.report.text import sections_text
 from pinav.trajectories import Trajectories
 
 JSON_FILE, PAGE_FILE = "inspection.json", "inspection.html"
+READING_FILE = "reading.toml"
+"""How the file was read, for `--reading` of other commands."""
 
 
 def inspect(
-    settings: RecordingSettings,
+    settings: Reading,
     path: Path,
     out: Path | None = None,
     *,
@@ -40,7 +45,8 @@ def inspect(
     Args:
         settings: how to read the file.
         path: the file.
-        out: folder of `inspection.json`, `inspection.html` and `figures/`.
+        out: folder of `inspection.json`, `inspection.html`, `figures/` and
+            `reading.toml`.
         image: a still of the film, over which the paths are drawn.
         overwrite: replace a report that is there.
 
@@ -55,10 +61,18 @@ def inspect(
     report = _with_verdict(quality(recording), recording)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
+        content = tomli_w.dumps(_elsewhere(settings).content())
+        write_text(out / READING_FILE, content, overwrite=True)
         text = json.dumps(encode(report).document, indent=2, allow_nan=False)
         write_text(out / JSON_FILE, text, overwrite=True)
         write_text(out / PAGE_FILE, page(recording, report, out, image), overwrite=True)
     return report
+
+
+def _elsewhere(settings: Reading) -> Reading:
+    """The settings as they hold in every folder."""
+    log = settings.commands
+    return msgspec.structs.replace(settings, commands=log and log.absolute())
 
 
 def _with_verdict(report: Quality, recording: Trajectories) -> Quality:

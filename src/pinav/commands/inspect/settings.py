@@ -4,8 +4,8 @@ from pathlib import Path
 
 import tyro
 
-from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.settings import Settings
+from pinav.reading import PLAIN, Reading
 
 
 class InspectOptions(Settings, frozen=True):
@@ -18,7 +18,8 @@ class InspectOptions(Settings, frozen=True):
 
     Attributes:
         file: File of the tracker.
-        out: Folder for inspection.json, inspection.html and a figure.
+        out: Folder for inspection.json, inspection.html, a figure, and reading.toml,
+            which other commands take as --reading.
         image: A still of the film (PNG, JPEG), to draw the paths over it.
         overwrite: Replace the report that --out already holds.
         json: Print the report as JSON, for scripts.
@@ -26,7 +27,7 @@ class InspectOptions(Settings, frozen=True):
 
     file: tyro.conf.Positional[Path]
     out: Path | None = None
-    settings: RecordingSettings = RecordingSettings()
+    settings: Reading = PLAIN
     image: Path | None = None
     overwrite: bool = False
     json: bool = False

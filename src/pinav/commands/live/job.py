@@ -192,7 +192,7 @@ def _lines_of_tracks(path: Path, options: LiveOptions) -> Iterator[Iterator[byte
     if path.suffix in (".jsonl", ".ndjson"):
         yield lines_in(path)
         return
-    recording = read_data(path, options.recording)
+    recording = read_data(path, options.reading)
     units = recording.units.get("x", "")
     for track in sorted(tracks(recording), key=lambda track: track.name):
         yield lines_of(track, units)

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import tyro
 
-from pinav.commands.recording_settings import RecordingSettings
-from pinav.commands.settings import Range, Settings, numbers
+from pinav.commands.settings import Numbers, Range, ReadingWords, Settings, numbers
 from pinav.errors import InputError
+from pinav.reading import PLAIN
 
 
 class LiveSettings(Settings, frozen=True):
@@ -21,9 +21,11 @@ class LiveSettings(Settings, frozen=True):
         frequency: Greatest frequency of a robot whose table does not say it [Hz].
     """
 
-    to: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None
+    to: Annotated[str | None, Numbers((2,)), tyro.conf.arg(metavar="X,Y")] = None
     tolerance: Annotated[float, Range(above=0)] = 5.0
-    keep_out: Annotated[tuple[str, ...], tyro.conf.arg(metavar="X,Y,R")] = ()
+    keep_out: Annotated[
+        tuple[str, ...], Numbers((3,)), tyro.conf.arg(metavar="X,Y,R")
+    ] = ()
     watch: bool = False
     frequency: Annotated[float, Range(above=0)] = 10.0
 
@@ -62,7 +64,6 @@ class LiveOptions(Settings, frozen=True, kw_only=True):
             connection unless given.
         replay: Take a finished recording on its own clock; the same lines each time.
         speed: Replay so many times as fast as it was recorded; max by default.
-        recording: How a recording that is replayed is read.
         out: Folder for the checkpoint of each second.
         resume: Go on from the checkpoint in --out.
         prior: Folder (--out) of an earlier session with the same robot, whose drive is
@@ -78,7 +79,7 @@ class LiveOptions(Settings, frozen=True, kw_only=True):
     commands_to: str | None = None
     replay: bool = False
     speed: str = "max"
-    recording: RecordingSettings = RecordingSettings()
+    reading: ReadingWords = PLAIN
     out: Path | None = None
     resume: bool = False
     prior: Path | None = None

@@ -98,7 +98,8 @@ def navigation_problem(settings: NavigateSettings, run: Learned) -> NavigationPr
     if run.data.dim > 1:
         settings.check_dimension(run.data.dim)
     way = dataclasses.replace(way_of(settings), sensor_noise=settings.sensor_noise)
-    return NavigationProblem.of(run, way, samples=settings.samples, seed=settings.seed)
+    drawn = settings.samples if settings.samples > 1 else 0
+    return NavigationProblem.of(run, way, samples=drawn, seed=settings.seed)
 
 
 def sweep_loops(

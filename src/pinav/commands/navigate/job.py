@@ -13,7 +13,7 @@ from pinav.commands.navigate.online import online_problem
 from pinav.commands.navigate.settings import NavigateOptions
 from pinav.commands.results import keep, start_run
 from pinav.commands.sweep import start_sweep
-from pinav.commands.worker_settings import WorkerSettings
+from pinav.commands.worker_settings import ALONE
 from pinav.learning.learned import Learned
 from pinav.navigation import OnlineNavigation, compare_models
 
@@ -25,7 +25,7 @@ def run(options: NavigateOptions) -> CommandResult:
         return _learn_online(options)
     problem = navigation_problem(settings, Learned.open(run))
     compare = partial(compare_models, problem, seeds=settings.seeds, seed=settings.seed)
-    if options.workers == WorkerSettings():
+    if options.workers == ALONE:
         folder = start_run(NAVIGATE, options, settings, fitted=run.name)
         return keep(NAVIGATE, folder, compare())
     with start_sweep(

@@ -7,7 +7,7 @@ import tyro
 
 from pinav.commands.settings import Range, ResumableOptions, Settings
 from pinav.commands.steering_settings import SteeringSettings
-from pinav.commands.worker_settings import WorkerSettings
+from pinav.commands.worker_settings import ALONE, WorkerSettings
 from pinav.errors import InputError
 
 
@@ -17,20 +17,13 @@ class NavigateSettings(SteeringSettings, frozen=True):
     Attributes:
         sensor_noise: Error of what the controller is told of the state.
         samples: Models drawn from the posterior, whose spread makes uncertain regions
-            cost more; 0 takes the model for true.
+            cost more; 0 or 1, which has none, takes the model for true.
         seeds: Runs of each controller, each with its own noise.
     """
 
     sensor_noise: Annotated[float, Range(0)] = 0.0
-    samples: int = 8
+    samples: Annotated[int, Range(0)] = 8
     seeds: Annotated[int, Range(1)] = 20
-
-    def check_together(self) -> None:
-        if self.samples < 0 or self.samples == 1:
-            raise InputError(
-                f"--samples: expected 0, or 2 and more, got {self.samples}"
-            )
-        SteeringSettings.check_together(self)
 
 
 class OnlineSettings(Settings, frozen=True):
@@ -73,14 +66,11 @@ class NavigateOptions(ResumableOptions, frozen=True, kw_only=True):
     run: tyro.conf.Positional[Path | None] = None
     settings: NavigateSettings = NavigateSettings()
     online: OnlineSettings = OnlineSettings()
-    workers: WorkerSettings = WorkerSettings()
+    workers: WorkerSettings = ALONE
 
     def check_together(self) -> None:
-        if self.online.learn_online is not None:
-            return
-        if self.run is None:
+        if self.run is None and self.online.learn_online is None:
             raise InputError(
                 "RUN: expected the folder of a fit, or --learn-online with the name of "
                 "a task or a system, such as --learn-online barrier-weak"
             )
-        self.settings.places()

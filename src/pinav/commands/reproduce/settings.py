@@ -8,8 +8,8 @@ from pinav.commands.settings import (
     RecipeName,
     ResumableOptions,
     Settings,
+    Several,
 )
-from pinav.errors import InputError
 
 
 class ReproduceSettings(Settings, frozen=True):
@@ -25,17 +25,10 @@ class ReproduceSettings(Settings, frozen=True):
     """
 
     recipe: RecipeName = "default"
-    seeds: tuple[int, ...] = (42,)
+    seeds: Annotated[tuple[int, ...], Several()] = (42,)
     max_steps: Annotated[int, Range(1)] = 20
     adam_steps: Annotated[int, Range(1)] = 7500
     lbfgs_steps: Annotated[int, Range(1)] = 500
-
-    def check_together(self) -> None:
-        if not self.seeds:
-            raise InputError("--seeds: expected at least one seed, such as --seeds 42")
-        repeated = [seed for seed in self.seeds if self.seeds.count(seed) > 1]
-        if repeated:
-            raise InputError(f"--seeds: {repeated[0]} is given twice; drop one")
 
 
 class ReproduceOptions(ResumableOptions, frozen=True, kw_only=True):

@@ -10,9 +10,9 @@ from pinav.commands.settings import (
     Range,
     ResumableOptions,
     Settings,
+    Several,
 )
-from pinav.commands.worker_settings import WorkerSettings
-from pinav.errors import InputError
+from pinav.commands.worker_settings import ALONE, WorkerSettings
 
 StudyName = Literal["data-efficiency", "noise"]
 
@@ -43,23 +43,14 @@ class StudySettings(Settings, frozen=True):
         max_steps: Steps of each fit, or of each of its windows, at most.
     """
 
-    models: tuple[ModelName, ...] = MODELS
-    seeds: tuple[int, ...] = (0,)
-    counts: Annotated[tuple[int, ...], Range(1)] = (1, 2, 4, 8, 16, 32)
-    sigmas: Annotated[tuple[float, ...], Range(0)] = SIGMAS
+    models: Annotated[tuple[ModelName, ...], Several()] = MODELS
+    seeds: Annotated[tuple[int, ...], Several()] = (0,)
+    counts: Annotated[tuple[int, ...], Several(), Range(1)] = (1, 2, 4, 8, 16, 32)
+    sigmas: Annotated[tuple[float, ...], Several(), Range(0)] = SIGMAS
     count: Annotated[int, Range(1)] = 8
     sigma: Annotated[float, Range(0)] = 0.02
     held_out: Annotated[int, Range(1)] = 64
     max_steps: Annotated[int, Range(1)] = 20
-
-    def check_together(self) -> None:
-        for name in ("models", "seeds", "counts", "sigmas"):
-            values = getattr(self, name)
-            if not values:
-                raise InputError(f"--{name}: expected at least one")
-            for value in values:
-                if values.count(value) > 1:
-                    raise InputError(f"--{name}: {value} is given twice; drop one")
 
 
 class StudyOptions(ResumableOptions, frozen=True, kw_only=True):
@@ -78,5 +69,5 @@ class StudyOptions(ResumableOptions, frozen=True, kw_only=True):
     name: tyro.conf.Positional[StudyName | Literal["status"]]
     scenario: tyro.conf.Positional[str] = "barrier-crossings"
     settings: StudySettings = StudySettings()
-    workers: WorkerSettings = WorkerSettings()
+    workers: WorkerSettings = ALONE
     out: Path = Path("runs/study")
