@@ -13,10 +13,10 @@ import pytest
 from pinav import __version__, cli, numerics
 from pinav.commands import COMMANDS, dispatch
 from pinav.commands.command import resolve
-from pinav.commands.fit.settings import FitOptions
-from pinav.commands.identify.settings import IdentifyOptions
+from pinav.commands.fit import FitOptions
+from pinav.commands.identify import IdentifyOptions
 from pinav.commands.parsing import parse
-from pinav.commands.reproduce.settings import ReproduceOptions
+from pinav.commands.reproduce import ReproduceOptions
 from pinav.commands.settings import Settings
 from pinav.errors import InputError
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.evaluate import EVALUATE
+from pinav.commands import EVALUATE
 from pinav.commands.evaluate.sections import error_name, purpose, sections
 from pinav.commands.results import sections_of
 from pinav.errors import InputError

@@ -7,8 +7,8 @@ import shutil
 import pytest
 
 from pinav import cli
-from pinav.commands.fit import FIT
-from pinav.commands.fit.settings import FitOptions
+from pinav.commands import FIT
+from pinav.commands.fit import FitOptions
 from pinav.commands.many_files import _cell, _numbers
 
 

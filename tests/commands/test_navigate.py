@@ -16,10 +16,10 @@ from pinav.actuation import (
     SaturatingResponse,
 )
 from pinav.codec import encode
-from pinav.commands.navigate import NAVIGATE
+from pinav.commands import NAVIGATE
+from pinav.commands.navigate import NavigateSettings
 from pinav.commands.navigate.cells import navigation_problem
 from pinav.commands.navigate.sections import controller_table, sentences
-from pinav.commands.navigate.settings import NavigateSettings
 from pinav.commands.results import keep, sections_of
 from pinav.commands.settings import numbers
 from pinav.commands.steering import system_task

@@ -12,9 +12,8 @@ from tests.sweeps.here import here
 
 from pinav import cli
 from pinav.commands import sweep
-from pinav.commands.navigate import NAVIGATE, cells
+from pinav.commands.navigate import NAVIGATE, NavigateOptions, NavigateSettings, cells
 from pinav.commands.navigate.cells import navigation_problem, sweep_loops
-from pinav.commands.navigate.settings import NavigateOptions, NavigateSettings
 from pinav.commands.sweep import start_sweep
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.learning.learned import Learned

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from pinav.commands.identify import IDENTIFY
-from pinav.commands.identify.settings import IdentifyOptions
+from pinav.commands import IDENTIFY
+from pinav.commands.identify import IdentifyOptions
 from pinav.commands.results import start_run
 from pinav.recordings import Reading
 

@@ -5,7 +5,7 @@ import pytest
 from tests.sweeps.here import here
 
 from pinav import cli
-from pinav.commands.study import job
+from pinav.commands.study import StudySettings, job
 from pinav.commands.study.job import (
     StudyCell,
     cells,
@@ -14,7 +14,6 @@ from pinav.commands.study.job import (
     with_noise,
 )
 from pinav.commands.study.result import Study
-from pinav.commands.study.settings import StudySettings
 from pinav.commands.sweep import Sweep
 from pinav.errors import FitError
 from pinav.figures.errors import scaling_figure

@@ -3,8 +3,8 @@
 import msgspec
 
 from pinav.analysis import analyse
-from pinav.commands.analyse import ANALYSE
-from pinav.commands.analyse.settings import AnalyseOptions
+from pinav.commands import ANALYSE
+from pinav.commands.analyse import AnalyseOptions
 from pinav.commands.command import CommandResult
 from pinav.commands.results import keep
 from pinav.learning.learned import Learned

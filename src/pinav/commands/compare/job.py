@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from typing import Any
 
+from pinav.commands import COMPARE
 from pinav.commands.command import CommandResult
-from pinav.commands.compare import COMPARE
+from pinav.commands.compare import CompareOptions, CompareSettings
 from pinav.commands.compare.result import ComparedModel, Comparison, ComparisonVerdict
-from pinav.commands.compare.settings import CompareOptions, CompareSettings
 from pinav.commands.progress import Reporter
 from pinav.commands.results import fingerprint, keep, start_run
 from pinav.dynamics import OverdampedSwimmer, Swimmer

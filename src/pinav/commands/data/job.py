@@ -1,7 +1,7 @@
 """`pinav data`: public recordings, whence they come, and one of them."""
 
 from pinav.commands.command import CommandResult
-from pinav.commands.data.settings import DataOptions
+from pinav.commands.data import DataOptions
 from pinav.recordings.public import PUBLIC, fetch_recording, public_recording
 
 TOLD = ("name", "summary", "address", "licence", "sha256", "reference")

@@ -7,10 +7,10 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
+from pinav.commands import DESIGN
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.design import DESIGN
-from pinav.commands.design.settings import DesignOptions, DesignSettings
+from pinav.commands.design import DesignOptions, DesignSettings
 from pinav.commands.results import fingerprint, keep, start_run
 from pinav.commands.steering import known_task, observe_positions, system_task
 from pinav.errors import InputError

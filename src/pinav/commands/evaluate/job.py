@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 
 from pinav.codec import Json, encode
+from pinav.commands import EVALUATE
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.evaluate import EVALUATE
-from pinav.commands.evaluate.settings import EvaluateOptions
+from pinav.commands.evaluate import EvaluateOptions
 from pinav.commands.results import keep
 from pinav.evaluation import Evaluation, Regions, evaluate
 from pinav.learning.learned import Learned

@@ -4,8 +4,8 @@ import importlib.util
 from typing import BinaryIO
 
 from pinav.commands.command import CommandResult
+from pinav.commands.export import ExportOptions
 from pinav.commands.export.datatree import MISSING, datatree_of
-from pinav.commands.export.settings import ExportOptions
 from pinav.commands.export.spots import SpotTable, napari_csv, spot_table, trackmate_csv
 from pinav.errors import InputError
 from pinav.files import atomic_write, check_destination

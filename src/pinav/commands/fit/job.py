@@ -2,10 +2,10 @@
 
 import dataclasses
 
+from pinav.commands import FIT
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.fit import FIT
-from pinav.commands.fit.settings import FitOptions
+from pinav.commands.fit import FitOptions
 from pinav.commands.many_files import run_files
 from pinav.commands.progress import Reporter
 from pinav.commands.results import fingerprint, keep, start_run

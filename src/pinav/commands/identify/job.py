@@ -2,10 +2,10 @@
 
 import dataclasses
 
+from pinav.commands import IDENTIFY
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.identify import IDENTIFY
-from pinav.commands.identify.settings import IdentifyOptions
+from pinav.commands.identify import IdentifyOptions
 from pinav.commands.many_files import run_files
 from pinav.commands.results import fingerprint, keep, start_run
 from pinav.fitting import EvidenceFit

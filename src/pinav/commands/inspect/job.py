@@ -13,7 +13,7 @@ from pinav import __version__
 from pinav.codec import encode
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.inspect.settings import InspectOptions
+from pinav.commands.inspect import InspectOptions
 from pinav.errors import InputError
 from pinav.figures import overlay_figure, recording_figure
 from pinav.figures.images import Figures

@@ -11,7 +11,7 @@ import numpy as np
 
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.live.settings import LiveOptions, LiveSettings
+from pinav.commands.live import LiveOptions, LiveSettings
 from pinav.errors import InputError
 from pinav.identification.tracks import tracks
 from pinav.live.checkpoint import read_session, with_drive_of

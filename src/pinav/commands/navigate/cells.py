@@ -13,8 +13,8 @@ from typing import TypeVar
 
 import msgspec
 
+from pinav.commands.navigate import NavigateSettings, OnlineSettings
 from pinav.commands.navigate.online import OnlineProblem, online_problem
-from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.steering import way_of
 from pinav.commands.sweep import Sweep
 from pinav.errors import InputError

@@ -2,15 +2,15 @@
 
 from functools import partial
 
+from pinav.commands import NAVIGATE
 from pinav.commands.command import CommandResult
-from pinav.commands.navigate import NAVIGATE
+from pinav.commands.navigate import NavigateOptions
 from pinav.commands.navigate.cells import (
     navigation_problem,
     sweep_flights,
     sweep_loops,
 )
 from pinav.commands.navigate.online import online_problem
-from pinav.commands.navigate.settings import NavigateOptions
 from pinav.commands.results import keep, start_run
 from pinav.commands.sweep import start_sweep
 from pinav.commands.worker_settings import ALONE

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
+from pinav.commands.navigate import NavigateSettings, OnlineSettings
 from pinav.commands.steering import observe_positions, system_task
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError

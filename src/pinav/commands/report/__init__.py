@@ -1,10 +1,19 @@
-"""The command `pinav report`."""
+"""Options of `pinav report`."""
 
-from pinav.commands.command import Command
+from pathlib import Path
 
-REPORT = Command(
-    name="report",
-    summary="draw the figures and the HTML page of a run again",
-    options="pinav.commands.report.settings:ReportOptions",
-    run="pinav.commands.report.job:run",
+import tyro
+
+from pinav.commands.settings import (
+    Settings,
 )
+
+
+class ReportOptions(Settings, frozen=True):
+    """Draw the figures and the HTML page of a finished run again.
+
+    Attributes:
+        run: Folder of a finished run.
+    """
+
+    run: tyro.conf.Positional[Path]

@@ -1,7 +1,7 @@
 """`pinav report`: draw the figures and the page of a run again."""
 
 from pinav.commands.command import CommandResult
-from pinav.commands.report.settings import ReportOptions
+from pinav.commands.report import ReportOptions
 from pinav.runs import RunFolder
 
 

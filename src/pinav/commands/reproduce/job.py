@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 
+from pinav.commands import REPRODUCE
 from pinav.commands.command import CommandResult
 from pinav.commands.progress import Reporter
-from pinav.commands.reproduce import REPRODUCE
+from pinav.commands.reproduce import ReproduceOptions, ReproduceSettings
 from pinav.commands.reproduce.result import ModelRollout, Reproduction, label_of
-from pinav.commands.reproduce.settings import ReproduceOptions, ReproduceSettings
 from pinav.commands.reproduce.table2 import HEADER, csv_row
 from pinav.commands.results import keep, start_run
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer

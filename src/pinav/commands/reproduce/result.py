@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from pinav.commands.reproduce.settings import ReproduceSettings
+from pinav.commands.reproduce import ReproduceSettings
 from pinav.evaluation import Decomposition, FieldMap, force_errors
 from pinav.fitting import Outcome
 from pinav.learning.matching import Losses

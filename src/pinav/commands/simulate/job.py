@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 
 from pinav.commands.command import CommandResult
-from pinav.commands.simulate.settings import SimulateOptions, SimulateSettings
+from pinav.commands.simulate import SimulateOptions, SimulateSettings
 from pinav.scenarios import find_system
 from pinav.trajectories import (
     AbstractDegradation,

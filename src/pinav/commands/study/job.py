@@ -13,13 +13,13 @@ import jax
 import msgspec
 
 from pinav.codec import decode, encode
+from pinav.commands import STUDY
 from pinav.commands.command import CommandResult
 from pinav.commands.results import keep
 from pinav.commands.settings import ModelName
-from pinav.commands.study import STUDY
+from pinav.commands.study import StudyOptions, StudySettings
 from pinav.commands.study.result import Study, StudyFit
 from pinav.commands.study.sections import COLUMNS, csv_rows
-from pinav.commands.study.settings import StudyOptions, StudySettings
 from pinav.commands.sweep import Sweep, start_sweep, status_text
 from pinav.dynamics import AbstractDynamics
 from pinav.errors import FitError, InputError
