@@ -10,9 +10,15 @@ import pytest
 
 from pinav import cli
 from pinav.commands.compare import CompareSettings
-from pinav.commands.compare.job import check_settings, positions_alone, verdicts
-from pinav.commands.compare.result import ComparedModel, Comparison
-from pinav.commands.compare.sections import sections, table
+from pinav.commands.compare.job import (
+    ComparedModel,
+    Comparison,
+    check_settings,
+    positions_alone,
+    sections,
+    table,
+    verdicts,
+)
 from pinav.errors import InputError
 from pinav.fitting import ModelEvidence
 from pinav.fitting.environments.catalogue import build, mean_drag, with_tensor_drag

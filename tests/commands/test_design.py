@@ -10,7 +10,7 @@ import pytest
 
 from pinav import cli
 from pinav.codec import decode, encode
-from pinav.commands.design.sections import sections
+from pinav.commands.design.job import sections
 from pinav.evaluation import FieldMap
 from pinav.navigation import Course, ForceMaps
 from pinav.navigation.belief.belief import Belief, Frame

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pinav.commands.fit.sections import sections
+from pinav.commands.fit.job import sections
 from pinav.evaluation import RestartErrors
 from pinav.fitting import Estimate
 from pinav.learning.findings import FoundStructure

@@ -10,7 +10,7 @@ import pytest
 
 from pinav import cli
 from pinav.codec import encode
-from pinav.commands.navigate.online import online_task, with_prior
+from pinav.commands.navigate.cells import online_task, with_prior
 from pinav.commands.navigate.online_sections import online_sections
 from pinav.dynamics import paper_black_box
 from pinav.errors import InputError

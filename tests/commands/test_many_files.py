@@ -9,7 +9,7 @@ import pytest
 from pinav import cli
 from pinav.commands import FIT
 from pinav.commands.fit import FitOptions
-from pinav.commands.many_files import _cell, _numbers
+from pinav.commands.sweep import _cell, _numbers
 
 
 def test_a_cell_of_a_file_is_its_content_and_the_options(tmp_path):

@@ -7,13 +7,13 @@ from tests.sweeps.here import here
 from pinav import cli
 from pinav.commands.study import StudySettings, job
 from pinav.commands.study.job import (
+    Study,
     StudyCell,
     cells,
     clean_data,
     fit_choice,
     with_noise,
 )
-from pinav.commands.study.result import Study
 from pinav.commands.sweep import Sweep
 from pinav.errors import FitError
 from pinav.figures.errors import scaling_figure

@@ -12,7 +12,7 @@ REPRODUCE = Command(
     options="pinav.commands.reproduce:ReproduceOptions",
     run="pinav.commands.reproduce.job:run",
     title="The paper's benchmark",
-    result="pinav.commands.reproduce.result:Reproduction",
+    result="pinav.commands.reproduce.sections:Reproduction",
     file="metrics",
     sections="pinav.commands.reproduce.sections:sections",
     resumable=True,
@@ -52,7 +52,7 @@ FIT = Command(
     title="A fitted model",
     result="pinav.learning.findings:Findings",
     file="metrics",
-    sections="pinav.commands.fit.sections:sections",
+    sections="pinav.commands.fit.job:sections",
     resumable=True,
 )
 
@@ -63,7 +63,7 @@ EVALUATE = Command(
     run="pinav.commands.evaluate.job:run",
     result="pinav.evaluation:Evaluation",
     file="evaluation",
-    sections="pinav.commands.evaluate.sections:sections",
+    sections="pinav.commands.evaluate.job:sections",
 )
 
 ANALYSE = Command(
@@ -73,7 +73,7 @@ ANALYSE = Command(
     run="pinav.commands.analyse.job:run",
     result="pinav.analysis:Analysis",
     file="analysis",
-    sections="pinav.commands.analyse.sections:sections",
+    sections="pinav.commands.analyse.job:sections",
 )
 
 COMPARE = Command(
@@ -82,9 +82,9 @@ COMPARE = Command(
     options="pinav.commands.compare:CompareOptions",
     run="pinav.commands.compare.job:run",
     title="A comparison of models",
-    result="pinav.commands.compare.result:Comparison",
+    result="pinav.commands.compare.job:Comparison",
     file="metrics",
-    sections="pinav.commands.compare.sections:sections",
+    sections="pinav.commands.compare.job:sections",
     resumable=True,
 )
 
@@ -104,9 +104,9 @@ STUDY = Command(
     options="pinav.commands.study:StudyOptions",
     run="pinav.commands.study.job:run",
     title="A study of models",
-    result="pinav.commands.study.result:Study",
+    result="pinav.commands.study.job:Study",
     file="metrics",
-    sections="pinav.commands.study.sections:sections",
+    sections="pinav.commands.study.job:sections",
     resumable=True,
 )
 
@@ -114,7 +114,7 @@ DATA = Command(
     name="data",
     summary="tell where public recordings come from, and fetch them",
     options="pinav.commands.data:DataOptions",
-    run="pinav.commands.data.job:run",
+    run="pinav.commands.data:run",
 )
 
 HEAT = Command(
@@ -149,7 +149,7 @@ DESIGN = Command(
     title="Design of experiments",
     result="pinav.navigation.design.result:DesignResult",
     file="metrics",
-    sections="pinav.commands.design.sections:sections",
+    sections="pinav.commands.design.job:sections",
 )
 
 LIVE = Command(
@@ -179,7 +179,7 @@ REPORT = Command(
     name="report",
     summary="draw the figures and the HTML page of a run again",
     options="pinav.commands.report:ReportOptions",
-    run="pinav.commands.report.job:run",
+    run="pinav.commands.report:run",
 )
 
 COMMANDS = (

@@ -69,7 +69,7 @@ def _show(command: Command, result: CommandResult, *, as_json: bool) -> None:
     """Write the run's report; print its metrics, as JSON alone or for people."""
     page = result.page
     if result.folder is not None:
-        from pinav.commands.report_page import write_report
+        from pinav.commands.results import write_report
 
         page = write_report(result.folder, command)
     if as_json:

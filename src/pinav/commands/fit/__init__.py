@@ -3,13 +3,13 @@
 from typing import Annotated, Literal
 
 from pinav.commands.settings import (
+    FilesOptions,
     ModelName,
     Range,
     ReadingWords,
     Settings,
     SystemName,
 )
-from pinav.commands.worker_settings import FilesOptions
 from pinav.errors import InputError
 from pinav.learning.recipes import Recipe, Suited
 from pinav.reading import PLAIN

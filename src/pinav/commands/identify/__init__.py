@@ -2,8 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pinav.commands.settings import Range, ReadingWords, Settings
-from pinav.commands.worker_settings import FilesOptions
+from pinav.commands.settings import FilesOptions, Range, ReadingWords, Settings
 from pinav.reading import PLAIN
 
 

@@ -6,8 +6,8 @@ from pinav.commands import IDENTIFY
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.identify import IdentifyOptions
-from pinav.commands.many_files import run_files
 from pinav.commands.results import fingerprint, keep, start_run
+from pinav.commands.sweep import run_files
 from pinav.fitting import EvidenceFit
 from pinav.fitting.environments.summary import ModelChoice, summarise_data
 from pinav.identification import (

@@ -5,9 +5,14 @@ from typing import Annotated
 
 import tyro
 
-from pinav.commands.settings import Range, ResumableOptions, Settings
+from pinav.commands.settings import (
+    ALONE,
+    Range,
+    ResumableOptions,
+    Settings,
+    WorkerSettings,
+)
 from pinav.commands.steering_settings import SteeringSettings
-from pinav.commands.worker_settings import ALONE, WorkerSettings
 from pinav.errors import InputError
 
 

@@ -7,13 +7,13 @@ from pinav.commands.command import CommandResult
 from pinav.commands.navigate import NavigateOptions
 from pinav.commands.navigate.cells import (
     navigation_problem,
+    online_problem,
     sweep_flights,
     sweep_loops,
 )
-from pinav.commands.navigate.online import online_problem
 from pinav.commands.results import keep, start_run
+from pinav.commands.settings import ALONE
 from pinav.commands.sweep import start_sweep
-from pinav.commands.worker_settings import ALONE
 from pinav.learning.learned import Learned
 from pinav.navigation import OnlineNavigation, compare_models
 

@@ -1,12 +1,11 @@
-"""Options of `pinav report`."""
+"""`pinav report`: draw the figures and the page of a run again."""
 
 from pathlib import Path
 
 import tyro
 
-from pinav.commands.settings import (
-    Settings,
-)
+from pinav.commands.command import CommandResult
+from pinav.commands.settings import Settings
 
 
 class ReportOptions(Settings, frozen=True):
@@ -17,3 +16,10 @@ class ReportOptions(Settings, frozen=True):
     """
 
     run: tyro.conf.Positional[Path]
+
+
+def run(options: ReportOptions) -> CommandResult:
+    """Write the report of a finished run again."""
+    from pinav.runs import RunFolder
+
+    return CommandResult(None, "", RunFolder.open(options.run))

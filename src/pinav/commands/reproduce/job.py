@@ -8,8 +8,13 @@ from pinav.commands import REPRODUCE
 from pinav.commands.command import CommandResult
 from pinav.commands.progress import Reporter
 from pinav.commands.reproduce import ReproduceOptions, ReproduceSettings
-from pinav.commands.reproduce.result import ModelRollout, Reproduction, label_of
-from pinav.commands.reproduce.table2 import HEADER, csv_row
+from pinav.commands.reproduce.sections import (
+    HEADER,
+    ModelRollout,
+    Reproduction,
+    csv_row,
+    label_of,
+)
 from pinav.commands.results import keep, start_run
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.evaluation import (

@@ -6,13 +6,14 @@ from typing import Annotated, Literal
 import tyro
 
 from pinav.commands.settings import (
+    ALONE,
     ModelName,
     Range,
     ResumableOptions,
     Settings,
     Several,
+    WorkerSettings,
 )
-from pinav.commands.worker_settings import ALONE, WorkerSettings
 
 StudyName = Literal["data-efficiency", "noise"]
 

@@ -6,6 +6,9 @@ trajectories from starts that no fit has seen. A cell that is done is not done a
 
 import dataclasses
 import functools
+import math
+from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 
 import equinox as eqx
@@ -18,12 +21,12 @@ from pinav.commands.command import CommandResult
 from pinav.commands.results import keep
 from pinav.commands.settings import ModelName
 from pinav.commands.study import StudyOptions, StudySettings
-from pinav.commands.study.result import Study, StudyFit
-from pinav.commands.study.sections import COLUMNS, csv_rows
 from pinav.commands.sweep import Sweep, start_sweep, status_text
 from pinav.dynamics import AbstractDynamics
 from pinav.errors import FitError, InputError
 from pinav.evaluation import (
+    Agreement,
+    RolloutSummary,
     default_regions,
     extent,
     field_map,
@@ -34,6 +37,8 @@ from pinav.evaluation import (
     square,
     summarise,
 )
+from pinav.figures import Picture
+from pinav.figures.errors import scaling_figure
 from pinav.files import write_text
 from pinav.fitting import Outcome as FitOutcome
 from pinav.fitting import fit_bayes
@@ -46,10 +51,151 @@ from pinav.fitting.environments.summary import (
 )
 from pinav.learning.matching import matching
 from pinav.learning.recipes import Curriculum
+from pinav.report import Cell as Entry
+from pinav.report import Paragraph, Section, Table
 from pinav.scenarios import scenario
 from pinav.sweeps import Cell, CellOutcome, CellStore, sweep_status
 from pinav.systems import System
 from pinav.trajectories import GaussianNoise, Trajectories, degrade, simulate
+
+VISITED = "visited"
+"""The region whose force error the figure of a study shows."""
+
+
+@dataclasses.dataclass(frozen=True)
+class StudyFit:
+    """One fit of a study; one that failed has no scores.
+
+    Attributes:
+        model: name of the model.
+        seed: seed of starts, noise and network.
+        trajectories: number of trajectories that it was fitted to.
+        sigma: standard deviation of the observations.
+        outcome: word for how the fit ended, or why it failed.
+        force: agreement with the true force by the distance to the data; none where
+            the model has no force.
+        rollouts: position errors over held-out starts.
+    """
+
+    model: str
+    seed: int
+    trajectories: int
+    sigma: float
+    outcome: str
+    force: dict[str, Agreement] = dataclasses.field(default_factory=dict)
+    rollouts: RolloutSummary | None = None
+
+    def force_error(self, region: str) -> float:
+        """Relative L2 error of the force in a region; NaN without a force."""
+        return self.force[region].error if self.force else math.nan
+
+    def cosine(self, region: str) -> float:
+        """Cosine similarity of the force in a region; NaN without a force."""
+        return self.force[region].cosine if self.force else math.nan
+
+    def rollout(self, score: str) -> float:
+        """A score of the rollouts, by the name of its field; NaN without one."""
+        return math.nan if self.rollouts is None else getattr(self.rollouts, score)
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """All fits of a study.
+
+    Attributes:
+        name: `data-efficiency` or `noise`.
+        scenario: name of the scenario that the data are of.
+        fits: one for each model, seed and amount of data or noise.
+    """
+
+    name: str
+    scenario: str
+    fits: tuple[StudyFit, ...]
+
+
+COLUMNS: dict[str, Callable[[StudyFit], Entry]] = {
+    "model": lambda fit: fit.model,
+    "seed": lambda fit: fit.seed,
+    "trajectories": lambda fit: fit.trajectories,
+    "sigma": lambda fit: fit.sigma,
+    "outcome": lambda fit: fit.outcome,
+    "force visited": lambda fit: fit.force_error(VISITED),
+    "force near": lambda fit: fit.force_error("near"),
+    "force unvisited": lambda fit: fit.force_error("unvisited"),
+    "cosine visited": lambda fit: fit.cosine(VISITED),
+    "rollouts median": lambda fit: fit.rollout("median"),
+    "rollouts 90 %": lambda fit: fit.rollout("high"),
+    "rollouts diverged": lambda fit: fit.rollout("diverged"),
+}
+"""Columns of `study.csv`, a published format: errors of the force are fractions."""
+
+QUANTITIES = {
+    "data-efficiency": "number of trajectories",
+    "noise": "noise of the observations",
+}
+"""What each study varies."""
+
+
+def sections(study: Study) -> list[Section]:
+    """The figure of a study, and a row for each fit."""
+    quantity = QUANTITIES[study.name]
+    picture = Picture(
+        study.name,
+        lambda: scaling_figure(
+            _series(study, lambda fit: fit.force_error(VISITED)),
+            _series(study, lambda fit: fit.rollout("median")),
+            quantity=quantity,
+        ),
+        "Synthetic data, dimensionless. Lines: median over seeds. A model without "
+        "points failed, diverged or has no force; the table says which.",
+        alt=f"Force and rollout error over the {quantity}",
+    )
+    note = Paragraph(
+        "Force: relative L2 error on ground within 0.35 of the training data. "
+        "Rollouts: median over held-out clean starts of the root-mean-square position "
+        "error."
+    )
+    heading = f"{study.name.capitalize()} on {study.scenario}"
+    return [Section(heading, [picture, note, table(study)])]
+
+
+def _series(
+    study: Study, error: Callable[[StudyFit], float]
+) -> dict[str, list[tuple[float, float]]]:
+    """The points of each model that are numbers."""
+    series: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    for fit in study.fits:
+        place = fit.sigma if study.name == "noise" else float(fit.trajectories)
+        points = series[fit.model]
+        if math.isfinite(error(fit)):
+            points.append((place, error(fit)))
+    return series
+
+
+def table(study: Study) -> Table:
+    """All fits of a study, errors of the force in percent."""
+    columns: dict[str, Callable[[StudyFit], Entry]] = {}
+    for name, cell in COLUMNS.items():
+        if name.startswith("force"):
+            region = name.removeprefix("force ")
+            columns[f"{name} (%)"] = lambda fit, at=region: 100 * fit.force_error(at)
+        else:
+            columns[name] = cell
+    caption = (
+        "Relative L2 error of the force by ground, and position errors of rollouts: "
+        "median and 90th percentile over held-out starts, share diverged."
+    )
+    return Table.of(study.fits, columns, caption)
+
+
+def csv_rows(study: Study) -> list[list[Entry]]:
+    """The rows of `study.csv`, empty where a number is not defined."""
+    rows = [[cell(fit) for cell in COLUMNS.values()] for fit in study.fits]
+    return [
+        ["" if c != c else "diverged" if c == math.inf else c for c in row]
+        for row in rows
+    ]
+
 
 FIT_FILE, TASK = "fit.json", "pinav.commands.study.job:do_cell"
 
