@@ -20,10 +20,6 @@ class Range:
     """The numbers that a setting may be; stands in its annotation.
 
     Attributes:
-        least: smallest number that is allowed.
-        above: the number is larger than this.
-        below: the number is smaller than this.
-        most: largest number that is allowed.
         doubling: a power of two alone is allowed.
     """
 
@@ -67,11 +63,7 @@ class Range:
 
 @dataclasses.dataclass(frozen=True)
 class Several:
-    """A setting of several different values; stands in its annotation.
-
-    Attributes:
-        least: how many there are at least.
-    """
+    """A setting of several different values; stands in its annotation."""
 
     least: int = 1
 
@@ -96,7 +88,6 @@ class Numbers:
     """A word of numbers with commas between them; stands in its annotation.
 
     Attributes:
-        counts: how many numbers there may be.
         option: the option, where it is not called as its field.
     """
 
@@ -124,8 +115,6 @@ def numbers(option: str, text: str, *counts: int) -> tuple[float, ...]:
 
     Args:
         option: what the message calls them.
-        text: such as "0.5,1".
-        counts: how many there may be.
 
     Raises:
         InputError: they are not so many finite numbers.

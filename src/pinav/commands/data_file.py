@@ -21,7 +21,6 @@ def read_data(
     """The trajectories in a file.
 
     Args:
-        path: the file.
         reading: how it is read where it is a recording.
         doubtful: a recording whose conventions look wrong is read all the same.
 

@@ -18,8 +18,6 @@ def execute(
     """Parse the words after a command, run it and show what it found.
 
     Args:
-        command: what to run.
-        argv: the words after its name.
         on_start: called when all modules are imported and the run begins.
 
     Raises:

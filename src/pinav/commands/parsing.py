@@ -99,11 +99,7 @@ Members = Mapping[str, type[msgspec.Struct]]
 def _choose(
     members: Members, words: list[str], content: Content
 ) -> tuple[list[str], type[msgspec.Struct]]:
-    """The words without the option that names a member, and that member.
-
-    Raises:
-        InputError: no member has the name that is given.
-    """
+    """The words without the option that names a member, and that member."""
     first = next(iter(members.values()))
     key = str(first.__struct_config__.tag_field)
     option, name, rest = f"--{key}", content.get(key), []
@@ -175,11 +171,7 @@ def _one_line(box: str) -> str:
 
 
 def _file_content(argv: Sequence[str]) -> Content:
-    """The settings of `--config`; none where it is not given.
-
-    Raises:
-        InputError: the file is missing or not TOML.
-    """
+    """The settings of `--config`; none where it is not given."""
     path = _config_path(argv)
     if path is None:
         return {}
@@ -192,11 +184,7 @@ def _file_content(argv: Sequence[str]) -> Content:
 
 
 def _defaults(options: type[Options], argv: Sequence[str], content: Content) -> Content:
-    """Keyword `default` of tyro: the settings of `--config`, where it is given.
-
-    Raises:
-        InputError: the file holds an unknown setting.
-    """
+    """Keyword `default` of tyro: the settings of `--config`, where it is given."""
     path = _config_path(argv)
     fields = {field.name: field for field in msgspec.structs.fields(options)}
     if path is None or "config" not in fields:
@@ -210,11 +198,7 @@ def _defaults(options: type[Options], argv: Sequence[str], content: Content) -> 
 
 
 def _group(content: Content, fields: Content) -> Content:
-    """Each group of settings from those entries of a file that are its own.
-
-    Raises:
-        msgspec.ValidationError: an entry has the wrong type, or no group knows it.
-    """
+    """Each group of settings from those entries of a file that are its own."""
     reading = content.pop("reading", {}) if "reading" in fields else None
     groups = {
         name: field.type

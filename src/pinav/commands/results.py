@@ -27,12 +27,6 @@ def start_run(
 ) -> RunFolder:
     """Create or resume the folder of a run.
 
-    Args:
-        command: what makes the run.
-        options: of the command line.
-        settings: what decides the numbers of the run.
-        identity: what else tells this run from others, such as a hash of its data.
-
     Raises:
         InputError: the folder cannot be used, or holds a run with other settings.
     """
@@ -108,10 +102,6 @@ def write_report(folder: RunFolder, command: Command | None = None) -> Path:
 
     The sections of the command that made the run come first, then those of every
     command that added results to it.
-
-    Args:
-        folder: The run.
-        command: What made or extended it, where that is none of `COMMANDS`.
 
     Raises:
         InputError: the run is not finished, or one of its files is damaged.

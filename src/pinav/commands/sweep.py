@@ -39,8 +39,6 @@ class Sweep:
     """A run of many cells that this process has claimed.
 
     Attributes:
-        folder: of the run.
-        open_cluster: gives the workers.
         timeout: seconds that a cell may take; none for no limit.
     """
 
@@ -55,9 +53,6 @@ class Sweep:
 
     def run(self, cells: Sequence[Cell], title: str) -> list[CellOutcome]:
         """Do every cell once, and say what became of each, in the order of the table.
-
-        Raises:
-            InputError: workers cannot do anything, such as for want of disk.
         """
 
         def record(cell: Cell, outcome: CellOutcome) -> None:
@@ -95,13 +90,6 @@ def start_sweep(
     **identity: str,
 ) -> Iterator[Sweep]:
     """Claim, create or resume the folder of a run of many cells.
-
-    Args:
-        command: what makes the run.
-        options: of the command line.
-        workers: who does the cells.
-        settings: what decides the numbers of the run.
-        identity: what else tells this run from others.
 
     Raises:
         InputError: the folder cannot be used, or another process is at work on it.
@@ -220,12 +208,7 @@ def _without_none(content: Any) -> Any:
 
 
 def do_file(cell: Cell, folder: Path) -> None:
-    """Run the command on one file, in the folder of the cell.
-
-    Raises:
-        FitError: the fit failed.
-        InputError: the file is damaged or holds something else.
-    """
+    """Run the command on one file, in the folder of the cell."""
     one = cell.read(FileCell)
     content = tomllib.loads(one.settings) | {"data": [cell.system], "out": str(folder)}
     options = msgspec.convert(

@@ -59,7 +59,6 @@ class Bands(eqx.Module):
 
     Attributes:
         ys: predicted states; not finite once diverged.
-        sd: their standard deviations.
     """
 
     ys: Float[np.ndarray, "trajectory time state"]
@@ -81,9 +80,7 @@ def exact_start_bands(
     """Bands of rollouts from the first samples, which are exact unless said otherwise.
 
     Args:
-        posterior: of the model.
         trajectories: where to start and when to predict.
-        solver: how to integrate; `FixedStep()` unless given.
         start_sd: standard deviation of each first sample.
         wandering: velocity of the swimmer that the model leaves out.
     """
@@ -107,11 +104,8 @@ def estimated_start_bands(
     """Bands of rollouts from estimated starts.
 
     Args:
-        posterior: of the model with which the starts were estimated.
         trajectories: when to predict.
         starts: the estimates.
-        noise: standard deviation of the observations.
-        solver: how to integrate; `FixedStep()` unless given.
         wandering: velocity of the swimmer that the model leaves out.
     """
     head = first_samples(trajectories, starts.count)
@@ -240,9 +234,7 @@ def rollout_coverage(
     """Fraction of the observed values inside the band, by where they were observed.
 
     Args:
-        bands: of the rollouts.
         trajectories: what was observed; only that counts.
-        noise: standard deviation of the observations; 0 for an exact truth.
         regions: which samples lie in each region.
     """
     errors = bands.ys - trajectories.states

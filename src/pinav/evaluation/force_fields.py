@@ -110,9 +110,6 @@ class FieldMap(eqx.Module):
     """A planar force field on a grid, and how far its points are from the data.
 
     Attributes:
-        x: grid coordinates along x [L].
-        y: grid coordinates along y [L].
-        force: force at each grid point [L T⁻²].
         distance: distance of each grid point to the nearest sample [L].
         regions: what counts as visited and as near.
     """
@@ -150,7 +147,6 @@ def field_map(
             each grid point takes the time of its nearest sample, the reading most
             favourable to such a field.
         limits: x from, x to, y from, y to [L]; a square around the data unless given.
-        points: grid points along each side.
 
     Raises:
         InputError: the data are not planar.
@@ -173,11 +169,7 @@ def field_map(
 
 
 def check_planar(trajectories: Trajectories) -> None:
-    """Refuse data that no map can show.
-
-    Raises:
-        InputError: the positions have not two coordinates.
-    """
+    """Refuse data that no map can show."""
     if trajectories.dim != 2:
         raise InputError(
             "force map: expected positions in the plane (x, y), got the channels "
@@ -270,7 +262,6 @@ def force_agreement(
     """Agreement in visited, near and unvisited regions and on the whole grid.
 
     Args:
-        learned: the field of a fit.
         true: the truth on the same grid; its distances define the regions.
         regions: their lengths; those of the true map unless given.
     """
@@ -306,9 +297,6 @@ class ForceLine(eqx.Module):
 
     Attributes:
         places: along the coordinate axis [L].
-        force: component along that axis [F].
-        sd: its standard deviation; None without a posterior.
-        true: the true component, where it is known.
     """
 
     places: Float[np.ndarray, " place"]
@@ -323,9 +311,7 @@ def line_through(
     """Points along one axis through the middle of the data.
 
     Args:
-        positions: observed [L].
         axis: the coordinate that varies, over all but the last hundredths of the data.
-        points: how many.
     """
     line = np.tile(np.median(positions, axis=0), (points, 1))
     low, high = np.quantile(positions[:, axis], ENDS)
@@ -349,11 +335,8 @@ def force_line(
     """A force along one axis through the middle of the data, at time zero.
 
     Args:
-        force: the field; evaluated in float64.
         data: around which the line lies.
-        axis: the coordinate.
         posterior: of the force, for its standard deviation.
-        truth: the true field, where it is known.
     """
     points = line_through(observed_positions(data), axis)
     return ForceLine(
@@ -386,7 +369,6 @@ class Decomposition(eqx.Module):
     """What makes up the acceleration along a trajectory.
 
     Attributes:
-        times: times [T].
         terms: propulsion, environment and drag at each time [L T⁻²].
     """
 

@@ -168,12 +168,7 @@ def outcome_remarks(outcome: str) -> tuple[str, ...]:
 
 
 def narrow_prior(model: Any, chosen: Hyperparameters) -> tuple[str, ...]:
-    """What a prior at the edge of its range means for the bands; nothing elsewhere.
-
-    Args:
-        model: that was fitted.
-        chosen: by the evidence.
-    """
+    """What a prior at the edge of its range means for the bands; nothing elsewhere."""
     force = as_learned_force(model.environment)
     if force is None or not is_confined(force.prior(), chosen.shape):
         return ()
@@ -196,8 +191,6 @@ def assumed_potential(plan: FitPlan, model: Any, rotation: float) -> tuple[str, 
     """That the default took the force for a gradient, where nothing weighed it.
 
     Args:
-        plan: of the fit.
-        model: that was fitted.
         rotation: log evidence of a rotational part [nats]; NaN where none was weighed.
     """
     force = as_learned_force(model.environment)
@@ -214,7 +207,6 @@ def confirm_outcome(
     Args:
         outcome: the word by the fit's own solver.
         loss: at its end.
-        data: that were fitted.
         rmse: errors of independent rollouts.
     """
     if outcome != str(Outcome.CONVERGED):
@@ -227,14 +219,7 @@ def confirm_outcome(
 def likely_cause(
     data: Trajectories, model: Any, outcome: str, rmse: dict[str, float]
 ) -> tuple[str, ...]:
-    """Why a fit that misses the data failed, where the data tell it.
-
-    Args:
-        data: that were fitted.
-        model: that was fitted to them.
-        outcome: the word for how the fit ended.
-        rmse: errors of independent rollouts.
-    """
+    """Why a fit that misses the data failed, where the data tell it."""
     close = rmse["total"] <= FAILED * data.spread
     if outcome == str(Outcome.CONVERGED) or close or not isinstance(model, Swimmer):
         return ()
@@ -249,13 +234,7 @@ FAILED = 1e-3
 def simpler_model(
     plan: FitPlan, outcome: str, rmse: dict[str, float]
 ) -> tuple[str, ...]:
-    """What explains the data far better than a fit that did not converge.
-
-    Args:
-        plan: of the fit.
-        outcome: the word for how it ended.
-        rmse: errors of its independent rollouts.
-    """
+    """What explains the data far better than a fit that did not converge."""
     if outcome == str(Outcome.CONVERGED):
         return ()
     total = rmse["total"]
@@ -275,12 +254,7 @@ FAR_BETTER = 3.0
 
 
 def account(plan: FitPlan, fit: Learned) -> Findings:
-    """What a fit has to say: rollouts, errors, the force, and remarks.
-
-    Args:
-        plan: of the fit.
-        fit: its result.
-    """
+    """What a fit has to say: rollouts, errors, the force, and remarks."""
     data, model, evidence = plan.data, fit.model, fit.evidence
     starts = None if evidence is None else evidence.states[:, 0]
     predictions, outcomes = predict(model, data, starts=starts)

@@ -53,13 +53,7 @@ FINDINGS = "metrics"
 
 
 class ModelHeader(msgspec.Struct, frozen=True):
-    """The first line of a model file: how the model is built again.
-
-    Attributes:
-        choice: its kind and size.
-        data: what it takes from the data.
-        dtype: floating-point type of its leaves.
-    """
+    """The first line of a model file: how the model is built again."""
 
     choice: ModelChoice
     data: DataSummary
@@ -73,7 +67,6 @@ class Learned(AbstractLearned):
     Attributes:
         place: where it is; None of one that was not saved.
         system: what was known of the swimmer.
-        data: the trajectories that were fitted.
         models: the fitted models, by the names of their files.
         choice: what was fitted; of the first model where there are several.
         evidence: posterior and hyperparameters; None where the recipe has none.
@@ -162,9 +155,6 @@ class Learned(AbstractLearned):
     def check_posterior(self, name: str) -> None:
         """Require that the posterior is that of the model.
 
-        Args:
-            name: of the file of the posterior.
-
         Raises:
             InputError: it is of another fit.
         """
@@ -206,7 +196,6 @@ class Learned(AbstractLearned):
         """Keep the fit in a folder, which `open_run` and the commands of pinav read.
 
         Args:
-            path: the folder, made if absent.
             overwrite: replace the run that it holds.
 
         Returns:
@@ -398,10 +387,6 @@ def of_evidence(
 
     Args:
         header: of the untrained model; its kernels may be coarser.
-        fit: of the data.
-        system: the known physics.
-        data: the trajectories.
-        evidence: the numbers of the fit.
     """
     summary = header.data.with_kernels_of(fit.model.environment)
     if isinstance(fit.model, OverdampedSwimmer):
@@ -413,12 +398,7 @@ def of_evidence(
 
 
 def teacher_choice(fit: EvidenceFit, network: ModelChoice) -> ModelChoice:
-    """The choice of the kernels from which a network was distilled.
-
-    Args:
-        fit: of the kernels.
-        network: the choice of the network.
-    """
+    """The choice of the kernels from which a network was distilled."""
     _, rest = split_structure(fit.model.environment)
     kernels = as_learned_force(rest)
     assert kernels is not None

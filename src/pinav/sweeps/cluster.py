@@ -19,7 +19,6 @@ class Cluster:
     """The workers of a Dask scheduler, as they come and go; each does one cell.
 
     Attributes:
-        client: the client of the scheduler.
         description: what does the work, for people.
     """
 
@@ -27,11 +26,7 @@ class Cluster:
         self.client, self.description = client, description
 
     def workers(self) -> Sequence[str]:
-        """Addresses of the workers that there are now.
-
-        Raises:
-            InputError: the scheduler is gone.
-        """
+        """Addresses of the workers that there are now."""
         with contextlib.suppress(OSError):  # of a connection that breaks just now
             if self.client.status in ("running", "connecting"):
                 return list(self.client.scheduler_info(n_workers=-1)["workers"])
@@ -44,8 +39,6 @@ class Cluster:
         """Hand an order to a worker; the future of its answer.
 
         Args:
-            place: address of the worker.
-            version: of the program of this client.
             order: an `Order` as JSON.
         """
         return self.client.submit(
@@ -88,9 +81,6 @@ class Cluster:
 @contextlib.contextmanager
 def local_cluster(count: int) -> Iterator[Cluster]:
     """Fresh processes of this machine, each with one core; one that dies is replaced.
-
-    Args:
-        count: Number of processes.
 
     Raises:
         InputError: the processes cannot be started.

@@ -23,9 +23,7 @@ class CellLine(msgspec.Struct, frozen=True):
     """One cell.
 
     Attributes:
-        label: what people call it.
         folder: where its files are, below the run.
-        state: what is true of it.
         seconds: that it took, or has been running for.
         note: where it runs, or why it failed.
     """
@@ -42,7 +40,6 @@ class SweepStatus(msgspec.Struct, frozen=True):
 
     Attributes:
         cells: one line for each cell, in the order of the table.
-        engine: what does the work, as far as was said when it began.
         at_work: a client is at work.
         left: estimate of the time until the end [s]; none before a cell is done.
     """

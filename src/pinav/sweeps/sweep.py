@@ -37,9 +37,6 @@ def map_cells(
 
     Args:
         cells: the table.
-        store: where their folders are.
-        open_cluster: gives the workers.
-        timeout: seconds that a cell may take.
         title: of the progress bar.
         on_done: told of each cell when it is done now.
 
@@ -134,11 +131,7 @@ class _Sweep:
         return msgspec.json.encode(order).decode()
 
     def collect(self) -> list[tuple[Cell, CellOutcome]]:
-        """Wait a little; the cells that are done since.
-
-        Raises:
-            InputError: the workers cannot do anything.
-        """
+        """Wait a little; the cells that are done since."""
         if not self.running:
             time.sleep(PAUSE)  # for a worker to come
             return []

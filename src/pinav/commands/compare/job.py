@@ -50,10 +50,7 @@ class ComparedModel:
     Attributes:
         outcome: word for how its fit ended, or `failed`.
         evidence: of the model; none for a failed fit.
-        noise: standard deviation of the observations.
-        weights: number of learned parameters.
         rotational_fraction: of a mixture, where there are data.
-        reason: why the fit failed.
     """
 
     outcome: str
@@ -76,7 +73,6 @@ class ComparisonVerdict:
     Attributes:
         models: the simple and the rich model.
         difference: of their log evidence [nats]; none where one has none.
-        text: the answer in a sentence.
     """
 
     models: tuple[str, str]
@@ -179,11 +175,7 @@ LEARNED: dict[str, Callable[[Any], Any] | None] = {
 
 
 def check_settings(settings: CompareSettings, data: Trajectories) -> System:
-    """The physics that all candidates share.
-
-    Raises:
-        InputError: a candidate cannot be had with these data or these physics.
-    """
+    """The physics that all candidates share."""
     known = choose_system(settings.system, data)
     inert = isinstance(known.swimmer, Swimmer)
     if "first-order" in settings.models and (
@@ -249,11 +241,7 @@ def fit_model(
     data: Trajectories,
     folder: RunFolder,
 ) -> EvidenceFit:
-    """The fit of one candidate, whether or not it converged.
-
-    Raises:
-        FitError: it led nowhere from the first step on.
-    """
+    """The fit of one candidate, whether or not it converged."""
     kernels = "kernel-potential" if name in KERNEL_POTENTIAL else name
     choice = ModelChoice(kernels)
     summary = summarise_for(choice, data)
@@ -309,9 +297,6 @@ def verdicts(rows: dict[str, ComparedModel]) -> list[ComparisonVerdict]:
     """The answer of the evidence to each question that two of the models answer.
 
     A difference of less than `DECISIVE` nats is called not decisive.
-
-    Args:
-        rows: the candidates by name.
     """
     return [
         _verdict((simple, rich), meanings, rows)

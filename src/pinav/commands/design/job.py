@@ -149,12 +149,7 @@ def _adaptive(task: Task, settings: DesignSettings) -> AdaptiveController:
 
 
 def _experiment(settings: DesignSettings, adaptive: AdaptiveController) -> Experiment:
-    """The recording of trajectories, and the region of release.
-
-    Raises:
-        InputError: the place of release is outside of the arena, or a trajectory has
-            less than two steps.
-    """
+    """The recording of trajectories, and the region of release."""
     task, box = adaptive.task, settings.release_box()
     if settings.duration < 2 * task.step:
         raise InputError(

@@ -38,11 +38,7 @@ WORDS = {"nan": "", "inf": "diverged"}
 
 
 def run(options: EvaluateOptions) -> CommandResult:
-    """Evaluate as the command line does.
-
-    Raises:
-        InputError: the run holds no model, or a file cannot be read or scored.
-    """
+    """Evaluate as the command line does."""
     fit = Learned.open(options.run)
     further = options.calibrate
     evaluation = evaluate(

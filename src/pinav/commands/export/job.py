@@ -37,7 +37,6 @@ class SpotTable(NamedTuple):
             position are counted and left out.
         time: [T].
         position: as observed [L].
-        force: learned force on a swimmer at rest there.
         force_sd: its standard deviation along each axis; NaN without a posterior.
         units: of position, time and force; "?" where not stated.
     """
@@ -197,12 +196,6 @@ def datatree_of(
     The draws are independent draws from the normal (Laplace) posterior, one chain. A
     run without a posterior has the mean of the force and the data alone.
 
-    Args:
-        run: of a fit.
-        draws: from the posterior.
-        points: of the grid along the longest side of the data.
-        seed: of the draws.
-
     Raises:
         InputError: xarray is not installed, the run learned no force, or x64 is
             switched off.
@@ -311,12 +304,7 @@ def _data(run: Learned) -> "dict[str, Dataset]":
 
 
 def run(options: ExportOptions) -> CommandResult:
-    """Write one file.
-
-    Raises:
-        InputError: the folder holds no fit of a force, the file exists, or a package
-            that writes the format is not installed.
-    """
+    """Write one file."""
     check_destination(options.out, overwrite=options.overwrite)
     fit = Learned.open(options.run)
     table = spot_table(fit)

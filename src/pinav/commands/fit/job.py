@@ -68,11 +68,7 @@ def run(options: FitOptions) -> CommandResult:
 
 
 def fit(plan: FitPlan, folder: RunFolder) -> Learned:
-    """Fit and write the result; what the folder holds is not done again.
-
-    Raises:
-        FitError: the fit diverged, or the data do not determine it.
-    """
+    """Fit and write the result; what the folder holds is not done again."""
     if is_written(folder):
         learned = Learned.open(folder.path)
     else:

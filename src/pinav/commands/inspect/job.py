@@ -43,12 +43,8 @@ def inspect(
     """The quality report of a recording, written into a folder where one is given.
 
     Args:
-        settings: how to read the file.
-        path: the file.
         out: folder of `inspection.json`, `inspection.html`, `figures/` and
             `reading.toml`.
-        image: a still of the film, over which the paths are drawn.
-        overwrite: replace a report that is there.
 
     Raises:
         InputError: the file or the image is damaged, or a report is there already.
@@ -94,11 +90,7 @@ FEWEST = 100
 
 
 def _with_labels(data: Trajectories, path: Path) -> Trajectories:
-    """The positions of a file of pinav as one run, each trajectory a particle.
-
-    Raises:
-        InputError: they are not positions in the plane.
-    """
+    """The positions of a file of pinav as one run, each trajectory a particle."""
     if {"trajectories", "concatenated"} & set(data.provenance):
         return data
     if data.channels[:2] != ("x", "y") or "z" in data.channels:

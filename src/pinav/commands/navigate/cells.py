@@ -46,12 +46,7 @@ def online_task(name: str, *, position_noise: float, delay: float | None) -> Tas
     """A task of the package as `observe_positions` has it.
 
     Args:
-        name: name of the task.
         position_noise: standard deviation of each coordinate [L].
-        delay: from command to thrust [T]; that of the task for None.
-
-    Raises:
-        InputError: no task has that name.
     """
     known = task(name)
     delayed = known if delay is None else dataclasses.replace(known, delay=delay)
@@ -59,11 +54,7 @@ def online_task(name: str, *, position_noise: float, delay: float | None) -> Tas
 
 
 def system_to_learn(settings: NavigateSettings, name: str) -> System | None:
-    """The system that the options name beside its places; none for a named task.
-
-    Raises:
-        InputError: the system is unknown, or there is neither a task nor a place.
-    """
+    """The system that the options name beside its places; none for a named task."""
     if settings.start is None and settings.goal is None:
         if name not in TASKS:
             raise InputError(
@@ -78,11 +69,6 @@ def with_prior(
     adaptive: AdaptiveController, run: Learned, units: Units
 ) -> AdaptiveController:
     """The controller that begins with the force and the posterior of a fit.
-
-    Args:
-        adaptive: the controller.
-        run: the fit.
-        units: units of the controller's task.
 
     Raises:
         InputError: the run holds no fitted swimmer, no posterior, one in other units,
@@ -117,7 +103,6 @@ class OnlineProblem:
     """A task that is learned on the way.
 
     Attributes:
-        adaptive: the controller, with the task.
         own_limit: time limit of the task itself [T].
         units: units of the channels, and the order of the dynamics.
     """
@@ -131,11 +116,6 @@ def online_problem(
     settings: NavigateSettings, online: OnlineSettings, prior: Path | None
 ) -> OnlineProblem:
     """The problem that the options ask for.
-
-    Args:
-        settings: settings of the command.
-        online: settings of learning.
-        prior: folder of the fit to begin with; none to know nothing.
 
     Raises:
         InputError: the task or the system is unknown, or the system cannot be steered
@@ -189,9 +169,6 @@ class LoopsCell(msgspec.Struct, frozen=True):
     Attributes:
         settings: settings of the command, as JSON.
         digest: digest of the files of the fit.
-        model: name of the model.
-        first: number of the first seed.
-        last: number of the last one.
     """
 
     settings: str
@@ -234,17 +211,7 @@ def navigation_problem(settings: NavigateSettings, run: Learned) -> NavigationPr
 def sweep_loops(
     sweep: Sweep, settings: NavigateSettings, run: Path, models: Sequence[str]
 ) -> list[Attempt]:
-    """Closed loops with several models, by the workers of a sweep.
-
-    Args:
-        sweep: sweep of the run.
-        settings: settings of the command.
-        run: folder of the fit.
-        models: their names.
-
-    Raises:
-        InputError: workers cannot do anything, or have failed.
-    """
+    """Closed loops with several models, by the workers of a sweep."""
     digest = _digest(run)
     cells = {
         model: [
@@ -280,11 +247,7 @@ def _loops(sweep: Sweep, cells: Sequence[Cell]) -> Episodes | str:
 
 
 def do_loops(cell: Cell, folder: Path) -> None:
-    """Do the closed loops of a cell.
-
-    Raises:
-        InputError: the run cannot be read.
-    """
+    """Do the closed loops of a cell."""
     one = cell.read(LoopsCell)
     settings = msgspec.json.decode(one.settings, type=NavigateSettings)
     problem = _problem(cell.system, one.settings)
@@ -316,17 +279,7 @@ def sweep_flights(
     online: OnlineSettings,
     prior: Path | None,
 ) -> list[SwimmerFlights]:
-    """The flights of every swimmer, by the workers of a sweep.
-
-    Args:
-        sweep: sweep of the run.
-        settings: settings of the command.
-        online: settings of learning.
-        prior: folder of the fit to begin with; none to know nothing.
-
-    Raises:
-        InputError: workers cannot do anything, or have failed.
-    """
+    """The flights of every swimmer, by the workers of a sweep."""
     system = Path(online.learn_online or "")
     if system.is_file():  # a worker may have another working directory
         online = msgspec.structs.replace(online, learn_online=str(system.absolute()))
@@ -351,11 +304,7 @@ def sweep_flights(
 
 
 def do_flights(cell: Cell, folder: Path) -> None:
-    """Do the flights of one swimmer.
-
-    Raises:
-        InputError: the true force changes in time, or a run cannot be read.
-    """
+    """Do the flights of one swimmer."""
     one = cell.read(FlightsCell)
     problem = _online_problem(one.settings, one.online, one.prior)
     settings = msgspec.json.decode(one.settings, type=NavigateSettings)
@@ -394,11 +343,7 @@ def _digest(*paths: Path | None) -> str:
 
 
 def _result(sweep: Sweep, cell: Cell, wanted: type[Result]) -> Result:
-    """The result of a cell.
-
-    Raises:
-        InputError: it failed.
-    """
+    """The result of a cell."""
     outcome = sweep.store.outcome(cell)
     if outcome is None or outcome.failure:
         reason = "it was not done" if outcome is None else outcome.failure

@@ -44,7 +44,6 @@ class TrainedKind:
     """One kind of model that is trained, for all its seeds.
 
     Attributes:
-        name: name of its row.
         seeds: seeds of its network; (None,) where there is nothing random.
         model: name of the model in the catalogue.
     """
@@ -83,10 +82,6 @@ def reproduce(settings: ReproduceSettings, folder: RunFolder) -> Reproduction:
     """Simulate the benchmark, train the models and score them.
 
     Whatever the folder already holds is not computed again.
-
-    Args:
-        settings: recipe and seeds.
-        folder: the run.
     """
     benchmark = scenario("paper")
     write_system_of(folder, benchmark)

@@ -29,11 +29,9 @@ class ModelRollout:
     """A rollout of a model from the true start.
 
     Attributes:
-        model: name of the model.
         seed: seed of its network; none where there is no network.
         errors: root-mean-square error of each component, of all (`total`) and of the
             position, dimensionless; infinite where the rollout diverged.
-        states: the rollout.
     """
 
     model: str
@@ -59,13 +57,7 @@ def label_of(model: str, seed: int | None) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Spread:
-    """Total errors of a model over its seeds.
-
-    Attributes:
-        median: median of them.
-        best: smallest of them.
-        worst: largest of them.
-    """
+    """Total errors of a model over its seeds."""
 
     median: float
     best: float
@@ -77,9 +69,7 @@ class Reproduction:
     """The paper's experiment.
 
     Attributes:
-        settings: recipe and seeds.
         times: times of the samples [T].
-        truth: true states.
         rollouts: of every model, before and after training.
         losses: of the trainings of each model, one for each seed.
         own_integrator_total: total error of each trained model as the integrator of

@@ -67,10 +67,7 @@ class StudyFit:
     """One fit of a study; one that failed has no scores.
 
     Attributes:
-        model: name of the model.
         seed: seed of starts, noise and network.
-        trajectories: number of trajectories that it was fitted to.
-        sigma: standard deviation of the observations.
         outcome: word for how the fit ended, or why it failed.
         force: agreement with the true force by the distance to the data; none where
             the model has no force.
@@ -104,7 +101,6 @@ class Study:
 
     Attributes:
         name: `data-efficiency` or `noise`.
-        scenario: name of the scenario that the data are of.
         fits: one for each model, seed and amount of data or noise.
     """
 
@@ -205,15 +201,7 @@ of which smaller sets are the first ones."""
 
 
 class StudyCell(msgspec.Struct, frozen=True):
-    """What decides one fit of a study, beside the scenario and the seed.
-
-    Attributes:
-        model: name of the model.
-        count: number of trajectories.
-        sigma: standard deviation of the observations.
-        held_out: number of clean starts to score on.
-        max_steps: of the fit, or of each of its windows.
-    """
+    """What decides one fit of a study, beside the scenario and the seed."""
 
     model: ModelName
     count: int
@@ -245,12 +233,6 @@ def cells(name: str, world: str, settings: StudySettings) -> list[Cell]:
 def study(name: str, world: str, settings: StudySettings, sweep: Sweep) -> Study:
     """Fit and score every cell.
 
-    Args:
-        name: `data-efficiency` or `noise`.
-        world: name of the scenario.
-        settings: which models, seeds and data.
-        sweep: the run; what it holds is not done again.
-
     Raises:
         InputError: the scenario is unknown, or of a kind that `pinav fit` cannot use.
     """
@@ -273,11 +255,7 @@ def _without_scores(cell: Cell, outcome: str) -> StudyFit:
 
 
 def do_cell(cell: Cell, folder: Path) -> None:
-    """Fit and score one cell, and write its row.
-
-    Raises:
-        FitError: the fit failed.
-    """
+    """Fit and score one cell, and write its row."""
     one, known = cell.read(StudyCell), scenario(cell.system)
     clean = _several(cell.system, cell.seed, max(one.count, NESTED))
     clean = clean.select(range(one.count))
@@ -317,13 +295,7 @@ def check(name: str, world: str, settings: StudySettings) -> None:
 
 
 def clean_data(world: str, seed: int, count: int) -> Trajectories:
-    """Noise-free trajectories, from the starts of `pinav simulate --seed`.
-
-    Args:
-        world: name of the scenario.
-        seed: of the starts.
-        count: how many; more of a seed begin with the same ones.
-    """
+    """Noise-free trajectories, from the starts of `pinav simulate --seed`."""
     starts_key, _ = jax.random.split(jax.random.key(seed))
     chosen = scenario(world, starts_key, count=count)
     return simulate(eqx.tree_at(lambda s: s.observation.noise, chosen, 0.0))
@@ -331,11 +303,6 @@ def clean_data(world: str, seed: int, count: int) -> Trajectories:
 
 def with_noise(clean: Trajectories, sigma: float, seed: int) -> Trajectories:
     """The trajectories as observed; more noise of a seed is the same noise, stronger.
-
-    Args:
-        clean: without noise.
-        sigma: standard deviation of the noise, in every state.
-        seed: of the noise.
     """
     _, noise_key = jax.random.split(jax.random.key(seed))
     return degrade(clean, [GaussianNoise(sigma)], key=noise_key) if sigma else clean
@@ -347,15 +314,6 @@ def fit_choice(
     """A model as `pinav fit` fits it, and how the fit ended.
 
     Physics alone has nothing to fit. A fit whose steps ran out is used as it stands.
-
-    Args:
-        choice: the model.
-        swimmer: the known physics.
-        data: the trajectories.
-        max_steps: of each fit, or of each of its windows.
-
-    Raises:
-        FitError: the fit failed.
     """
     if choice.name == "physics-only":
         return swimmer.without_environment(), "nothing to fit"
@@ -385,12 +343,8 @@ def with_scores(
     """The fit with the errors of its force by region, and of rollouts.
 
     Args:
-        fit: without them.
-        model: the fitted model.
-        known: the scenario, whose force is the truth.
         training: what the model was fitted to, without noise: the regions are the same
             for every noise.
-        held: clean trajectories to predict; the grid is the square around them.
     """
     ys, _ = predict(model, held)
     rollouts = summarise(position_errors(ys, held, domain=extent(held)))
