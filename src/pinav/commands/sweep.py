@@ -52,8 +52,7 @@ class Sweep:
         return CellStore.of_run(self.folder.path)
 
     def run(self, cells: Sequence[Cell], title: str) -> list[CellOutcome]:
-        """Do every cell once, and say what became of each, in the order of the table.
-        """
+        """Do every cell once; what became of each, in the order of the table."""
 
         def record(cell: Cell, outcome: CellOutcome) -> None:
             del cell, outcome  # one that is done makes the run worth keeping

@@ -236,8 +236,7 @@ class CellStore:
             ) from error
 
     def begin(self, cell: Cell) -> Path:
-        """A new folder for one attempt; `publish` makes its part `result` the cell's.
-        """
+        """A folder for an attempt; `publish` makes its part `result` the cell's."""
         attempt = self.path / f".{cell.name}.{secrets.token_hex(4)}.tmp"
         (attempt / RESULT).mkdir(parents=True)
         start = Start(platform.node(), os.getpid(), time.time())

@@ -302,8 +302,7 @@ def clean_data(world: str, seed: int, count: int) -> Trajectories:
 
 
 def with_noise(clean: Trajectories, sigma: float, seed: int) -> Trajectories:
-    """The trajectories as observed; more noise of a seed is the same noise, stronger.
-    """
+    """The trajectories as observed; more noise of a seed is the same, only stronger."""
     _, noise_key = jax.random.split(jax.random.key(seed))
     return degrade(clean, [GaussianNoise(sigma)], key=noise_key) if sigma else clean
 
