@@ -14,6 +14,9 @@ import msgspec
 from pinav.errors import InputError
 from pinav.settings import Settings
 
+Content = dict[str, Any]
+"""Settings as TOML holds them."""
+
 Pairs = dict[str, str]
 """Names and what they stand for."""
 
@@ -92,7 +95,7 @@ class Reading(Settings, frozen=True):
         Raises:
             InputError: a file cannot be read, or a word states nothing that there is.
         """
-        content: dict[str, Any] = {}
+        content: Content = {}
         for word in words:
             key, sign, value = word.partition("=")
             if not sign:
@@ -108,7 +111,7 @@ class Reading(Settings, frozen=True):
         return cls.of_content(content)
 
     @classmethod
-    def of_content(cls, content: dict[str, Any]) -> "Reading":
+    def of_content(cls, content: Content) -> "Reading":
         """What the table of a TOML file states, or words do.
 
         Raises:
@@ -122,7 +125,7 @@ class Reading(Settings, frozen=True):
                 "units.heading=rad columns.x=X runs=a,b, or a file of them"
             ) from error
 
-    def content(self) -> dict[str, Any]:
+    def content(self) -> Content:
         """What differs from the default, as TOML holds it."""
         plain = msgspec.to_builtins(PLAIN, enc_hook=str)
         stated = msgspec.to_builtins(self, enc_hook=str)
@@ -134,7 +137,7 @@ def _path(kind: type, value: str) -> Path:
     return Path(value)
 
 
-def _of_file(path: Path) -> dict[str, Any]:
+def _of_file(path: Path) -> Content:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

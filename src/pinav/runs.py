@@ -39,7 +39,6 @@ from pinav.errors import InputError
 from pinav.files import append_line, atomic_write, is_temporary, write_text
 from pinav.manifest import MANIFEST_FILE, Manifest
 
-Metrics = TypeVar("Metrics", bound=msgspec.Struct)
 Result = TypeVar("Result")
 
 METRICS_FILE = "metrics.json"
@@ -302,19 +301,6 @@ class RunFolder:
         except InputError as error:
             raise InputError(
                 f"{self.path / file} is damaged ({error}); {repair}"
-            ) from error
-
-    def write_metrics(self, name: str, metrics: msgspec.Struct) -> None:
-        """Write results as JSON."""
-        self.write_json(name, metrics)
-
-    def read_metrics(self, name: str, kind: type[Metrics]) -> Metrics:
-        """Read what `write_metrics` wrote."""
-        try:
-            return msgspec.convert(self.read_json(name), kind)
-        except msgspec.ValidationError as error:
-            raise InputError(
-                f"{self.path / name} is damaged ({error}); {self.repair(name)}"
             ) from error
 
     def write_table(

@@ -22,10 +22,7 @@ from tyro.constructors import (
 )
 
 from pinav.errors import InputError
-from pinav.reading import Pairs, Reading
-
-Content = dict[str, Any]
-"""Settings as TOML holds them, or arguments by keyword."""
+from pinav.reading import Content, Pairs, Reading
 
 Options = TypeVar("Options", bound=msgspec.Struct)
 

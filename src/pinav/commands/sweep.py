@@ -4,18 +4,17 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
-import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
-import tomli_w
 
 from pinav.commands.command import Command, CommandResult, resolve
 from pinav.commands.results import TABLE, start_run, write_report
 from pinav.commands.settings import FilesOptions, RunOptions, WorkerSettings
 from pinav.errors import InputError
+from pinav.reading import Content
 from pinav.report import Table
 from pinav.report.text import as_text
 from pinav.runs import METRICS_FILE, RunFolder
@@ -147,13 +146,13 @@ class FileCell(msgspec.Struct, frozen=True):
         options: "module:name" of the options of the command.
         run: "module:name" of its function.
         digest: SHA-256 of the file.
-        settings: the other options, as TOML.
+        settings: the other options.
     """
 
     options: str
     run: str
     digest: str
-    settings: str
+    settings: Content
 
 
 def run_files(command: Command, options: FilesOptions) -> CommandResult:
@@ -190,26 +189,18 @@ def _cell(command: Command, options: FilesOptions, path: Path) -> Cell:
     content = msgspec.to_builtins(options, enc_hook=str)
     for name in NOT_OF_THE_CELL:
         content.pop(name)
-    settings = tomli_w.dumps(_without_none(content))
     return Cell.of(
         "pinav.commands.sweep:do_file",
-        FileCell(command.options, command.run, digest, settings),
+        FileCell(command.options, command.run, digest, content),
         system=str(path.absolute()),
         label=path.name,
     )
 
 
-def _without_none(content: Any) -> Any:
-    """The content without entries that TOML cannot hold."""
-    if not isinstance(content, dict):
-        return content
-    return {k: _without_none(v) for k, v in content.items() if v is not None}
-
-
 def do_file(cell: Cell, folder: Path) -> None:
     """Run the command on one file, in the folder of the cell."""
     one = cell.read(FileCell)
-    content = tomllib.loads(one.settings) | {"data": [cell.system], "out": str(folder)}
+    content = one.settings | {"data": [cell.system], "out": str(folder)}
     options = msgspec.convert(
         content, resolve(one.options), dec_hook=lambda kind, value: kind(value)
     )

@@ -158,11 +158,10 @@ def field_map(
     flat = grid.reshape(-1, 2)
     distance, nearest_times = _nearest_samples(flat, trajectories)
     ts = nearest_times if time is None else np.full_like(nearest_times, time)
-    values = forces_at(with_dtype(force, jnp.float64), ts, flat)
     return FieldMap(
         x,
         y,
-        np.asarray(values).reshape(grid.shape),
+        exact_forces(force, flat, ts).reshape(grid.shape),
         distance.reshape(grid.shape[:2]),
         default_regions(trajectories),
     )
@@ -270,13 +269,6 @@ def force_agreement(
     return {name: agreement(learned, true, mask) for name, mask in masks.items()}
 
 
-def force_error(
-    learned: FieldMap, true: FieldMap, region: Bool[np.ndarray, "rows columns"]
-) -> float:
-    r"""Relative error $\|F - F^*\|_2 / \|F^*\|_2$ over the grid points of a region."""
-    return agreement(learned, true, region).error
-
-
 def force_errors(
     learned: FieldMap, true: FieldMap, regions: Regions | None = None
 ) -> dict[str, float]:
@@ -319,11 +311,6 @@ def line_through(
     return line
 
 
-def observed_positions(data: Trajectories) -> Float[np.ndarray, "sample dim"]:
-    """All fully observed positions."""
-    return data.positions[data.observed[..., : data.dim].all(axis=-1)]
-
-
 def force_line(
     force: AbstractForce,
     data: Trajectories,
@@ -338,12 +325,12 @@ def force_line(
         data: around which the line lies.
         posterior: of the force, for its standard deviation.
     """
-    points = line_through(observed_positions(data), axis)
+    points = line_through(_observed_positions(data)[0], axis)
     return ForceLine(
         points[:, axis],
-        _at(force, points)[:, axis],
+        exact_forces(force, points)[:, axis],
         None if posterior is None else posterior.force_sd(points)[:, axis],
-        None if truth is None else _at(truth, points)[:, axis],
+        None if truth is None else exact_forces(truth, points)[:, axis],
     )
 
 
@@ -351,18 +338,22 @@ def force_error_at_samples(
     force: AbstractForce, truth: AbstractForce, data: Trajectories
 ) -> float:
     """Relative L2 error of a force at observed positions; those of many are thinned."""
-    positions = observed_positions(data)
+    positions = _observed_positions(data)[0]
     positions = positions[:: max(len(positions) // MOST_SAMPLES, 1)]
-    learned, true = _at(force, positions), _at(truth, positions)
+    learned, true = exact_forces(force, positions), exact_forces(truth, positions)
     size = float(np.linalg.norm(true))
     return float(np.linalg.norm(learned - true)) / size if size > 0 else float("nan")
 
 
-def _at(
-    force: AbstractForce, points: Float[np.ndarray, "point dim"]
+def exact_forces(
+    force: AbstractForce,
+    points: Float[np.ndarray, "point dim"],
+    times: Float[np.ndarray, " point"] | None = None,
 ) -> Float[np.ndarray, "point dim"]:
-    times = jnp.zeros(len(points))
-    return np.asarray(forces_at(with_dtype(force, jnp.float64), times, points))
+    """The force on a swimmer at rest at each point in float64, by default at time 0."""
+    times = np.zeros(len(points)) if times is None else times
+    with jax.enable_x64(new_val=True):
+        return np.asarray(forces_at(with_dtype(force, jnp.float64), times, points))
 
 
 class Decomposition(eqx.Module):

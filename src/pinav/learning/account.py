@@ -263,18 +263,18 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
     if isinstance(model, KnownSwimmer):
         maps = _force_maps(fit, plan) if data.dim == 2 else None
         lines = _force_lines(fit, plan) if data.dim != 2 else None
-    losses = fit.losses
+    losses, outcome = fit.losses, fit.ending
     if evidence is None:
         assert losses is not None  # there is no third kind of recipe
         loss = float(losses.values[0][-1])
-        outcome = confirm_outcome(losses.outcomes[0], loss, data, rmse)
+        outcome = confirm_outcome(outcome, loss, data, rmse)
         sentences = (
             *outcome_remarks(outcome),
             *likely_cause(data, model, outcome, rmse),
             *simpler_model(plan, outcome, rmse),
         )
     else:
-        outcome, chosen = evidence.outcome, evidence.hyperparameters
+        chosen = evidence.hyperparameters
         search = evidence.structure
         sentences = (
             *outcome_remarks(outcome),

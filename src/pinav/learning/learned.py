@@ -8,7 +8,6 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import msgspec
 import numpy as np
@@ -16,7 +15,7 @@ from jaxtyping import ArrayLike, Float
 
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
 from pinav.errors import InputError
-from pinav.evaluation import FieldMap, require_x64
+from pinav.evaluation import FieldMap, exact_forces, require_x64
 from pinav.fitting import (
     AbstractLearned,
     Estimate,
@@ -27,7 +26,7 @@ from pinav.fitting import (
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.kernels import MobilitySummary
 from pinav.fitting.environments.summary import DataSummary, KnownSwimmer, ModelChoice
-from pinav.forces import as_learned_force, forces_at, split_structure
+from pinav.forces import as_learned_force, split_structure
 from pinav.learning.evidence import Evidence, with_units
 from pinav.learning.findings import Findings
 from pinav.learning.matching import Losses
@@ -243,6 +242,14 @@ class Learned(AbstractLearned):
         return self.findings.outcome
 
     @property
+    def ending(self) -> str:
+        """The word for how the fit ended by its own account, before any rollout."""
+        if self.evidence is not None:
+            return self.evidence.outcome
+        assert self.losses is not None  # there is no third kind of recipe
+        return self.losses.outcomes[0]
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Sentences on what limits the result, each with a remedy."""
         return self.findings.remarks
@@ -330,10 +337,7 @@ class Learned(AbstractLearned):
         """
         if not isinstance(self.model, KnownSwimmer):
             raise InputError(f"{self.path}: model {self.choice.name} has no force")
-        with jax.enable_x64(new_val=True):
-            force = with_dtype(self.model.environment, jnp.float64)
-            places = np.asarray(positions, float)
-            return np.asarray(forces_at(force, jnp.zeros(len(places)), places))
+        return exact_forces(self.model.environment, np.asarray(positions, float))
 
     def force_sd(self, field: FieldMap) -> Float[np.ndarray, "y x 2"]:
         """Standard deviation of the learned force on the grid of a map.

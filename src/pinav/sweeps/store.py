@@ -61,13 +61,12 @@ class Cell(msgspec.Struct, frozen=True):
 
         Args:
             command: "module:name".
-            settings: a struct of numbers, words and sequences of them.
+            settings: a struct of numbers, words, and sequences and structs of them.
             system: name of the system, or the path of the data.
             others: the fields `seed`, `label` and `shape`.
         """
-        content = msgspec.to_builtins(settings)
-        plain = {name: value for name, value in content.items() if value is not None}
-        return cls(command, system, tomli_w.dumps(plain), **others)
+        content = without_none(msgspec.to_builtins(settings, enc_hook=str))
+        return cls(command, system, tomli_w.dumps(content), **others)
 
     @classmethod
     def from_text(cls, text: str) -> "Cell":
@@ -98,6 +97,13 @@ class Cell(msgspec.Struct, frozen=True):
         """Name of the folder of its result: words for people, then the hash."""
         words = re.sub(r"[^a-zA-Z0-9.]+", "-", self.label).strip("-.")[:60]
         return f"{words or 'cell'}-{self.hash[:HASH_DIGITS]}"
+
+
+def without_none(content: Any) -> Any:
+    """The content without entries that TOML cannot hold."""
+    if not isinstance(content, dict):
+        return content
+    return {k: without_none(v) for k, v in content.items() if v is not None}
 
 
 class CellOutcome(msgspec.Struct, frozen=True):

@@ -7,19 +7,17 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from pinav.commands.command import CommandResult
 from pinav.commands.export import ExportOptions
-from pinav.dynamics import with_dtype
 from pinav.errors import InputError
-from pinav.evaluation import extent, require_x64
+from pinav.evaluation import exact_forces, extent, require_x64
 from pinav.files import atomic_write, check_destination
 from pinav.fitting import Posterior
 from pinav.fitting.engine.constant_priors import parameter_names
-from pinav.forces import AbstractForce, as_learned_force, forces_at
+from pinav.forces import AbstractForce, as_learned_force
 from pinav.learning.learned import Learned
 from pinav.trajectories import POSITION_CHANNELS
 from pinav.units import force_unit
@@ -80,17 +78,6 @@ def learned_force(run: Learned) -> AbstractForce:
             "with a potential or a force, such as --model kernel-potential"
         )
     return force
-
-
-def exact_forces(
-    force: AbstractForce,
-    positions: Float[np.ndarray, "spot dim"],
-    times: Float[np.ndarray, " spot"],
-) -> Float[np.ndarray, "spot dim"]:
-    """The force on a swimmer at rest at each position and time."""
-    with jax.enable_x64(new_val=True):
-        exact = with_dtype(force, jnp.float64)
-        return np.asarray(forces_at(exact, times, positions))
 
 
 def force_sds(

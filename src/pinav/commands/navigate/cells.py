@@ -167,11 +167,10 @@ class LoopsCell(msgspec.Struct, frozen=True):
     """The settings of some closed loops with one model.
 
     Attributes:
-        settings: settings of the command, as JSON.
         digest: digest of the files of the fit.
     """
 
-    settings: str
+    settings: NavigateSettings
     digest: str
     model: str
     first: int
@@ -182,16 +181,14 @@ class FlightsCell(msgspec.Struct, frozen=True):
     """The settings of the flights of one swimmer that learns on the way.
 
     Attributes:
-        settings: settings of the command, as JSON.
-        online: settings of learning, as JSON.
-        prior: folder of the fit to begin with; empty for none.
+        prior: folder of the fit to begin with.
         digest: digest of its files, and of that of the system.
     """
 
-    settings: str
-    online: str
-    prior: str
+    settings: NavigateSettings
+    online: OnlineSettings
     digest: str
+    prior: str | None = None
 
 
 def navigation_problem(settings: NavigateSettings, run: Learned) -> NavigationProblem:
@@ -217,7 +214,7 @@ def sweep_loops(
         model: [
             Cell.of(
                 "pinav.commands.navigate.cells:do_loops",
-                LoopsCell(_json(settings), digest, model, first, last),
+                LoopsCell(settings, digest, model, first, last),
                 system=str(run.absolute()),
                 label=f"{model}, seeds {first} to {last}",
                 shape=model,
@@ -249,10 +246,10 @@ def _loops(sweep: Sweep, cells: Sequence[Cell]) -> Episodes | str:
 def do_loops(cell: Cell, folder: Path) -> None:
     """Do the closed loops of a cell."""
     one = cell.read(LoopsCell)
-    settings = msgspec.json.decode(one.settings, type=NavigateSettings)
-    problem = _problem(cell.system, one.settings)
+    settings = one.settings
+    problem = _problem(cell.system, settings)
     try:
-        steering = _steering(cell.system, one.settings, one.model)
+        steering = _steering(cell.system, settings, one.model)
     except InputError as error:
         loops = Loops(None, str(error))
     else:
@@ -263,13 +260,12 @@ def do_loops(cell: Cell, folder: Path) -> None:
 
 
 @functools.lru_cache(maxsize=1)
-def _problem(run: str, settings: str) -> NavigationProblem:
-    decoded = msgspec.json.decode(settings, type=NavigateSettings)
-    return navigation_problem(decoded, Learned.open(Path(run)))
+def _problem(run: str, settings: NavigateSettings) -> NavigationProblem:
+    return navigation_problem(settings, Learned.open(Path(run)))
 
 
 @functools.lru_cache(maxsize=3)
-def _steering(run: str, settings: str, model: str) -> AbstractController:
+def _steering(run: str, settings: NavigateSettings, model: str) -> AbstractController:
     return _problem(run, settings).controller_with(model)
 
 
@@ -283,12 +279,8 @@ def sweep_flights(
     system = Path(online.learn_online or "")
     if system.is_file():  # a worker may have another working directory
         online = msgspec.structs.replace(online, learn_online=str(system.absolute()))
-    one = FlightsCell(
-        _json(settings),
-        _json(online),
-        prior="" if prior is None else str(prior.absolute()),
-        digest=_digest(prior, system),
-    )
+    place = prior and str(prior.absolute())
+    one = FlightsCell(settings, online, _digest(prior, system), place)
     cells = [
         Cell.of(
             "pinav.commands.navigate.cells:do_flights",
@@ -306,24 +298,16 @@ def sweep_flights(
 def do_flights(cell: Cell, folder: Path) -> None:
     """Do the flights of one swimmer."""
     one = cell.read(FlightsCell)
-    problem = _online_problem(one.settings, one.online, one.prior)
-    settings = msgspec.json.decode(one.settings, type=NavigateSettings)
-    online = msgspec.json.decode(one.online, type=OnlineSettings)
-    flights = fly_swimmer(problem.adaptive, settings.seed, cell.seed, online.visits)
+    adaptive = _online_problem(one.settings, one.online, one.prior).adaptive
+    flights = fly_swimmer(adaptive, one.settings.seed, cell.seed, one.online.visits)
     RunFolder(folder).store(FILE, flights)
 
 
 @functools.lru_cache(maxsize=1)
-def _online_problem(settings: str, online: str, prior: str) -> OnlineProblem:
-    return online_problem(
-        msgspec.json.decode(settings, type=NavigateSettings),
-        msgspec.json.decode(online, type=OnlineSettings),
-        Path(prior) if prior else None,
-    )
-
-
-def _json(settings: msgspec.Struct) -> str:
-    return msgspec.json.encode(settings).decode()
+def _online_problem(
+    settings: NavigateSettings, online: OnlineSettings, prior: str | None
+) -> OnlineProblem:
+    return online_problem(settings, online, prior and Path(prior))
 
 
 OF_A_FIT = (

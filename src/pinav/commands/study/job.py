@@ -23,7 +23,7 @@ from pinav.commands.settings import ModelName
 from pinav.commands.study import StudyOptions, StudySettings
 from pinav.commands.sweep import Sweep, start_sweep, status_text
 from pinav.dynamics import AbstractDynamics
-from pinav.errors import FitError, InputError
+from pinav.errors import InputError
 from pinav.evaluation import (
     Agreement,
     RolloutSummary,
@@ -40,17 +40,12 @@ from pinav.evaluation import (
 from pinav.figures import Picture
 from pinav.figures.errors import scaling_figure
 from pinav.files import write_text
-from pinav.fitting import Outcome as FitOutcome
-from pinav.fitting import fit_bayes
-from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.summary import (
     KnownSwimmer,
-    ModelChoice,
-    summarise_data,
-    summarise_for,
 )
-from pinav.learning.matching import matching
-from pinav.learning.recipes import Curriculum
+from pinav.learning.learn import infer
+from pinav.learning.plan import MATCHED_MODELS, plan_fit
+from pinav.learning.recipes import Bayes, Curriculum
 from pinav.report import Cell as Entry
 from pinav.report import Paragraph, Section, Table
 from pinav.scenarios import scenario
@@ -260,8 +255,9 @@ def do_cell(cell: Cell, folder: Path) -> None:
     clean = _several(cell.system, cell.seed, max(one.count, NESTED))
     clean = clean.select(range(one.count))
     data = with_noise(clean, one.sigma, cell.seed)
-    choice = ModelChoice(one.model, seed=cell.seed)
-    model, outcome = fit_choice(choice, known.swimmer, data, max_steps=one.max_steps)
+    model, outcome = fit_model(
+        one.model, known, data, seed=cell.seed, max_steps=one.max_steps
+    )
     held = _held_out(cell.system, one.held_out)
     fit = with_scores(_without_scores(cell, outcome), model, known, clean, held)
     document = msgspec.json.encode(encode(fit).document)
@@ -307,29 +303,20 @@ def with_noise(clean: Trajectories, sigma: float, seed: int) -> Trajectories:
     return degrade(clean, [GaussianNoise(sigma)], key=noise_key) if sigma else clean
 
 
-def fit_choice(
-    choice: ModelChoice, swimmer: KnownSwimmer, data: Trajectories, *, max_steps: int
+def fit_model(
+    model: ModelName, system: System, data: Trajectories, *, seed: int, max_steps: int
 ) -> tuple[AbstractDynamics, str]:
-    """A model as `pinav fit` fits it, and how the fit ended.
+    """A model as `pinav fit` fits it, without a structure, and how the fit ended.
 
     Physics alone has nothing to fit. A fit whose steps ran out is used as it stands.
     """
-    if choice.name == "physics-only":
-        return swimmer.without_environment(), "nothing to fit"
-    if choice.name not in ("ude", "nn-only"):
-        start = build(choice, swimmer, summarise_for(choice, data))
-        result = fit_bayes(start, data, max_iterations=max_steps, throw=False)
-    else:
-        model = build(choice, swimmer, summarise_data(data))
-        method = matching(Curriculum(max_steps), data, model)
-        (result,) = method.fit(
-            [model],
-            data,
-            trainable=choice.trainable,
-        )
-    if result.outcome is FitOutcome.DIVERGED:
-        raise FitError("the fit diverged")
-    return result.model, str(result.outcome)
+    if model == "physics-only":
+        return system.swimmer.without_environment(), "nothing to fit"
+    recipe = Bayes(structure="free", max_steps=max_steps)
+    if model in MATCHED_MODELS:
+        recipe = Curriculum(max_steps)
+    fit = infer(plan_fit(system, data, model=model, recipe=recipe, seed=seed))
+    return fit.model, fit.ending
 
 
 def with_scores(
