@@ -307,7 +307,7 @@ def do_flights(cell: Cell, folder: Path) -> None:
 def _online_problem(
     settings: NavigateSettings, online: OnlineSettings, prior: str | None
 ) -> OnlineProblem:
-    return online_problem(settings, online, prior and Path(prior))
+    return online_problem(settings, online, None if prior is None else Path(prior))
 
 
 OF_A_FIT = (
