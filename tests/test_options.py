@@ -49,7 +49,8 @@ FOREIGN = {
     "--xla",  # begins the names of XLA's flags
     *("--key", "--nifti"),  # examples/heat/phantom.py
     *("--array", "--cpus-per-task", "--wrap"),  # sbatch
-    *("--nthreads", "--nworkers", "--protocol", "--scheduler-file", "--tls-ca-file"),
+    *("--nthreads", "--nworkers", "--protocol", "--scheduler-file"),
+    *("--tls-ca-file", "--tls-cert", "--tls-key"),
 }
 """Options of other programs that the pages call, the last ones of dask."""
 
