@@ -32,7 +32,7 @@ def test_numbers_are_named_by_the_words_on_the_way():
     ("words", "message"),
     [
         ([], "expected a file of data, got none; give one or more"),
-        (["a.csv", "--workers", "2"], "are for several files; drop them"),
+        (["a.csv", "--workers", "2"], "a.csv: cannot read: No such file"),
         (["a.csv", "b.csv"], "a.csv: cannot read: No such file"),
     ],
 )

@@ -147,7 +147,10 @@ def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
         (["noise", "--models"], "--models: expected at least one"),
         (["growth"], "invalid choice 'growth'"),
         (["noise", "--workers", "0"], "--workers: expected 1 or more, got 0"),
-        (["noise", "--workers", "here"], "--workers here: "),
+        (
+            ["noise", "--workers", "here"],
+            "--workers: expected a number, or the address",
+        ),
         (["noise", "--cell-timeout", "0"], "--cell-timeout: expected a number > 0"),
     ],
 )

@@ -75,8 +75,14 @@ def workers_of(settings: WorkerSettings) -> OpenCluster:
     One worker, too, is a process: its single thread gives the bytes of all others.
     """
     workers = settings.workers
-    opened = cluster_at if isinstance(workers, str) else local_cluster
-    return functools.partial(opened, workers)
+    if isinstance(workers, int):
+        return functools.partial(local_cluster, workers)
+    if "://" not in workers:
+        raise InputError(
+            "--workers: expected a number, or the address of a scheduler such as "
+            f"tcp://host:8786, got {workers!r}"
+        )
+    return functools.partial(cluster_at, workers)
 
 
 @contextlib.contextmanager
@@ -92,9 +98,10 @@ def start_sweep(
     Raises:
         InputError: the folder cannot be used, or another process is at work on it.
     """
+    open_cluster = workers_of(workers)
     with claim(options.out):
         folder = start_run(command, options, *settings, **identity)
-        sweep = Sweep(folder, workers_of(workers), workers.cell_timeout)
+        sweep = Sweep(folder, open_cluster, workers.cell_timeout)
         if options.overwrite:
             sweep.store.remove()
         yield sweep
