@@ -51,9 +51,10 @@ Blocks = list[AbstractBlock]
 
 def sections(analysis: Analysis) -> list[Section]:
     """Maps of what was learned, and what it depends on."""
+    entropy = [] if analysis.entropy is None else [analysis.entropy]
     found = {
         "What was learned": _learned(analysis),
-        "Out of equilibrium": _entropy(analysis),
+        "Out of equilibrium": [Paragraph(entropy_sentence(e)) for e in entropy],
         "What the field depends on": _influence(analysis) + _constants(analysis),
         "What a rollout depends on": _lyapunov(analysis) + _sobol(analysis),
         "Left out of the analysis": list(map(Paragraph, analysis.left_out)),
@@ -105,11 +106,6 @@ def rotation_sentence(analysis: Analysis) -> str:
         f"gradient they leave {split.least_fraction:.2%}, counted as rotational "
         f"{split.greatest_fraction:.2%}."
     )
-
-
-def _entropy(analysis: Analysis) -> Blocks:
-    found = analysis.entropy
-    return [] if found is None else [Paragraph(entropy_sentence(found))]
 
 
 def entropy_sentence(entropy: EntropyProduction) -> str:
@@ -229,8 +225,8 @@ def _table_of(indices: SobolIndices) -> Table:
         (
             outcome,
             factor,
-            *_cells(indices.first[i, j], *indices.first_interval[i, j]),
-            *_cells(indices.total[i, j], *indices.total_interval[i, j]),
+            *map(float, (indices.first[i, j], *indices.first_interval[i, j])),
+            *map(float, (indices.total[i, j], *indices.total_interval[i, j])),
             float(indices.variance[i]),
         )
         for i, outcome in enumerate(indices.outcomes)
@@ -243,7 +239,3 @@ def _table_of(indices: SobolIndices) -> Table:
         f"Sobol' indices with {level} bootstrap intervals.",
         name="analysis-sobol",
     )
-
-
-def _cells(*values: float) -> list[Cell]:
-    return [float(value) if np.isfinite(value) else None for value in values]

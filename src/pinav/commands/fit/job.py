@@ -134,15 +134,11 @@ def constants_table(constants: Mapping[str, Estimate]) -> Table:
         "constant": lambda one: one[0],
         "unit": lambda one: one[1].unit,
         "value": lambda one: number(one[1].value, 6),
-        "standard deviation": lambda one: _or_none(one[1].sd),
-        "2.5 %": lambda one: number(_or_none(one[1].low), 6),
-        "97.5 %": lambda one: number(_or_none(one[1].high), 6),
+        "standard deviation": lambda one: one[1].sd,
+        "2.5 %": lambda one: number(one[1].low, 6),
+        "97.5 %": lambda one: number(one[1].high, 6),
     }
     return Table.of(list(constants.items()), columns, "Constants learned.")
-
-
-def _or_none(value: float) -> float | None:
-    return None if np.isnan(value) else value
 
 
 def _errors(fit: Findings) -> Table:
@@ -356,8 +352,7 @@ def _force(fit: Findings) -> list[AbstractBlock]:
     blocks += force_line_figures(fit)
     if fit.force_error is not None:
         errors = {
-            f"{region} (%)": None if np.isnan(error) else 100 * error
-            for region, error in fit.force_error.items()
+            f"{region} (%)": 100 * error for region, error in fit.force_error.items()
         }
         blocks.append(
             _one_row(
