@@ -23,10 +23,6 @@ def read_data(
     Args:
         reading: how it is read where it is a recording.
         doubtful: a recording whose conventions look wrong is read all the same.
-
-    Raises:
-        InputError: the file is damaged, a convention of a recording looks wrong and no
-            option states it, or an option for recordings is given with a file of pinav.
     """
     if reading.columns or reading.format or not is_trajectories(path):
         data = read_recording(path, reading)

@@ -25,11 +25,7 @@ from pinav.trajectories import Trajectories
 def start_run(
     command: Command, options: RunOptions, *settings: msgspec.Struct, **identity: str
 ) -> RunFolder:
-    """Create or resume the folder of a run.
-
-    Raises:
-        InputError: the folder cannot be used, or holds a run with other settings.
-    """
+    """Create or resume the folder of a run."""
     resume = isinstance(options, ResumableOptions) and options.resume
     if resume and options.overwrite:
         raise InputError("--resume and --overwrite: choose one of them")
@@ -80,11 +76,7 @@ def keep(command: Command, folder: RunFolder, result: Any) -> CommandResult:
 
 
 def sections_of(command: Command, folder: RunFolder) -> list[Section]:
-    """What a command adds to the report of a run; nothing where it did not run.
-
-    Raises:
-        InputError: its files are damaged.
-    """
+    """What a command adds to the report of a run; nothing where it did not run."""
     if command.result is None:
         return [] if command.report is None else resolve(command.report)(folder)
     if not folder.has(f"{command.file}.json"):
@@ -102,9 +94,6 @@ def write_report(folder: RunFolder, command: Command | None = None) -> Path:
 
     The sections of the command that made the run come first, then those of every
     command that added results to it.
-
-    Raises:
-        InputError: the run is not finished, or one of its files is damaged.
     """
     maker = _maker(folder, command)
     if folder.has(TABLE):

@@ -54,11 +54,7 @@ class SteeringSettings(Settings, frozen=True):
     seed: int = 0
 
     def places(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Start and goal.
-
-        Raises:
-            InputError: one of them is missing, or is no place.
-        """
+        """Start and goal."""
         if self.start is None or self.goal is None:
             raise InputError(
                 "--from, --to: expected the places where the way begins and ends, such "
@@ -68,11 +64,7 @@ class SteeringSettings(Settings, frozen=True):
         return numbers("--from", start, 2, 3), numbers("--to", goal, 2, 3)
 
     def check_dimension(self, dim: int) -> None:
-        """Refuse places that have not as many coordinates as the swimmer.
-
-        Raises:
-            InputError: a place, disc or arena has another number.
-        """
+        """Refuse places that have not as many coordinates as the swimmer."""
         given = [("--from", self.start, dim), ("--to", self.goal, dim)]
         given += [("--arena", self.arena, 2 * dim)]
         given += [("--keep-out", text, dim + 1) for text in self.keep_out]

@@ -93,11 +93,7 @@ def start_sweep(
     *settings: msgspec.Struct,
     **identity: str,
 ) -> Iterator[Sweep]:
-    """Claim, create or resume the folder of a run of many cells.
-
-    Raises:
-        InputError: the folder cannot be used, or another process is at work on it.
-    """
+    """Claim, create or resume the folder of a run of many cells."""
     open_cluster = workers_of(workers)
     with claim(options.out):
         folder = start_run(command, options, *settings, **identity)
@@ -163,11 +159,7 @@ class FileCell(msgspec.Struct, frozen=True):
 
 
 def run_files(command: Command, options: FilesOptions) -> CommandResult:
-    """One run for each file; those that are done are not done again.
-
-    Raises:
-        InputError: a file is missing or given twice, or the folder cannot be used.
-    """
+    """One run for each file; those that are done are not done again."""
     if not options.data:
         raise InputError("expected a file of data, got none; give one or more")
     cells = [_cell(command, options, path) for path in options.data]

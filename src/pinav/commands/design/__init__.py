@@ -40,11 +40,7 @@ class DesignSettings(SteeringSettings, frozen=True):
     seeds: Annotated[int, Range(1)] = 4
 
     def release_box(self) -> tuple[float, ...] | None:
-        """Corners of the rectangle in which swimmers can be released.
-
-        Raises:
-            InputError: they are no rectangle.
-        """
+        """Corners of the rectangle in which swimmers can be released."""
         if self.release is None:
             return None
         box = numbers("--release", self.release, 4)

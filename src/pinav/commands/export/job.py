@@ -49,11 +49,7 @@ class SpotTable(NamedTuple):
 
 
 def spot_table(run: Learned) -> SpotTable:
-    """The learned force at the observed positions of the data that were fitted.
-
-    Raises:
-        InputError: the run holds several models, or one that learned no force.
-    """
+    """The learned force at the observed positions of the data that were fitted."""
     data = run.data
     is_observed = data.observed[..., : data.dim].all(axis=-1)
     is_observed &= np.arange(data.times.shape[1]) < data.lengths[:, None]
@@ -66,11 +62,7 @@ def spot_table(run: Learned) -> SpotTable:
 
 
 def learned_force(run: Learned) -> AbstractForce:
-    """The force that stands for the unknown in the model of a run.
-
-    Raises:
-        InputError: the run holds several models, or one without such a force.
-    """
+    """The force that stands for the unknown in the model of a run."""
     force = getattr(run.model, "environment", None)
     if not isinstance(force, AbstractForce):
         raise InputError(
@@ -182,10 +174,6 @@ def datatree_of(
 
     The draws are independent draws from the normal (Laplace) posterior, one chain. A
     run without a posterior has the mean of the force and the data alone.
-
-    Raises:
-        InputError: xarray is not installed, the run learned no force, or x64 is
-            switched off.
     """
     require_x64("drawing from a posterior")
     try:

@@ -169,11 +169,7 @@ def _restarts(restarts: RestartErrors, length: str, time: str) -> Table:
 
 
 def support_sentence(gain: float) -> str:
-    """What the evidence says of a field beside the commands, with the remedy.
-
-    Args:
-        gain: log evidence of the field over none [nats].
-    """
+    """What the evidence says of a field beside the commands, with the remedy."""
     nats = f"{number(abs(gain), 3)} nats"
     if gain > DECISIVE:
         return f"field of position: supported, by {nats} over the known physics alone"

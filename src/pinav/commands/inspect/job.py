@@ -45,9 +45,6 @@ def inspect(
     Args:
         out: folder of `inspection.json`, `inspection.html`, `figures/` and
             `reading.toml`.
-
-    Raises:
-        InputError: the file or the image is damaged, or a report is there already.
     """
     if out is not None and (out / JSON_FILE).exists() and not overwrite:
         raise InputError(f"{out}: holds a report already; give --overwrite or another")

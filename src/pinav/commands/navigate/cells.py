@@ -68,12 +68,7 @@ def system_to_learn(settings: NavigateSettings, name: str) -> System | None:
 def with_prior(
     adaptive: AdaptiveController, run: Learned, units: Units
 ) -> AdaptiveController:
-    """The controller that begins with the force and the posterior of a fit.
-
-    Raises:
-        InputError: the run holds no fitted swimmer, no posterior, one in other units,
-            or one that does not move as that of the task does.
-    """
+    """The controller that begins with the force and the posterior of a fit."""
     if run.system.base_units != units:
         raise InputError(
             f"RUN: expected a fit in {_words(units)}, got one in "
@@ -115,12 +110,7 @@ class OnlineProblem:
 def online_problem(
     settings: NavigateSettings, online: OnlineSettings, prior: Path | None
 ) -> OnlineProblem:
-    """The problem that the options ask for.
-
-    Raises:
-        InputError: the task or the system is unknown, or the system cannot be steered
-            through, or the fit does not suit it.
-    """
+    """The problem that the options ask for."""
     name = online.learn_online or ""
     system = system_to_learn(settings, name)
     if system is not None:
@@ -192,12 +182,7 @@ class FlightsCell(msgspec.Struct, frozen=True):
 
 
 def navigation_problem(settings: NavigateSettings, run: Learned) -> NavigationProblem:
-    """The navigation problem of a run, from its system and model alone.
-
-    Raises:
-        InputError: the run holds no fitted swimmer in the plane or in space, or the
-            settings name places of another dimension.
-    """
+    """The navigation problem of a run, from its system and model alone."""
     if run.data.dim > 1:
         settings.check_dimension(run.data.dim)
     way = dataclasses.replace(way_of(settings), sensor_noise=settings.sensor_noise)

@@ -226,11 +226,7 @@ def cells(name: str, world: str, settings: StudySettings) -> list[Cell]:
 
 
 def study(name: str, world: str, settings: StudySettings, sweep: Sweep) -> Study:
-    """Fit and score every cell.
-
-    Raises:
-        InputError: the scenario is unknown, or of a kind that `pinav fit` cannot use.
-    """
+    """Fit and score every cell."""
     chosen = cells(name, world, settings)
     outcomes = sweep.run(chosen, name)
     fits = map(_fit_of, chosen, outcomes, [sweep.store] * len(chosen))
@@ -275,11 +271,7 @@ def _several(world: str, seed: int, count: int) -> Trajectories:
 
 
 def check(name: str, world: str, settings: StudySettings) -> None:
-    """Refuse a study before a folder is made for it.
-
-    Raises:
-        InputError: the scenario is unknown, stochastic or has too few starts.
-    """
+    """Refuse a study before a folder is made for it."""
     counts = (settings.count,) if name == "noise" else settings.counts
     for count in counts:
         chosen = scenario(world, count=count)
