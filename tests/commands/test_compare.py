@@ -14,7 +14,6 @@ from pinav.commands.compare.job import (
     ComparedModel,
     Comparison,
     check_settings,
-    positions_alone,
     sections,
     table,
     verdicts,
@@ -137,11 +136,3 @@ def test_comparison_of_stochastic_paths_from_the_command_line(tmp_path, capsys):
         cli.run(["fit", str(data), *langevin[:-1], str(run), "--system", "paper"]) == 2
     )
     assert "expected a system without inertia" in capsys.readouterr().err
-
-
-def test_positions_alone_keep_everything_but_velocities():
-    data = positions("paper", ("x", "y", "vx", "vy"))
-    found = positions_alone(data)
-    assert found.channels == ("x", "y")
-    np.testing.assert_array_equal(found.states, data.states[..., :2])
-    np.testing.assert_array_equal(found.times, data.times)

@@ -10,6 +10,7 @@ is. Rollouts of seconds say what a model predicts.
 """
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -251,14 +252,6 @@ def _windows(piece: Trajectory) -> list[Trajectory]:
         if last >= len(seen):
             break
         rows = seen[first : last + 1]
-        commands = {name: values[rows] for name, values in piece.commands.items()}
-        parts.append(
-            Trajectory(
-                times=piece.times[rows],
-                states=piece.states[rows],
-                observed=piece.observed[rows],
-                commands=commands,
-            )
-        )
+        parts.append(jax.tree.map(lambda array, at=rows: array[at], piece))
         first = last
     return parts

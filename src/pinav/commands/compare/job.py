@@ -247,7 +247,10 @@ def fit_model(
     summary = summarise_for(choice, data)
     swimmer, inputs = known.swimmer, data
     if name == "first-order" and isinstance(swimmer, Swimmer):
-        swimmer, inputs = _without_inertia(swimmer, summary), positions_alone(data)
+        swimmer, inputs = (
+            _without_inertia(swimmer, summary),
+            data.only(_positions(data)),
+        )
     elif isinstance(swimmer, Swimmer) and len(_positions(data)) == len(data.channels):
         unseen = known.channels[len(data.channels) :]
         inputs = with_missing_channels(data, {n: known.units[n] for n in unseen})
@@ -274,19 +277,6 @@ def _without_inertia(swimmer: Swimmer, summary: DataSummary) -> OverdampedSwimme
     """The limit of strong drag: the mobility is one over the drag."""
     mobility = 1 / mean_drag(swimmer, summary)
     return OverdampedSwimmer(swimmer.propulsion, swimmer.environment, mobility)
-
-
-def positions_alone(data: Trajectories) -> Trajectories:
-    """The data without the channels that are no positions."""
-    names = _positions(data)
-    return Trajectories.from_arrays(
-        [piece.times for piece in data],
-        [piece.states[:, : len(names)] for piece in data],
-        observed=[piece.observed[:, : len(names)] for piece in data],
-        channels=names,
-        units={name: data.units[name] for name in (*names, "t")},
-        provenance=data.provenance,
-    )
 
 
 def _positions(data: Trajectories) -> list[str]:
