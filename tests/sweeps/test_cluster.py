@@ -222,10 +222,11 @@ def test_nobody_at_the_address_is_one_line(monkeypatch):
 def test_damaged_certificates_are_one_line(tmp_path):
     file = tmp_path / "ca.pem"
     file.write_text("nothing")
-    files = {"ca-file": str(file), "client": {"cert": str(file), "key": str(file)}}
+    tls = "distributed.comm.tls"
+    names = (f"{tls}.ca-file", f"{tls}.client.cert", f"{tls}.client.key")
     refusal = pytest.raises(InputError, match=r"--workers tls://127.0.0.1:9: ")
     with (
-        config.set({"distributed.comm.tls": files}),
+        config.set(dict.fromkeys(names, str(file))),
         refusal,
         cluster_at("tls://127.0.0.1:9"),
     ):
