@@ -71,7 +71,8 @@ import pkgutil, pinav
 from pinav.codec import members
 from pinav.commands import COMMANDS
 from pinav.commands.command import resolve
-wanted = {c.name: resolve(c.result) for c in COMMANDS if c.result and resolve(c.sections)}
+said = [c for c in COMMANDS if c.result and resolve(c.sections)]
+wanted = {c.name: resolve(c.result) for c in said}
 known = {name: members(family) for name, family in wanted.items()}
 for module in pkgutil.walk_packages(pinav.thermal.__path__, "pinav.thermal."):
     __import__(module.name)
