@@ -58,7 +58,7 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "analysis": ("analyse", "discover"),
     "commands.explore.job": ("explorer",),
-    "commands.export.datatree": ("datatree_of",),
+    "commands.export.job": ("datatree_of",),
     "dynamics": ("OverdampedSwimmer", "Swimmer", "rollout"),
     "errors": ("FitError", "InputError"),
     "evaluation": ("estimate_starts", "evaluate", "field_map", "predict", "score"),

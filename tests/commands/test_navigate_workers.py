@@ -11,8 +11,8 @@ import pytest
 from tests.sweeps.here import here
 
 from pinav import cli
-from pinav.commands import sweep
-from pinav.commands.navigate import NAVIGATE, NavigateOptions, NavigateSettings, cells
+from pinav.commands import NAVIGATE, sweep
+from pinav.commands.navigate import NavigateOptions, NavigateSettings, cells
 from pinav.commands.navigate.cells import navigation_problem, sweep_loops
 from pinav.commands.settings import WorkerSettings
 from pinav.commands.sweep import start_sweep
