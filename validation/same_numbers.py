@@ -97,6 +97,11 @@ WITHIN = {"evaluate": "fit-noisy", "analyse": "fit-noisy", "discover": "fit-nois
 """Steps that add to the run of another one."""
 
 OLD_WORDS: dict[str, tuple[str, ...]] = {
+    "identify-cellbot": ("identify", "cellbot.csv", "--heading-offset", "1.5708"),
+    "fit-recording": (
+        *("fit", "cellbot.csv", "--heading-offset", "1.5708", "--structure", "free"),
+        *("--system", "identify-cellbot/system.toml"),
+    ),
     "navigate-online": (
         *("navigate", "--learn-online", "--task", "barrier-weak"),
         *("--seeds", "1", "--visits", "1", "--time-limit", "10"),
