@@ -74,10 +74,10 @@ class Reading(Settings, frozen=True):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise InputError(f"{name}: expected > 0, got {value}")
-        for name in ("delay", "skip"):
-            if not 0 <= (getattr(self, name) or 0) < math.inf:
-                value = getattr(self, name)
-                raise InputError(f"{name}: expected >= 0, got {value}")
+        for name, unit in (("delay", " s"), ("skip", "")):
+            value = getattr(self, name) or 0
+            if not 0 <= value < math.inf:
+                raise InputError(f"{name}: expected >= 0{unit}, got {value}")
         if not math.isfinite(self.heading_offset):
             raise InputError(
                 f"heading_offset: expected a number of radians, "
