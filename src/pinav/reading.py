@@ -12,7 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from pinav.errors import InputError
-from pinav.settings import Settings
+from pinav.settings import NOT_NEGATIVE, POSITIVE, Range, Settings
 
 Content = dict[str, Any]
 """Settings as TOML holds them."""
@@ -71,20 +71,15 @@ class Reading(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         for name in ("fps", "mpp", "jump", "gap"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise InputError(f"{name}: expected > 0, got {value}")
-        for name, unit in (("delay", " s"), ("skip", "")):
-            value = getattr(self, name) or 0
-            if not 0 <= value < math.inf:
-                raise InputError(f"{name}: expected >= 0{unit}, got {value}")
+            POSITIVE.check(name, getattr(self, name))
+        for name in ("delay", "skip"):
+            NOT_NEGATIVE.check(name, getattr(self, name))
+        Range(least=0, most=1).check("likelihood", self.likelihood)
         if not math.isfinite(self.heading_offset):
             raise InputError(
                 f"heading_offset: expected a number of radians, "
                 f"got {self.heading_offset}"
             )
-        if not 0 <= self.likelihood <= 1:
-            raise InputError(f"likelihood: expected from 0 to 1, got {self.likelihood}")
 
     @classmethod
     def of_words(cls, words: Sequence[str]) -> "Reading":

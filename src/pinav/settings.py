@@ -17,9 +17,13 @@ Number = int | float
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """The numbers that a setting may be; stands in its annotation.
+    """The numbers that something may be; in the annotation of a setting, or by itself.
 
     Attributes:
+        least: smallest number that is allowed.
+        above: the number is larger than this.
+        below: the number is smaller than this.
+        most: largest number that is allowed.
         doubling: a power of two alone is allowed.
     """
 
@@ -35,12 +39,19 @@ class Range:
         if self.most is not None:
             return f"{self.least:g} to {self.most:g}"
         if self.below < math.inf and self.above is None:
-            return f"from {self.least:g} to below {self.below:g}"
+            return f"{self.least:g} to below {self.below:g}"
         if self.below < math.inf:
             return f"between {self.above:g} and {self.below:g}"
         if self.above is not None:
-            return f"a number > {self.above:g}"
+            return f"> {self.above:g}"
         return f"{self.least:g} or more"
+
+    def __contains__(self, number: Number) -> bool:
+        low = -math.inf if self.least is None else self.least
+        above = -math.inf if self.above is None else self.above
+        most = math.inf if self.most is None else self.most
+        is_within = low <= number <= most and above < number < self.below
+        return is_within and (not self.doubling or math.log2(number).is_integer())
 
     def check(self, name: str, value: Any) -> None:
         """Require that the value, or each of several, lies within; words always do.
@@ -48,17 +59,9 @@ class Range:
         Raises:
             InputError: it lies outside, or is not finite.
         """
-        low = -math.inf if self.least is None else self.least
-        above = -math.inf if self.above is None else self.above
-        most = math.inf if self.most is None else self.most
         for number in value if isinstance(value, tuple) else (value,):
-            if number is None or isinstance(number, str):
-                continue
-            allowed = low <= number <= most and above < number < self.below
-            if self.doubling and allowed:
-                allowed = math.log2(number).is_integer()
-            if not allowed:
-                raise InputError(f"{option(name)}: expected {self}, got {number}")
+            if isinstance(number, int | float) and number not in self:
+                raise InputError(f"{name}: expected {self}, got {number}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,12 +78,10 @@ class Several:
         """
         for value in values:
             if values.count(value) > 1:
-                raise InputError(f"{option(name)}: {value} is given twice; drop one")
+                raise InputError(f"{name}: {value} is given twice; drop one")
         if len(values) < self.least:
             word = "one" if self.least == 1 else f"{self.least} different ones"
-            raise InputError(
-                f"{option(name)}: expected at least {word}, got {len(values)}"
-            )
+            raise InputError(f"{name}: expected at least {word}, got {len(values)}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,12 +103,7 @@ class Numbers:
         """
         for word in value if isinstance(value, tuple) else (value,):
             if word is not None:
-                numbers(self.option or option(name), word, *self.counts)
-
-
-def option(name: str) -> str:
-    """The option of a field."""
-    return f"--{name.replace('_', '-')}"
+                numbers(self.option or name, word, *self.counts)
 
 
 def numbers(option: str, text: str, *counts: int) -> tuple[float, ...]:
@@ -132,6 +128,11 @@ def numbers(option: str, text: str, *counts: int) -> tuple[float, ...]:
     return values
 
 
+POSITIVE = Range(above=0)
+NOT_NEGATIVE = Range(least=0)
+FRACTION = Range(above=0, below=1)
+
+
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Options that can be checked before anything is computed or written."""
 
@@ -149,7 +150,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 continue
             for allowed in getattr(hints[name], "__metadata__", ()):
                 if isinstance(allowed, Range | Several | Numbers):
-                    allowed.check(name, value)
+                    allowed.check(f"--{name.replace('_', '-')}", value)
         self.check_together()
 
     def check_together(self) -> None:

@@ -134,7 +134,7 @@ def test_paths_are_drawn_over_a_still_of_the_film(circles, tmp_path, capsys):
         ("speed=1", "reading: Object contains unknown field `speed`"),
         ("fps=", "expected a value after 'fps='"),
         ("nowhere.toml", "nowhere.toml: expected NAME=VALUE, or a TOML file"),
-        ("delay=-1", "delay: expected >= 0 s, got -1.0"),
+        ("delay=-1", "delay: expected 0 or more, got -1.0"),
     ],
 )
 def test_a_word_of_a_reading_that_says_nothing_is_refused(word, message):

@@ -151,7 +151,7 @@ def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
             ["noise", "--workers", "here"],
             "--workers: expected a number, or the address",
         ),
-        (["noise", "--cell-timeout", "0"], "--cell-timeout: expected a number > 0"),
+        (["noise", "--cell-timeout", "0"], "--cell-timeout: expected > 0"),
     ],
 )
 def test_mistakes_get_one_line_and_no_folder(words, message, tmp_path, capsys):
