@@ -14,9 +14,8 @@ import tomli_w
 from pinav import cli
 from pinav.runs import RunFolder
 from pinav.thermal.case import read_case
-from pinav.thermal.images import read_image
+from pinav.thermal.images import read_frames, read_image
 from pinav.thermal.learned_tissue import LearnedTissue
-from pinav.thermal.readings import read_data
 from pinav.thermal.setup import Setup
 from pinav.thermal.solve import solve
 
@@ -116,7 +115,7 @@ def test_a_phase_is_a_temperature(folder):
     path = edit(folder, "case.toml", {"learn.thermometry": table}, "phase.toml")
     case, _ = read_case(path)
     setup = Setup.of(case, folder)
-    data = read_data(case.learn, setup, folder)
+    data = read_frames(case.learn.thermometry, setup.image, setup.arterial, folder)
     assert data.turn == pytest.approx(39.1443, abs=1e-3)
     expected = np.moveaxis(frames, -1, 0)
     assert np.allclose(data.values, expected, atol=1e-3, equal_nan=True)

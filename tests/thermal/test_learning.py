@@ -13,8 +13,13 @@ from pinav.thermal.grids import RadialGrid
 from pinav.thermal.learned_perfusion import kernel_perfusion, neural_perfusion
 from pinav.thermal.learning import learn, perfusion_curve, visited_range
 from pinav.thermal.perfusion import lang
-from pinav.thermal.probes import ProbeData, load_probes, save_probes, simulate_probes
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.readings import (
+    Readings,
+    load_probes,
+    save_probes,
+    simulate_probes,
+)
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.sources import PowerSource
 from pinav.thermal.tissues import Blood, Tissue
@@ -169,14 +174,14 @@ def test_bad_files_name_the_place(tmp_path, text, message):
 def test_what_cannot_be_learned_is_refused(readings, tmp_path):
     with pytest.raises(InputError, match="nothing to learn"):
         learn(muscle(), STEPS, readings, stepper=STEPPER)
-    far = ProbeData(readings.times, POINTS + 1.0, readings.values)
+    far = Readings(readings.times, readings.values, POINTS + 1.0)
     with pytest.raises(InputError, match="probe at 1 m: expected between 0 and 0.04"):
         learn(muscle(), STEPS, far, constants=lambda m: m.sources[0].scale)
-    late = ProbeData(readings.times + 1e4, POINTS, readings.values)
+    late = Readings(readings.times + 1e4, readings.values, POINTS)
     with pytest.raises(InputError, match="saved time .* expected after 0 and up to"):
         learn(muscle(), STEPS, late, constants=lambda m: m.sources[0].scale)
-    with pytest.raises(InputError, match=r"expected shape \(45, 4\), times by probes"):
-        ProbeData(readings.times, POINTS, readings.values[:, :2])
+    with pytest.raises(InputError, match=r"of shape \(45, 4\), times by places"):
+        Readings(readings.times, readings.values[:, :2], POINTS)
     with pytest.raises(InputError, match="cannot be read"):
         load_probes(tmp_path / "nowhere.csv")
     with pytest.raises(InputError, match="perfusion level: expected > 0"):

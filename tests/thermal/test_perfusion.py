@@ -21,8 +21,8 @@ from pinav.thermal.perfusion import (
     lang,
     mass_perfusion,
 )
-from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.readings import Readings
 from pinav.thermal.rosenbrock import refuse_jumps
 from pinav.thermal.sources import PowerSource, eddy_power
 from pinav.thermal.tissues import PRESETS, Blood, Tissue, mix, preset
@@ -213,7 +213,7 @@ def test_a_law_that_jumps_is_refused_where_it_is_differentiated(law):
     with pytest.raises(InputError, match=message):
         refuse_jumps(model)
     with pytest.raises(InputError, match=message):
-        learn(model, field, ProbeData(np.ones(1), np.ones((1, 1)), np.ones((1, 1))))
+        learn(model, field, Readings(np.ones(1), np.ones((1, 1)), np.ones((1, 1))))
     dose = log_d90(jnp.ones(4))
     with pytest.raises(InputError, match=message):
         optimise(

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from pinav.fitting import EvidenceFit, Outcome
 from pinav.fitting.bayes.parameters import derive
@@ -13,20 +13,19 @@ from pinav.thermal.forecast import Forecast, follow_target, forecast, forecast_t
 from pinav.thermal.heated_run import AbstractHeatResult
 from pinav.thermal.learning import (
     PerfusionCurve,
-    ProbeResiduals,
+    Residuals,
+    Voxels,
     perfusion_curve,
     visited_range,
 )
-from pinav.thermal.probes import ProbeData
 from pinav.thermal.readings import Readings
 from pinav.thermal.setup import Setup
 from pinav.thermal.solve import Solution, solve
-from pinav.thermal.thermometry import ThermometryResiduals
 from pinav.thermal.tissue_fit import (
-    Quantities,
     TissueFit,
     describe_constant,
     mean_perfusion,
+    quantities_of,
 )
 
 
@@ -68,7 +67,7 @@ class FittedProbes(eqx.Module):
         predicted: temperatures at their times and places [°C].
     """
 
-    data: ProbeData
+    data: Readings
     predicted: Float[np.ndarray, "time probe"]
 
 
@@ -154,14 +153,15 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
     """
     setup, settings = task.setup, task.settings
     fit = task.learn(data)
-    constant = fit if settings.kind == "constant" else task.learn_constants(data)
-    residuals = task.residuals(fit.model, data)
+    is_constant = settings.kind == "constant"
+    constant = fit if is_constant else task.learn(data, "constant")
+    residuals = task.residuals(data)
     comparison, by_constant = (
-        TissueComparison.of(residuals, one.model, data) for one in (fit, constant)
+        TissueComparison.of(residuals, one.model) for one in (fit, constant)
     )
-    in_frames = isinstance(residuals, ThermometryResiduals)
     constants = fit.constants.items()
     held_out = settings.held_out if task.fitted is None else ()
+    in_frames = data.points is None
     return LearnedTissue(
         title=setup.title,
         outcome=fit.outcome,
@@ -172,23 +172,20 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
         log_evidence=fit.hyperparameters.log_evidence,
         constants={describe_constant(name, setup): one for name, one in constants},
         quantities=_compare(task, fit),
-        laws={} if settings.kind == "constant" else _laws(task, fit),
+        laws={} if is_constant else _laws(task, fit),
         constant_residual=by_constant.residual,
         held_out=tuple(
             _held_out(setup, fit.model, constant.model, power) for power in held_out
         ),
         forecast=_forecast(task, fit),
-        probes=FittedProbes(data, comparison.predicted)
-        if isinstance(data, ProbeData)
-        else None,
+        probes=None if in_frames else FittedProbes(data, comparison.predicted),
         frames=_frames(setup, residuals, comparison) if in_frames else None,
     )
 
 
 def _compare(task: TissueFit, fit: EvidenceFit) -> tuple[LearnedQuantity, ...]:
     """Numbers that were learned, beside the truth where there is one."""
-    quantities = Quantities.of(task)
-    names = quantities.names(len(task.setup.model.grid.shape))
+    names, quantities = quantities_of(task)
     if not names:
         return ()
     true: list[float | None] = [None] * len(names)
@@ -215,21 +212,11 @@ class TissueComparison(eqx.Module):
     scaled: Float[np.ndarray, "time place"]
 
     @classmethod
-    def of(
-        cls,
-        residuals: ProbeResiduals | ThermometryResiduals,
-        model: Bioheat,
-        data: Readings,
-    ) -> "TissueComparison":
+    def of(cls, residuals: Residuals, model: Bioheat) -> "TissueComparison":
         """The comparison of a model."""
-        if isinstance(residuals, ThermometryResiduals):
-            predicted, readings = map(np.asarray, _correct(residuals, model))
-            scaled = (predicted - readings) * np.asarray(residuals.weights)
-            return cls(predicted, readings, scaled)
-        misfits = np.full(data.values.size, np.nan)
-        misfits[np.asarray(residuals.index)] = np.asarray(residuals(model))
-        misfits = misfits.reshape(data.values.shape)
-        return cls(data.values + misfits, data.values, misfits)
+        predicted, readings = map(np.asarray, residuals.correct(model))
+        scaled = (predicted - readings) * np.asarray(residuals.weights)
+        return cls(predicted, readings, scaled)
 
     @property
     def residual(self) -> float:
@@ -238,10 +225,11 @@ class TissueComparison(eqx.Module):
 
 
 def _frames(
-    setup: Setup, residuals: ThermometryResiduals, comparison: TissueComparison
+    setup: Setup, residuals: Residuals, comparison: TissueComparison
 ) -> FittedFrames:
     predicted, corrected = comparison.predicted, comparison.readings
-    grid, cells = setup.model.grid, np.asarray(residuals.cells)
+    assert isinstance(residuals.observe, Voxels)
+    grid, cells = setup.model.grid, np.asarray(residuals.observe.cells)
 
     def image(values: np.ndarray) -> np.ndarray:
         full = np.full(int(np.prod(grid.shape)), np.nan)
@@ -264,16 +252,6 @@ def _frames(
     )
 
 
-@eqx.filter_jit
-def _correct(residuals: ThermometryResiduals, model: Bioheat) -> tuple[Array, Array]:
-    """Predicted temperatures, and readings without turns and drift, NaN where lost."""
-    predicted = residuals.predict(model)
-    offsets = residuals.offsets(predicted)
-    drift = residuals.drifts(offsets * residuals.weights) @ residuals.basis.T
-    read = residuals.weights > 0
-    return predicted, jnp.where(read, predicted - (offsets - drift), jnp.nan)
-
-
 def _forecast(task: TissueFit, fit: EvidenceFit) -> Forecast | None:
     """Predictions after the readings that were fitted, beside the later ones."""
     setup, fitted, every = task.setup, task.fitted, task.every
@@ -284,7 +262,7 @@ def _forecast(task: TissueFit, fit: EvidenceFit) -> Forecast | None:
     true = None if task.truth is None else follow_target(setup, times)(task.truth.model)
     residual = None
     if len(every.times) > len(fitted.times):
-        whole = TissueComparison.of(task.residuals(fit.model, every), fit.model, every)
+        whole = TissueComparison.of(task.residuals(every), fit.model)
         residual = _rms(whole.scaled[len(fitted.times) :])
     return Forecast(
         times=times,

@@ -17,9 +17,9 @@ from pinav.thermal.case_matter import Absorption, Power, heating_file
 from pinav.thermal.dose import Arrhenius
 from pinav.thermal.exposure_limits import HfLimit, limit
 from pinav.thermal.images import Image
-from pinav.thermal.probes import ProbeData, simulate_probes
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.quantities import Field
+from pinav.thermal.readings import Readings, simulate_probes
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import default_stepper
 from pinav.thermal.sources import (
@@ -115,7 +115,7 @@ class Setup(eqx.Module):
             damage=case.damage,
         )
 
-    def readings(self, noise: float = 0.0, seed: int = 0) -> ProbeData:
+    def readings(self, noise: float = 0.0, seed: int = 0) -> Readings:
         """Readings of the probes, as if the case were the truth.
 
         Args:
