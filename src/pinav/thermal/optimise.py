@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome
-from pinav.thermal.design import Constraint, DesignVariable, Quantity, Run, RunResult
+from pinav.thermal.design import Constraint, DesignVariable, Quantity, Run
 from pinav.thermal.protocols import Schedule, plan_steps
 from pinav.thermal.quantities import Number
 from pinav.thermal.rosenbrock import refuse_jumps
@@ -64,7 +64,6 @@ class Optimum(eqx.Module):
         start_value: the same at the start.
         constraints: with their values at the optimum.
         numbers: design variables between 0 and 1, all in one row.
-        at_bounds: how many of these are 0 or 1.
         evaluations: number of runs with their gradients.
         outcome: stalled when the iterations ran out on a slope.
     """
@@ -75,7 +74,6 @@ class Optimum(eqx.Module):
     start_value: Number
     constraints: tuple[ConstraintValue, ...]
     numbers: Float[np.ndarray, " number"]
-    at_bounds: int
     evaluations: int
     outcome: Outcome = eqx.field(static=True)
 
@@ -135,14 +133,14 @@ def optimise(
     start_value = float(memory.at(begin_numbers).values[0])
     numbers, converged = _search(memory, begin_numbers, max_iterations, tolerance)
     best = memory.at(numbers)
+    trial = problem.trial(jnp.asarray(numbers))
     optimum = Optimum(
-        run=problem.trial(jnp.asarray(numbers)),
+        run=trial,
         solution=best.solution,
         value=float(best.values[0]),
         start_value=start_value,
-        constraints=_constraint_values(problem, numbers, best),
+        constraints=_constraint_values(problem, trial, best.solution),
         numbers=numbers,
-        at_bounds=int(np.sum((numbers < 1e-6) | (numbers > 1 - 1e-6))),
         evaluations=memory.count,
         outcome=Outcome.CONVERGED if converged else Outcome.STALLED,
     )
@@ -240,10 +238,9 @@ class _Problem(eqx.Module):
             observe=jnp.max,
             start=self.begin,
         )
-        result = RunResult(trial, solution)
-        parts = [self.maximise(result).reshape(1)]
-        for constraint in self.constraints:
-            parts.append(constraint.excess(result).reshape(-1))
+        parts = [self.maximise(trial, solution).reshape(1)]
+        for one in self.constraints:
+            parts.append(one.excess(one.quantity(trial, solution)).reshape(-1))
         return jnp.concatenate(parts), solution
 
 
@@ -309,19 +306,15 @@ class _Memory:
 
 
 def _constraint_values(
-    problem: _Problem, numbers: np.ndarray, evaluation: _Evaluation
+    problem: _Problem, trial: Run, solution: Solution
 ) -> tuple[ConstraintValue, ...]:
-    result = RunResult(problem.trial(jnp.asarray(numbers)), evaluation.solution)
     values = []
-    for constraint in problem.constraints:
-        active = abs(float(jnp.max(constraint.excess(result)))) <= ACTIVE
+    for one in problem.constraints:
+        value = one.quantity(trial, solution)
+        active = abs(float(jnp.max(one.excess(value)))) <= ACTIVE
         values.append(
             ConstraintValue(
-                constraint.name,
-                float(jnp.max(constraint.quantity(result))),
-                float(constraint.bound),
-                constraint.unit,
-                active,
+                one.name, float(jnp.max(value)), float(one.bound), one.unit, active
             )
         )
     return tuple(values)
