@@ -179,7 +179,6 @@ class Case(Strict, frozen=True):
         return [float(t) for t in (self.blood.arterial, *(w.outside for w in walls))]
 
     def _check_ball(self, grid: AbstractGrid) -> None:
-        """Tables of a case without voxels."""
         if self.tissue is None or self.tumour is None:
             raise ValueError(
                 "expected the tables tissue and tumour, got "
@@ -210,7 +209,6 @@ class Case(Strict, frozen=True):
         self.check_extent(grid)
 
     def _check_labels(self) -> None:
-        """Tables of a case of voxels."""
         if self.tissue is not None or self.tumour is not None:
             raise ValueError(
                 "tissue, tumour: expected none on a grid of voxels; name each tissue "

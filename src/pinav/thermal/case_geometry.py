@@ -132,12 +132,7 @@ class SideTables(Strict, frozen=True):
         return self.x, self.y, self.z
 
     def build(self, wall: AbstractBoundary, axes: int) -> tuple[AbstractEnds, ...]:
-        """Both sides of each axis of a box.
-
-        Args:
-            wall: boundary of the sides that are not stated.
-            axes: number of axes.
-        """
+        """Both sides of each axis of a box."""
         return tuple(
             _ends(f"sides.{name}", ends, wall)
             for name, ends in tuple(zip("xyz", self.along, strict=True))[:axes]
@@ -145,11 +140,7 @@ class SideTables(Strict, frozen=True):
 
 
 def read_boundary(key: str, side: Side) -> AbstractBoundary:
-    """The boundary that a table states.
-
-    Raises:
-        ValueError: it states none.
-    """
+    """The boundary that a table states."""
     return read_module(key, (Dirichlet, Robin, Insulated), side)
 
 

@@ -90,15 +90,7 @@ class Flow(Strict, frozen=True):
             )
 
     def law(self, blood: Blood, tissue: Tissue) -> AbstractPerfusion:
-        """The perfusion that is stated, but for that of a file.
-
-        Args:
-            blood: blood that perfuses the tissue.
-            tissue: its passive properties.
-
-        Raises:
-            InputError: there is no such law or unit, or the perfusion is implausible.
-        """
+        """The perfusion that is stated, but for that of a file."""
         if self.law_name is not None:
             return lang(self.law_name)
         assert self.unit is not None
@@ -143,9 +135,6 @@ class Medium(Strict, frozen=True):
 
         Args:
             maps: values for each cell, of the properties that a file states.
-
-        Raises:
-            InputError: the preset is unknown.
         """
         base = None if self.preset is None else preset(self.preset).tissue
         values = {}

@@ -62,10 +62,6 @@ class Constraint(eqx.Module):
     """A quantity that may not exceed a bound.
 
     Attributes:
-        name: name in the result.
-        quantity: what is bounded.
-        bound: upper bound.
-        unit: unit of quantity and bound.
         scale: change that matters, positive.
         is_dose: the logarithm counts: a dose spans many decades, and its logarithm is
             nearly linear in the temperature.
@@ -173,12 +169,7 @@ def free_amplitudes(
 
 
 def free_scale(largest: Number, first: Number = 0.5) -> DesignVariable:
-    """One factor of all amplitudes, the pattern kept: for bursts and ramps.
-
-    Args:
-        largest: factor at 1, positive.
-        first: where to start.
-    """
+    """One factor of all amplitudes, the pattern kept: for bursts and ramps."""
 
     def apply(numbers: Numbers, run: Run) -> Run:
         return _with_field(run, lambda kept: kept * (largest * numbers[0]))
@@ -224,13 +215,9 @@ def free_placement(patterns: Float[Array, "number ..."]) -> DesignVariable:
 def shells(
     model: Bioheat, radius: Number, count: int, total: Number
 ) -> Float[Array, "number ..."]:
-    """Patterns in shells of equal thickness up to a radius [m], of one total each.
+    """Patterns in shells of equal thickness up to a radius [m].
 
-    Args:
-        model: on whose grid.
-        radius: radius of the outermost shell [m].
-        count: number of shells.
-        total: integral of each pattern: kilograms of particles, or watts.
+    Each has the same total, in kilograms of particles, or watts.
     """
     edges = np.linspace(0.0, radius, count + 1)
     balls = [model.grid.ball(float(r)) if r > 0 else None for r in edges]

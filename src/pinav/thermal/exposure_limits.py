@@ -21,7 +21,6 @@ class HfLimit(eqx.Module):
 
     Attributes:
         product: largest $Hf$ [A m⁻¹ s⁻¹], positive.
-        name: what messages call it.
     """
 
     product: Number
@@ -53,11 +52,7 @@ LIMITS = {"atkinson-brezovich": ATKINSON_BREZOVICH, "hergt-dutz": HERGT_DUTZ}
 
 
 def require(protocol: Piecewise, *limits: HfLimit) -> None:
-    """Refuse a protocol that exceeds a limit.
-
-    Raises:
-        InputError: it does; the message names the limit.
-    """
+    """Refuse a protocol that exceeds a limit."""
     for limit in limits:
         reached = float(jnp.max(limit.exposure(protocol)))
         if reached > limit.product * (1 + 1e-9):
@@ -69,11 +64,7 @@ def require(protocol: Piecewise, *limits: HfLimit) -> None:
 
 
 def limit(name: str) -> HfLimit:
-    """A limit of the product $Hf$ by its name.
-
-    Raises:
-        InputError: the name is unknown.
-    """
+    """A limit of the product $Hf$ by its name."""
     if name not in LIMITS:
         raise InputError(
             f"field limit {name!r} is unknown; choose one of: {', '.join(LIMITS)}"
@@ -84,13 +75,7 @@ def limit(name: str) -> HfLimit:
 def validity_warnings(
     model: Bioheat, protocol: Piecewise, hottest: Scalar | None = None
 ) -> list[str]:
-    """What of a run lies outside the range of its laws, one sentence each.
-
-    Args:
-        model: whose sources are asked how far they are strained.
-        protocol: the field.
-        hottest: highest temperature reached [°C].
-    """
+    """What of a run lies outside the range of its laws, one sentence each."""
     warnings = []
     for source in model.sources:
         if isinstance(source, ParticleSource):

@@ -20,10 +20,7 @@ class Forecast(eqx.Module):
     """Predicted temperatures of the target, over the whole protocol.
 
     Attributes:
-        times: times of the prediction [s].
         values: temperatures by `FOLLOWED`, at each time [°C].
-        sd: their standard deviations [K].
-        fitted_until: time of the last reading that was fitted [s].
         true: the same temperatures of the truth, where it is known [°C].
         residual: root mean square residual of the later readings, as that of the fit;
             none where there are none.

@@ -181,7 +181,6 @@ class CartesianGrid(AbstractGrid):
     """Equal cells of a box, from the origin, along one, two or three axes.
 
     Attributes:
-        cells: number of cells along each axis.
         spacing: size of a cell along each axis [m].
 
     Raises:

@@ -39,11 +39,7 @@ AXES = "xyz"
 
 
 class AbstractHeatResult(eqx.Module):
-    """What a task on a case computed.
-
-    Attributes:
-        title: title of the case.
-    """
+    """What a task on a case computed."""
 
     title: eqx.AbstractVar[str]
 
@@ -53,10 +49,7 @@ class RadialBalance(eqx.Module):
 
     Attributes:
         inverse_capacity: one over the heat capacity of each cell [K J⁻¹].
-        conductances: of the faces [W K⁻¹].
         outside: temperatures behind both ends [°C].
-        volumes: of the cells [m³].
-        metabolic: metabolic power of each cell [W].
         shapes: of the sources in each cell.
         amplitudes: at which the levels of the sources are tabulated [A m⁻¹].
         levels: of the sources at these.
@@ -96,11 +89,7 @@ class HeatedRun(AbstractHeatResult):
     """A run of a case: what it reached, and the curves and fields behind that.
 
     Attributes:
-        title: title of the case.
-        T_max: highest temperature [°C].
         T10: temperature that 10 % of the target exceed at the end of heating [°C].
-        T50: the same for 50 %.
-        T90: the same for 90 %.
         V43: fraction of the target above 43 °C at the end of heating.
         D90: dose that 90 % of the target exceed [CEM43 min].
         heated: end of heating, after which the field is off [s].
@@ -110,24 +99,14 @@ class HeatedRun(AbstractHeatResult):
         Hf: largest product of amplitude and frequency [A m⁻¹ s⁻¹].
         imbalance: relative error of the energy balance.
         warnings: laws that were used outside their range, one sentence each.
-        protocol: field over time.
-        times: saved times [s].
         temperatures: by `FOLLOWED`, at these times [°C].
         above: fraction of the target above 43 °C at these times.
         doses: `D90`, and the largest `outside` the target, at these times [CEM43 min].
-        target: volume fraction of the target in each cell.
-        temperature: of each cell at the end [°C].
-        dose: of each cell at the end [CEM43 min].
-        points: places of the probes [m].
         probes: their temperatures at the saved times [°C].
-        radius: of the cells [m], on a grid along a radius.
         profiles: temperature along the radius at the saved times [°C].
-        balance: heat balance along the radius.
         spacing: edges of a cell of a box [m].
         moments: times at which planes are kept [s].
-        planes: planes of a box.
         dead: dead fraction of each cell by Arrhenius' law, if the case has one.
-        dead_target: dead fraction of the target.
         dead_outside: largest such fraction outside it.
     """
 
@@ -173,13 +152,7 @@ FOLLOWED = ("hottest", *SHARES)
 def simulate(
     setup: Setup, model: Bioheat | None = None, protocol: Piecewise | None = None
 ) -> HeatedRun:
-    """Run a case, or another tissue or protocol in its place.
-
-    Args:
-        setup: the case.
-        model: tissue; that of the case unless given.
-        protocol: field; that of the case unless given.
-    """
+    """Run a case, or another tissue or protocol in its place."""
     model, protocol = model or setup.model, protocol or setup.protocol
     solution = _follow(setup, model, protocol)
     seen, doses = jax.tree.map(np.asarray, (solution.observed, solution.observed_dose))
@@ -222,7 +195,6 @@ def simulate(
 
 
 def _follow(setup: Setup, model: Bioheat, protocol: Piecewise) -> Solution:
-    """The run, with what is followed of it."""
     probes = probes_at(model, setup.points) if len(setup.points) else None
     watched = Watched.of(setup, probes)
     return solve(
@@ -264,7 +236,6 @@ def _on_planes(
 
 
 def _dead_shares(setup: Setup, damage: Array | None) -> dict[str, PyTree]:
-    """Dead fraction of each cell, of the target, and the largest outside it."""
     if damage is None:
         return {}
     dead, target = 1 - np.exp(-np.asarray(damage)), np.asarray(setup.target)
@@ -324,9 +295,6 @@ def cuts_through(target: Float[np.ndarray, "..."]) -> tuple[Cut, ...]:
     """The plane itself, or the three planes through the middle of a target in a box.
 
     A radius has none.
-
-    Args:
-        target: volume fraction of the target in each cell.
     """
     if target.ndim == 1:
         return ()
@@ -341,12 +309,8 @@ class Watched(eqx.Module):
     """What of temperature and dose is followed in the target and outside it.
 
     Attributes:
-        cells: indices of the target's cells in the flattened grid.
-        volumes: volume of the target in them [m³].
         outside: marks the cells without any of the target, flattened.
-        probes: temperatures at the probes, if there are any.
         whole: True if all of the temperature is kept.
-        cuts: planes whose temperatures are kept.
     """
 
     cells: np.ndarray
@@ -403,13 +367,7 @@ REACH = 1.5
 
 
 def radial_balance(setup: Setup, model: Bioheat, protocol: Piecewise) -> RadialBalance:
-    """The heat balance of a run along a radius.
-
-    Args:
-        setup: case, for its start.
-        model: tissue.
-        protocol: field.
-    """
+    """The heat balance of a run along a radius."""
     balance = HeatBalance.of(model)
     cells = balance.volumes.shape[0]
     ends = jnp.full((1,), float(model.blood.arterial))

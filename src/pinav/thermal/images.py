@@ -37,7 +37,6 @@ class Image(eqx.Module):
     """Values of voxels, and where the voxels are as far as the file says it.
 
     Attributes:
-        path: of the file.
         values: one for each voxel, frames last if there are any.
         spacing: edges of a voxel [m]; None where the file has no unit.
         affine: from indices to places of the scanner [m]; None where it has none.
@@ -74,13 +73,7 @@ def read_image(path: Path) -> Image:
 
 
 def write_image(path: Path, values: np.ndarray, like: Image) -> None:
-    """Write a NIfTI file of voxels that are where those of another image are.
-
-    Args:
-        path: ends in `.nii.gz`.
-        values: one for each voxel of `like`.
-        like: a NIfTI image.
-    """
+    """Write a NIfTI file of voxels that are where those of another image are."""
     assert like.affine is not None
     nibabel = _nibabel(path)
     affine = like.affine.copy()
@@ -97,11 +90,7 @@ def write_image(path: Path, values: np.ndarray, like: Image) -> None:
 
 
 def check_place(image: Image, reference: Image) -> None:
-    """Refuse an image whose voxels are not those of another.
-
-    Raises:
-        InputError: their numbers differ, or their places by more than rounding.
-    """
+    """Refuse an image whose voxels are not those of another."""
     axes = reference.values.ndim
     if image.values.shape[:axes] != reference.values.shape:
         raise InputError(
@@ -225,12 +214,6 @@ def read_frames(
 ) -> Readings:
     """Frames of thermometry that a case names.
 
-    Args:
-        frames: what the case says of them.
-        labels: the grid of voxels, if it is one.
-        arterial: temperature [°C] above which a rise is meant.
-        folder: folder of the files.
-
     Raises:
         InputError: a file cannot be read, or holds what no thermometer says.
     """
@@ -291,7 +274,6 @@ def _check_warmth(
 
 
 def _interval(frames: Frames, image: Image) -> float:
-    """Time between two frames [s]."""
     every = image.every if frames.every is None else frames.every
     if image.every is not None and abs(image.every / (every or 1.0) - 1) > NEGLIGIBLE:
         raise InputError(

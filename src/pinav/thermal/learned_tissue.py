@@ -34,9 +34,6 @@ class LearnedQuantity(eqx.Module):
 
     Attributes:
         name: its name, with the unit.
-        value: learned value.
-        sd: its standard deviation.
-        true: true value.
     """
 
     name: str
@@ -63,7 +60,6 @@ class FittedProbes(eqx.Module):
     """Readings of probes, and what the fit predicts of them.
 
     Attributes:
-        data: readings.
         predicted: temperatures at their times and places [°C].
     """
 
@@ -72,12 +68,7 @@ class FittedProbes(eqx.Module):
 
 
 class MeanCurve(eqx.Module):
-    """Mean temperature of the voxels of a tissue that are read.
-
-    Attributes:
-        read: readings without turns and drift [°C].
-        fitted: fit [°C].
-    """
+    """Mean temperature of the voxels of a tissue that are read."""
 
     read: Float[np.ndarray, " time"]
     fitted: Float[np.ndarray, " time"]
@@ -87,12 +78,8 @@ class FittedFrames(eqx.Module):
     """Readings of voxels without turns and drift, and the fit.
 
     Attributes:
-        times: times of the frames [s].
         read: last frame [°C]; NaN where no voxel is read.
         fitted: fit of the last frame [°C].
-        target: volume fraction of the target in each cell.
-        spacing: edges of a cell [m].
-        means: mean temperatures by tissue.
     """
 
     times: Float[np.ndarray, " time"]
@@ -107,21 +94,11 @@ class LearnedTissue(AbstractHeatResult):
     """A fit of a case to readings of probes or voxels.
 
     Attributes:
-        title: title of the case.
-        outcome: how the fit ended.
-        iterations: number of steps.
         residual: root mean square of the residuals [K].
         noise: estimated standard deviation of a reading [K].
         relative: True if both are in units of a map of the noise instead.
-        log_evidence: log evidence of the fit [nats].
         constants: other numbers learned, by name.
-        laws: learned laws of perfusion, by tissue.
         constant_residual: root mean square residual of the best constant perfusion [K].
-        held_out: predictions at other powers.
-        quantities: numbers that were learned, beside the truth.
-        forecast: predictions after the readings that were fitted.
-        probes: readings of probes and their fit.
-        frames: readings of voxels and their fit.
     """
 
     title: str
@@ -143,10 +120,6 @@ class LearnedTissue(AbstractHeatResult):
 
 def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
     """Fit a case to readings, and compare it with constant perfusion and the truth.
-
-    Args:
-        task: what is learned of which case.
-        data: readings that are fitted.
 
     Raises:
         FitError: the fit did not converge.
@@ -184,7 +157,6 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
 
 
 def _compare(task: TissueFit, fit: EvidenceFit) -> tuple[LearnedQuantity, ...]:
-    """Numbers that were learned, beside the truth where there is one."""
     names, quantities = quantities_of(task)
     if not names:
         return ()
@@ -253,7 +225,6 @@ def _frames(
 
 
 def _forecast(task: TissueFit, fit: EvidenceFit) -> Forecast | None:
-    """Predictions after the readings that were fitted, beside the later ones."""
     setup, fitted, every = task.setup, task.fitted, task.every
     if fitted is None or every is None or fitted.times[-1] >= setup.protocol.duration:
         return None
@@ -279,7 +250,6 @@ def _rms(values: Float[np.ndarray, "..."]) -> float:
 
 
 def _laws(task: TissueFit, fit: EvidenceFit) -> dict[str, PerfusionCurve]:
-    """Each learned law with its band and, if known, its truth."""
     setup, curves = task.setup, {}
     truth = setup if task.settings.is_synthetic else task.truth
     for name in task.names:
@@ -299,7 +269,6 @@ def _laws(task: TissueFit, fit: EvidenceFit) -> dict[str, PerfusionCurve]:
 def _held_out(
     setup: Setup, learned: Bioheat, constant: Bioheat, power: float
 ) -> HeldOut:
-    """Errors of the temperature at another power."""
     protocol = eqx.tree_at(
         lambda p: (p.starts, p.ends),
         setup.protocol,

@@ -36,11 +36,7 @@ Laws = Callable[[Any], tuple[AbstractLearnedPerfusion, ...]]
 
 
 class Voxels(eqx.Module):
-    """Temperatures of some cells, as an `observe`.
-
-    Attributes:
-        cells: their indices in the flattened grid.
-    """
+    """Temperatures of some cells, as an `observe`."""
 
     cells: Int[Array, " voxel"]
 
@@ -65,9 +61,7 @@ class Residuals(eqx.Module):
     frame. Probes have neither turns nor drift.
 
     Attributes:
-        protocol: the field.
         schedule: time steps, which end at the readings.
-        stepper: how time advances.
         observe: temperatures of the places that are read.
         values: readings [°C] of these at each time, zero where lost.
         weights: one over the noise [K⁻¹], zero where lost.
@@ -164,12 +158,7 @@ def read_residuals(
     stepper: AbstractStepper,
     start: AbstractStart = AT_REST,
 ) -> Residuals:
-    """The residuals of models like `model`.
-
-    Raises:
-        InputError: the readings are not on the grid or after the protocol, or a frame
-            has too few voxels for its drift.
-    """
+    """The residuals of models like `model`."""
     grid, count = model.grid, len(data.times)
     if data.points is None:
         if data.sd.shape != grid.shape:
@@ -302,7 +291,6 @@ class PerfusionCurve(eqx.Module):
     """A learned law with its band, and where it was visited.
 
     Attributes:
-        temperatures: [°C].
         values: perfusion there [kg m⁻³ s⁻¹].
         sd: standard deviation of its logarithm.
         visited: lowest and highest temperature [°C] of its tissue during the fit.
@@ -344,15 +332,7 @@ def perfusion_curve(
     visited: tuple[float, float],
     true: Float[np.ndarray, " temperature"] | None = None,
 ) -> PerfusionCurve:
-    """A learned law at temperatures, by the delta method on its logarithm.
-
-    Args:
-        posterior: of the fit.
-        law: picks it from the model.
-        temperatures: [°C].
-        visited: range [°C] that its tissue went through.
-        true: true law at these temperatures, where it is known.
-    """
+    """A learned law at temperatures, by the delta method on its logarithm."""
     at = jnp.asarray(temperatures, float)
     estimates = derive(posterior, lambda model: jnp.log(law(model)(at)))
     return PerfusionCurve(
@@ -370,14 +350,7 @@ def visited_range(
     fraction: Field,
     start: AbstractStart = AT_REST,
 ) -> tuple[float, float]:
-    """Lowest and highest temperature [°C] of the cells that a mask holds mostly.
-
-    Args:
-        model: run over the protocol.
-        protocol: the field.
-        fraction: volume fraction of the tissue in each cell.
-        start: as of `solve`.
-    """
+    """Lowest and highest temperature [°C] of the cells that a mask holds mostly."""
     inside = np.asarray(fraction) > 0.5  # cells cut by the edge would mix two tissues
     hottest = solve(
         model,

@@ -30,12 +30,7 @@ class AbstractHeating(eqx.Module):
 
     @abc.abstractmethod
     def slp(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
-        """Power per mass of particles [W kg⁻¹].
-
-        Args:
-            amplitude: peak of the field [A m⁻¹].
-            frequency: of the field [Hz].
-        """
+        """Power per mass of particles [W kg⁻¹]."""
 
     @abc.abstractmethod
     def validity(self, amplitude: Scalar) -> Float[Array, ""]:
@@ -59,8 +54,6 @@ class LinearResponse(AbstractHeating):
         attempt_time: $\tau_0$ [s].
         viscosity: of the carrier [Pa s]; infinite where particles are bound to tissue.
         coating: thickness $\delta$ of the shell [m].
-        density: of the particles [kg m⁻³].
-        temperature: [K].
 
     Raises:
         InputError: a number is not positive.

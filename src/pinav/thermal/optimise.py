@@ -40,10 +40,7 @@ class ConstraintValue(eqx.Module):
     """A constraint at the optimum.
 
     Attributes:
-        name: of the constraint.
         value: largest value of the constrained quantity.
-        bound: upper bound.
-        unit: of both.
         active: whether the quantity is at its bound, and so decides the result.
     """
 
@@ -58,13 +55,9 @@ class Optimum(eqx.Module):
     """Result of `optimise`.
 
     Attributes:
-        run: tissue and field.
-        solution: temperature and dose.
         value: the maximised quantity.
         start_value: the same at the start.
-        constraints: with their values at the optimum.
         numbers: design variables between 0 and 1, all in one row.
-        evaluations: number of runs with their gradients.
         outcome: stalled when the iterations ran out on a slope.
     """
 
@@ -157,7 +150,6 @@ def optimise(
 def _start_numbers(
     variables: Sequence[DesignVariable], initial: np.ndarray | None
 ) -> Float[np.ndarray, " number"]:
-    """Where the search begins: at given numbers, or where the variables say."""
     flat = np.concatenate([variable.start for variable in variables])
     if initial is None:
         return flat
@@ -206,8 +198,6 @@ def _search(
 
 
 class _Problem(eqx.Module):
-    """Objective and constraints as one vector."""
-
     start: Run
     variables: tuple[DesignVariable, ...]
     maximise: Quantity
@@ -217,7 +207,6 @@ class _Problem(eqx.Module):
     begin: HeatState
 
     def trial(self, numbers: Float[Array, " number"]) -> Run:
-        """The run at some design variables."""
         trial, place = self.start, 0
         for variable in self.variables:
             count = len(variable.start)
@@ -245,8 +234,6 @@ class _Problem(eqx.Module):
 
 
 class _Evaluation(NamedTuple):
-    """What is known at some design variables."""
-
     values: Float[np.ndarray, " value"]
     jacobian: Float[np.ndarray, "value number"]
     solution: Solution
@@ -288,7 +275,6 @@ class _Memory:
         self.best_value = -np.inf
 
     def at(self, numbers: np.ndarray) -> _Evaluation:
-        """Values and Jacobian at some design variables."""
         if self.place is None or not np.array_equal(numbers, self.place):
             values, jacobian, solution = self.evaluate(
                 self.problem, jnp.asarray(numbers)
@@ -299,7 +285,6 @@ class _Memory:
         return self.last
 
     def _keep_best(self, numbers: np.ndarray) -> None:
-        """Remember the numbers if they are feasible and better than before."""
         value, *excesses = self.last.values
         if max(excesses, default=-1.0) <= FEASIBLE and value > self.best_value:
             self.best, self.best_value = np.clip(numbers, 0.0, 1.0), value

@@ -17,7 +17,6 @@ class AbstractProtocol(eqx.Module):
 
     Attributes:
         edges: begin, switch times and end [s], increasing from zero.
-        frequency: of the field [Hz].
     """
 
     edges: eqx.AbstractVar[tuple[float, ...]]
@@ -43,9 +42,6 @@ class Piecewise(AbstractProtocol):
 
     Attributes:
         edges: begin, switch times and end [s].
-        starts: amplitude at the begin of each interval [A m⁻¹].
-        ends: at its end.
-        frequency: of the field [Hz].
 
     Raises:
         InputError: the edges do not increase from zero, an interval has no amplitude,
@@ -126,11 +122,7 @@ class Piecewise(AbstractProtocol):
         )
 
     def until(self, time: Number) -> "Piecewise":
-        """The intervals before a switch.
-
-        Raises:
-            InputError: the amplitude does not switch at that time.
-        """
+        """The intervals before a switch."""
         if time not in self.edges[1:]:
             raise InputError(
                 f"until: expected a switch or the end, {list(self.edges[1:])} s, got "
@@ -182,11 +174,8 @@ class Schedule(eqx.Module):
     Steps of no length fill up the last block, so that blocks are equal.
 
     Attributes:
-        starts: begin of each step [s].
-        steps: length of each step [s].
         intervals: of the protocol, in which each step lies.
         saved: indices of the steps whose ends are the saved times.
-        times: the saved times [s].
         block: steps whose states are recomputed together in reverse mode.
     """
 
@@ -275,7 +264,6 @@ def _saved_times(
 
 
 def _merge(times: np.ndarray, end: Number) -> np.ndarray:
-    """Sorted times, those that coincide only once."""
     ordered = np.sort(times)
     kept = np.append(True, np.diff(ordered) > COINCIDENT * end)
     return ordered[kept]

@@ -145,14 +145,6 @@ def read_module(key: str, classes: tuple[type[Kind], ...], table: Table | str) -
 
     A class without fields is stated by a word, its name in small letters. Numbers must
     lie within the `range` in the metadata of their field.
-
-    Args:
-        key: where the table stands, for messages.
-        classes: among which its keys choose.
-        table: fields by their names.
-
-    Raises:
-        ValueError: there is no such class, or a number lies outside its range.
     """
     words = {c.__name__.lower(): c for c in classes if not _fields(c)}
     if isinstance(table, str) and table in words:
@@ -185,16 +177,11 @@ def read_module(key: str, classes: tuple[type[Kind], ...], table: Table | str) -
 
 
 def _fields(cls: Any) -> Mapping[str, dataclasses.Field]:
-    """The fields of a class that a table may state, by name."""
     return {f.name: f for f in dataclasses.fields(cls) if "range" in f.metadata}
 
 
 def within(key: str, numbers: Any, value: Any) -> Any:
-    """A value that lies within an annotated range.
-
-    Raises:
-        ValueError: it does not.
-    """
+    """A value that lies within an annotated range."""
     try:
         return msgspec.convert(value, numbers)
     except msgspec.ValidationError as error:

@@ -114,18 +114,7 @@ def simulate_probes(
     stepper: AbstractStepper | None = None,
     start: AbstractStart = AT_REST,
 ) -> Readings:
-    """Synthetic readings of a model.
-
-    Args:
-        model: the truth.
-        protocol: the field.
-        points: of the probes [m].
-        every: interval between readings [s].
-        noise: standard deviation of a reading [K].
-        key: random key of the noise.
-        stepper: as of `solve`.
-        start: as of `solve`.
-    """
+    """Synthetic readings of a model."""
     solution = solve(
         model,
         protocol,
@@ -215,7 +204,6 @@ def _to_grid(path: Path, cells: np.ndarray) -> Readings:
 
 
 def _check_rows(path: Path, cells: np.ndarray) -> None:
-    """Refuse times, places and temperatures that no reading has."""
     numbers, readings = cells[:, :-1], cells[:, -1]
     for wrong, expected, values in (
         (~np.isfinite(numbers).all(axis=1), "finite times and places", numbers),

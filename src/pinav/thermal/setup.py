@@ -37,16 +37,8 @@ class Setup(eqx.Module):
     """A case as values that can be run.
 
     Attributes:
-        title: title of the case.
-        model: tissue.
-        protocol: field.
-        body: grid, tissues and target.
-        stepper: method of time integration.
-        limits: limits of the field.
         points: places of the probes [m], none if there are none.
         every: interval between readings of the probes [s].
-        start: where a run begins.
-        damage: law of damage that is added up, if any.
     """
 
     title: str = eqx.field(static=True)
@@ -73,10 +65,6 @@ class Setup(eqx.Module):
     @classmethod
     def of(cls, case: Case, folder: Path) -> "Setup":
         """The setup of a case.
-
-        Args:
-            case: the case.
-            folder: folder of the files that it names.
 
         Raises:
             InputError: a name or a unit is unknown, a perfusion implausible, or a file
@@ -116,12 +104,7 @@ class Setup(eqx.Module):
         )
 
     def readings(self, noise: float = 0.0, seed: int = 0) -> Readings:
-        """Readings of the probes, as if the case were the truth.
-
-        Args:
-            noise: standard deviation of a reading [K].
-            seed: seed of the noise.
-        """
+        """Readings of the probes, as if the case were the truth."""
         return simulate_probes(
             self.model,
             self.protocol,
@@ -191,7 +174,6 @@ def _source(case: Case, body: Body, folder: Path) -> AbstractSource:
 
 
 def _density(power: Power, body: Body) -> Field:
-    """Power density of each cell [W m⁻³]."""
     grid, target = body.grid, body.target
     if power.width is not None:
         center = body.middle if power.center is None else power.center

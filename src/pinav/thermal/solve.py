@@ -20,13 +20,11 @@ from pinav.thermal.steppers import RKL2, AbstractStepper, Watch
 
 
 class EnergyBalance(eqx.Module):
-    """Where the heat of a run went [J]; per area of a slab, per length of a cylinder.
+    """Heat of a run [J], that of a slab per area, of a cylinder per length.
 
     Attributes:
-        brought: by metabolism and sources.
         perfused: taken by blood.
         lost: through the sides.
-        stored: in the tissue.
     """
 
     brought: Float[Array, ""]
@@ -46,7 +44,6 @@ class Solution(eqx.Module):
     """A run over a protocol.
 
     Attributes:
-        times: saved times [s].
         observed: what `observe` made of the temperature at those times.
         observed_dose: what `observe_dose` made of the dose at those times.
         hottest: highest temperature [°C] at the end of every step.
@@ -185,8 +182,6 @@ def run(
 
 
 class _Following(eqx.Module):
-    """What of a run is added up and kept."""
-
     observe: Observe
     observe_dose: Observe
     cutoff: Scalar
@@ -219,7 +214,6 @@ def _levels(
     schedule: Schedule,
     stepper: AbstractStepper,
 ) -> Float[Array, "step node source"]:
-    """Levels of the sources at the nodes of each step."""
     nodes = jnp.asarray(stepper.nodes)
 
     def each(begin: Array, dt: Array, interval: Array) -> Array:
@@ -231,22 +225,14 @@ def _levels(
 
 
 def probes_at(model: Bioheat, points: Any) -> Observe:
-    """Temperatures at points [m], as an `observe`; for a model that is not traced.
-
-    Raises:
-        InputError: a point is outside the grid.
-    """
+    """Temperatures at points [m], as an `observe`; for a model that is not traced."""
     return Probes(
         model.grid.interpolation(points, np.asarray(model.tissue.conductivity))
     )
 
 
 class Probes(eqx.Module):
-    """Temperatures at points, by the weights of `AbstractGrid.interpolation`.
-
-    Attributes:
-        weights: of the cells, for each point.
-    """
+    """Temperatures at points, by the weights of `AbstractGrid.interpolation`."""
 
     weights: Float[Array, "point ..."]
 

@@ -33,7 +33,6 @@ class ParticleSource(AbstractSource):
     Attributes:
         concentration: $\rho_{mnp}$ in each cell [kg m⁻³], of the mass that the SLP is
             per.
-        heating: their SLP.
         scale: $s$; in vivo the SLP is often far below that of a suspension. At steady
             state it cannot be told from perfusion: learn it from steps of the power.
     """
@@ -55,7 +54,6 @@ class PowerSource(AbstractSource):
     Attributes:
         power: $Q$ in each cell [W m⁻³], at the amplitude $H_0$.
         reference: $H_0$ [A m⁻¹].
-        scale: a factor, to be learned.
     """
 
     power: Field
@@ -187,16 +185,8 @@ def axis_distance(grid: AbstractGrid, center: Numbers | None = None) -> Field:
     """Distance [m] of each cell from the axis of the body, for `DistantEddySource`.
 
     The axis is that of a cylinder; in a plane it is normal to it, and in a box parallel
-    to the last edge.
-
-    Args:
-        grid: the cells.
-        center: where the axis meets the plane of the first two edges [m]; the middle
-            of the grid unless given.
-
-    Raises:
-        InputError: the grid is a slab or a sphere, where heat would not depend on the
-            radius alone.
+    to the last edge. It meets the plane of the first two edges at a center [m], the
+    middle of the grid unless given.
     """
     if isinstance(grid, RadialGrid):
         if grid.exponent != 1:
@@ -214,12 +204,6 @@ def axis_distance(grid: AbstractGrid, center: Numbers | None = None) -> Field:
 def eddy_power(
     radius: Scalar, conductivity: Scalar, product: Scalar
 ) -> Float[Array, ""]:
-    r"""$\tfrac12\sigma(\pi\mu_0)^2 r^2 (Hf)^2$ [W m⁻³].
-
-    Args:
-        radius: $r$ [m].
-        conductivity: $\sigma$ [S m⁻¹].
-        product: $Hf$ [A m⁻¹ s⁻¹].
-    """
+    r"""$\tfrac12\sigma(\pi\mu_0)^2 r^2 (Hf)^2$ [W m⁻³]."""
     loop = np.pi * VACUUM_PERMEABILITY * radius * product
     return jnp.asarray(0.5 * conductivity * loop**2)

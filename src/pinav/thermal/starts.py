@@ -22,11 +22,7 @@ class AbstractStart(eqx.Module):
 
     @abc.abstractmethod
     def state(self, model: Bioheat) -> "HeatState":
-        """The state of a model, differentiable by its numbers.
-
-        Raises:
-            InputError: the model has another grid.
-        """
+        """The state of a model, differentiable by its numbers."""
 
 
 class HeatState(AbstractStart):
@@ -34,7 +30,6 @@ class HeatState(AbstractStart):
 
     Attributes:
         time: since the begin of the protocol [s].
-        temperature: of each cell [°C].
         dose: CEM43 of each cell so far [min].
         damage: $\Omega$ of each cell so far, none where it is not followed.
     """
@@ -74,12 +69,7 @@ class AtRest(AbstractStart):
 
 
 class AtSteadyState(AbstractStart):
-    """The steady state of a constant field, or without one: a cooled wall at rest.
-
-    Attributes:
-        amplitude: of that field [A m⁻¹].
-        frequency: of that field [Hz].
-    """
+    """The steady state of a constant field, or without one: a cooled wall at rest."""
 
     amplitude: Scalar = 0.0
     frequency: Scalar = 1e5
@@ -103,10 +93,6 @@ HOTTEST = 150.0
 
 def read_state(path: Path, shape: tuple[int, ...]) -> HeatState:
     """The end of another run, or temperatures of a file of NumPy.
-
-    Args:
-        path: `results.npz` of a run, or an array of temperatures [°C].
-        shape: shape of the grid.
 
     Raises:
         InputError: the file cannot be read, or is of another grid.

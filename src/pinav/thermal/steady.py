@@ -35,13 +35,7 @@ NOT_STEADY = (
 
 
 class SteadyState(eqx.Module):
-    """A steady temperature.
-
-    Attributes:
-        temperature: of each cell [°C], differentiable by every number of the model.
-        iterations: number of Newton steps.
-        converged: whether the last step was small.
-    """
+    """A steady temperature."""
 
     temperature: Field
     iterations: Int[Array, ""]
@@ -49,8 +43,6 @@ class SteadyState(eqx.Module):
 
 
 class _Progress(eqx.Module):
-    """An iterate, its pseudo-time step, and the size of the last change."""
-
     temperature: Field
     step: Float[Array, ""]
     change: Float[Array, ""]
@@ -61,13 +53,7 @@ class _Progress(eqx.Module):
 def steady_state(
     model: Bioheat, amplitude: Scalar = 0.0, frequency: Scalar = 1e5
 ) -> SteadyState:
-    """The temperature that no longer changes at a constant field.
-
-    Args:
-        model: the tissue.
-        amplitude: peak of the field [A m⁻¹].
-        frequency: of the field [Hz].
-    """
+    """The temperature that no longer changes at a constant field."""
     levels = [source.level(amplitude, frequency) for source in model.sources]
     forced = jnp.stack(levels) if levels else jnp.zeros(0)
     balance = HeatBalance.of(model)
@@ -125,7 +111,6 @@ def _iterate(balance: HeatBalance, forced: Array, arterial: Array) -> _Progress:
 
 
 def _residual(balance: HeatBalance, forced: Array, temperature: Field) -> Field:
-    """What heats each cell [W]."""
     gain, _ = balance.conduction(temperature)
     taken = balance.sink(temperature) * balance.volumes
     return gain + balance.heating(forced) - taken

@@ -46,8 +46,6 @@ class TissueFit:
     """What is fitted to what, and what is known of the truth.
 
     Attributes:
-        setup: case.
-        settings: its table `learn`.
         names: tissues whose perfusion is learned.
         fitted: readings that are fitted; none where the case makes its own.
         every: all readings that there are.
@@ -105,7 +103,6 @@ class TissueFit:
         return fit
 
     def _check_readings(self, data: Readings) -> None:
-        """Refuse fewer readings than numbers that are learned, and unread tissue."""
         settings, axes = self.settings, len(self.setup.model.grid.shape)
         numbers = len(self.names) + settings.power_scale + axes * settings.spot
         if (count := int(data.observed.sum())) <= numbers:
@@ -122,11 +119,7 @@ class TissueFit:
                 )
 
     def residuals(self, data: Readings) -> Residuals:
-        """Predicted less read temperatures, as a function of the model.
-
-        Raises:
-            InputError: the readings do not fit the grid or the protocol.
-        """
+        """Predicted less read temperatures, as a function of the model."""
         setup = self.setup
         options = {"stepper": setup.stepper, "start": setup.start}
         return read_residuals(setup.model, setup.protocol, data, **options)
@@ -164,7 +157,6 @@ class TissueFit:
             raise FitError(advice, error.outcome) from error
 
     def _first_law(self, kind: str, index: int, data: Readings) -> AbstractPerfusion:
-        """A law of a kind from which the fit starts, for one of the tissues."""
         name, arterial = self.names[index], self.setup.arterial
         rest = perfusion_at_rest(self.setup, name)
         if kind == "constant":
@@ -176,11 +168,7 @@ class TissueFit:
         return neural_perfusion(rest, span, key=key)
 
     def movable(self) -> Bioheat:
-        """The model, its first source one that can be shifted if that is learned.
-
-        Raises:
-            InputError: the grid is no box.
-        """
+        """The model, its first source one that can be shifted if that is learned."""
         model = self.setup.model
         if not self.settings.spot or isinstance(model.sources[0], ShiftedSource):
             return model
@@ -215,7 +203,6 @@ class TissueFit:
 
 
 def _read_data(settings: Learn, setup: Setup, folder: Path) -> Readings | None:
-    """The readings of a case; none where it makes its own."""
     if settings.thermometry is not None:
         return read_frames(settings.thermometry, setup.image, setup.arterial, folder)
     return None if settings.data is None else load_probes(folder / settings.data)
@@ -242,11 +229,7 @@ def _read_truth(path: Path, setup: Setup, names: tuple[str, ...]) -> Setup:
 
 
 def perfusion_at_rest(setup: Setup, name: str) -> float:
-    """Perfusion of a tissue at the arterial temperature [kg m⁻³ s⁻¹], on average.
-
-    Raises:
-        InputError: it is zero, from where no fit starts.
-    """
+    """Perfusion of a tissue at the arterial temperature [kg m⁻³ s⁻¹], on average."""
     value = mean_perfusion(setup, name, setup.arterial)
     if not value > 0:
         raise InputError(
@@ -265,11 +248,7 @@ def mean_perfusion(setup: Setup, name: str, celsius: float) -> float:
 
 
 def require_heating(setup: Setup) -> None:
-    """Refuse a field that heats nothing: nothing could be learned or planned.
-
-    Raises:
-        InputError: it brings no power into the tissue.
-    """
+    """Refuse a field that heats nothing: nothing could be learned or planned."""
     protocol, grid = setup.protocol, setup.model.grid
     if not protocol.largest > 0:
         raise InputError(
