@@ -154,7 +154,7 @@ def test_tasks_say_what_they_need(tmp_path, capsys):
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda p: p.name)
 def test_the_examples_are_cases(path):
     own = Setup.read(path)
-    assert own.model.grid.shape == own.target.shape
+    assert own.model.grid.shape == own.body.target.shape
 
 
 @pytest.mark.slow

@@ -115,7 +115,7 @@ def test_a_phase_is_a_temperature(folder):
     path = edit(folder, "case.toml", {"learn.thermometry": table}, "phase.toml")
     case, _ = read_case(path)
     setup = Setup.of(case, folder)
-    data = read_frames(case.learn.thermometry, setup.image, setup.arterial, folder)
+    data = read_frames(case.learn.thermometry, setup.body.image, setup.arterial, folder)
     assert data.turn == pytest.approx(39.1443, abs=1e-3)
     expected = np.moveaxis(frames, -1, 0)
     assert np.allclose(data.values, expected, atol=1e-3, equal_nan=True)

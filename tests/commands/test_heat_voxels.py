@@ -91,7 +91,7 @@ def test_tissues_and_maps_are_where_the_labels_are(tmp_path):
     assert w[labels() == 9] == pytest.approx(0.72)
     source = np.asarray(model.sources[0].shape(model.grid))
     assert source[0, 0, 0] == pytest.approx(50.0 * 911.0)
-    assert np.array_equal(np.asarray(setup.target) > 0, tumour)
+    assert np.array_equal(np.asarray(setup.body.target) > 0, tumour)
     assert [float(size) for size in model.grid.spacing] == list(SIZE)
     assert setup.body.middle == pytest.approx((0.007, 0.006, 0.008))
 
@@ -120,8 +120,8 @@ def test_a_target_of_any_shape_from_a_file(tmp_path):
     share[1, 1, 1], share[1, 2, 1] = 1.0, 0.25
     path = write(tmp_path, {"target": {"file": "share.npy"}}, share=share)
     setup = Setup.read(path)
-    assert float(jnp.sum(setup.target)) == 1.25
-    assert list(setup.laws) == ["muscle", "fat", "tumour"]
+    assert float(jnp.sum(setup.body.target)) == 1.25
+    assert list(setup.body.laws) == ["muscle", "fat", "tumour"]
 
 
 @pytest.mark.slow

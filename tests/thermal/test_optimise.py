@@ -26,14 +26,12 @@ from pinav.thermal.design import (
     max_temperature,
     shells,
 )
-from pinav.thermal.exposure_limits import HfLimit
 from pinav.thermal.grids import RadialGrid
-from pinav.thermal.magnetics import LinearResponse
 from pinav.thermal.optimise import optimise
 from pinav.thermal.perfusion import ConstantPerfusion
-from pinav.thermal.protocols import Piecewise
+from pinav.thermal.protocols import HfLimit, Piecewise
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.sources import ParticleSource, PowerSource
+from pinav.thermal.sources import LinearResponse, ParticleSource, PowerSource
 from pinav.thermal.tissues import Blood, Tissue
 
 pytestmark = pytest.mark.slow

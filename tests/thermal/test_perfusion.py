@@ -185,7 +185,7 @@ def test_a_law_of_ones_own_is_linear_between_its_values():
 
 
 def test_a_law_that_jumps_is_refused():
-    with pytest.raises(InputError, match="a jump has no derivative"):
+    with pytest.raises(InputError, match="a law that jumps has no derivative"):
         TabulatedPerfusion((37.0, 42.0, 42.0), jnp.array([1.0, 2.0, 4.0]))
 
 

@@ -29,9 +29,13 @@ from pinav.figures.style import (
     prepare_axes,
     title_panel,
 )
-from pinav.thermal.forecast import Forecast
 from pinav.thermal.heated_run import FOLLOWED
-from pinav.thermal.learned_tissue import FittedFrames, FittedProbes, LearnedTissue
+from pinav.thermal.learned_tissue import (
+    FittedFrames,
+    FittedProbes,
+    Forecast,
+    LearnedTissue,
+)
 from pinav.thermal.learning import PerfusionCurve
 
 

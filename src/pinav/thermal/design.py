@@ -16,8 +16,7 @@ from jaxtyping import Array, Float
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.dose import value_exceeded_by
-from pinav.thermal.exposure_limits import HfLimit
-from pinav.thermal.protocols import Piecewise
+from pinav.thermal.protocols import HfLimit, Piecewise
 from pinav.thermal.quantities import Field, Number
 from pinav.thermal.solve import Solution
 from pinav.thermal.sources import ParticleSource, PowerSource

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float32, PyTree
 
+from pinav.arguments import Scalar
 from pinav.thermal.bioheat import Bioheat, HeatBalance
 from pinav.thermal.dose import (
     cem43_segment,
@@ -15,10 +16,10 @@ from pinav.thermal.dose import (
     value_exceeded_by,
     volume_above,
 )
-from pinav.thermal.exposure_limits import validity_warnings
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.setup import Setup
 from pinav.thermal.solve import Observe, Solution, probes_at, solve
+from pinav.thermal.sources import ParticleSource
 
 REGULAR_TIMES = 180
 """Times at which curves are saved, beside every switch of the field."""
@@ -28,6 +29,9 @@ MOMENTS = 61
 
 THERAPEUTIC = 10.0
 """CEM43 [min] of T90 that trials of hyperthermia aim at."""
+
+HOTTEST_VALID = 55.0
+"""Temperature [°C] above which neither perfusion nor linear response is known."""
 
 OFF = 1e-5
 """Share of the largest amplitude below which the field is off: a plan leaves less."""
@@ -161,7 +165,7 @@ def simulate(
     highest = float(solution.hottest.max())
     fields = (
         _along_radius(setup, model, protocol, seen)
-        if setup.target.ndim == 1
+        if setup.body.target.ndim == 1
         else _on_planes(setup, times, seen)
     )
     return HeatedRun(
@@ -184,7 +188,7 @@ def simulate(
         temperatures={name: seen[name] for name in FOLLOWED},
         above=seen["V43"],
         doses=doses,
-        target=np.asarray(setup.target),
+        target=np.asarray(setup.body.target),
         temperature=np.asarray(solution.final.temperature),
         dose=np.asarray(solution.final.dose),
         points=setup.points,
@@ -226,7 +230,7 @@ def _on_planes(
     kept = np.unique(np.linspace(0, count - 1, min(MOMENTS, count)).round().astype(int))
     planes = tuple(
         Plane(AXES[cut.axis], cut.place, seen[f"plane {cut.axis}"][kept].astype("f4"))
-        for cut in cuts_through(np.asarray(setup.target))
+        for cut in cuts_through(np.asarray(setup.body.target))
     )
     return {
         "spacing": setup.model.grid.cell_sizes,
@@ -238,13 +242,35 @@ def _on_planes(
 def _dead_shares(setup: Setup, damage: Array | None) -> dict[str, PyTree]:
     if damage is None:
         return {}
-    dead, target = 1 - np.exp(-np.asarray(damage)), np.asarray(setup.target)
+    dead, target = 1 - np.exp(-np.asarray(damage)), np.asarray(setup.body.target)
     weights = target * np.asarray(setup.model.grid.volumes)
     return {
         "dead": dead,
         "dead_target": float((dead * weights).sum() / weights.sum()),
         "dead_outside": float(dead[target < 1e-9].max()),
     }
+
+
+def validity_warnings(
+    model: Bioheat, protocol: Piecewise, hottest: Scalar | None = None
+) -> list[str]:
+    """What of a run lies outside the range of its laws, one sentence each."""
+    warnings = []
+    for source in model.sources:
+        if isinstance(source, ParticleSource):
+            strain = float(source.heating.validity(protocol.largest))
+            if strain > 1:
+                warnings.append(
+                    f"{type(source.heating).__name__} is strained {strain:.3g} times "
+                    "beyond its range of validity (1) at the largest amplitude; the "
+                    "power is doubtful"
+                )
+    if hottest is not None and float(hottest) > HOTTEST_VALID:
+        warnings.append(
+            f"{float(hottest):.1f} °C is reached; perfusion and heating laws hold up "
+            f"to about {HOTTEST_VALID:g} °C"
+        )
+    return warnings
 
 
 def saved_times(protocol: Piecewise) -> Float[np.ndarray, " time"]:
@@ -322,15 +348,15 @@ class Watched(eqx.Module):
 
     @classmethod
     def of(cls, setup: Setup, probes: Observe | None) -> "Watched":
-        volumes = np.asarray(setup.target * setup.model.grid.volumes).reshape(-1)
+        volumes = np.asarray(setup.body.target * setup.model.grid.volumes).reshape(-1)
         cells = np.flatnonzero(volumes > 0)
         return cls(
             cells=cells,
             volumes=jnp.asarray(volumes[cells]),
-            outside=np.asarray(setup.target).reshape(-1) < 1e-9,
+            outside=np.asarray(setup.body.target).reshape(-1) < 1e-9,
             probes=probes,
-            whole=setup.target.ndim == 1,
-            cuts=cuts_through(np.asarray(setup.target)),
+            whole=setup.body.target.ndim == 1,
+            cuts=cuts_through(np.asarray(setup.body.target)),
         )
 
     def temperatures(self, temperature: Float[Array, "..."]) -> dict[str, Array]:

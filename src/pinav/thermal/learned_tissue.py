@@ -1,16 +1,19 @@
 """What readings say of a case: perfusion and power, how well, and what comes next."""
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from pinav.fitting import EvidenceFit, Outcome
 from pinav.fitting.bayes.parameters import derive
-from pinav.fitting.engine.posterior import Estimate
+from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.forecast import Forecast, follow_target, forecast, forecast_times
-from pinav.thermal.heated_run import AbstractHeatResult
+from pinav.thermal.heated_run import FOLLOWED, AbstractHeatResult, Watched
 from pinav.thermal.learning import (
     PerfusionCurve,
     Residuals,
@@ -18,15 +21,108 @@ from pinav.thermal.learning import (
     perfusion_curve,
     visited_range,
 )
+from pinav.thermal.protocols import plan_steps
 from pinav.thermal.readings import Readings
 from pinav.thermal.setup import Setup
-from pinav.thermal.solve import Solution, solve
+from pinav.thermal.solve import Solution, run, solve
 from pinav.thermal.tissue_fit import (
     TissueFit,
     describe_constant,
     mean_perfusion,
     quantities_of,
 )
+
+
+class Forecast(eqx.Module):
+    """Predicted temperatures of the target, over the whole protocol.
+
+    Attributes:
+        values: temperatures by `FOLLOWED`, at each time [°C].
+        true: the same temperatures of the truth, where it is known [°C].
+        residual: root mean square residual of the later readings, as that of the fit;
+            none where there are none.
+    """
+
+    DERIVED = ("largest_sd", "error", "covered")
+
+    times: Float[np.ndarray, " time"]
+    values: Float[np.ndarray, "time quantity"]
+    sd: Float[np.ndarray, "time quantity"]
+    fitted_until: float
+    true: Float[np.ndarray, "time quantity"] | None = None
+    residual: float | None = None
+
+    @property
+    def largest_sd(self) -> float:
+        """Largest standard deviation after the readings that were fitted [K]."""
+        return float(self.sd[self._later].max())
+
+    @property
+    def error(self) -> float | None:
+        """Largest error after these readings, where the truth is known [K]."""
+        return None if self.true is None else float(self._errors.max())
+
+    @property
+    def covered(self) -> float | None:
+        """Fraction of later temperatures with the truth in the band of 95 %."""
+        if self.true is None:
+            return None
+        return float((self._errors <= 1.96 * self.sd[self._later]).mean())
+
+    @property
+    def _later(self) -> np.ndarray:
+        return self.times > self.fitted_until
+
+    @property
+    def _errors(self) -> np.ndarray:
+        return np.abs(self.values - self.true)[self._later]
+
+
+MOMENTS = 30
+"""Number of times of a forecast."""
+
+
+def forecast(
+    setup: Setup, posterior: Posterior, times: Float[np.ndarray, " time"]
+) -> tuple[Float[np.ndarray, "time quantity"], Float[np.ndarray, "time quantity"]]:
+    """Temperatures by `FOLLOWED` [°C] and their standard deviations [K].
+
+    By the delta method, in forward mode: there are fewer parameters than temperatures.
+    """
+    follow = follow_target(setup, times)
+
+    @eqx.filter_jit
+    def curves_and_slopes(free: Any, theta: Array) -> tuple[Array, Array]:
+        value, push = jax.linearize(lambda at: follow(free(at)), theta)
+        return value, jnp.moveaxis(jax.lax.map(push, jnp.eye(len(theta))), 0, -1)
+
+    with jax.enable_x64(new_val=True):
+        theta = jnp.asarray(posterior.mean)
+        values, slopes = map(np.asarray, curves_and_slopes(posterior.free, theta))
+    variance = np.einsum("tqp,pr,tqr->tq", slopes, posterior.covariance, slopes)
+    return values, np.sqrt(np.maximum(variance, 0.0))
+
+
+def follow_target(
+    setup: Setup, times: Float[np.ndarray, " time"]
+) -> Callable[[Any], Array]:
+    """Temperatures of the target at times, as a function of the model."""
+    watched = Watched.of(setup, None)
+    longest = setup.stepper.longest_step(setup.model)
+    schedule = plan_steps(setup.protocol, longest, save_at=times)
+
+    def follow(model: Any) -> Array:
+        solution = run(
+            model,
+            setup.protocol,
+            schedule,
+            stepper=setup.stepper,
+            observe=watched.temperatures,
+            start=setup.start,
+        )
+        return jnp.stack([solution.observed[name] for name in FOLLOWED], axis=-1)
+
+    return follow
 
 
 class LearnedQuantity(eqx.Module):
@@ -130,7 +226,7 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
     constant = fit if is_constant else task.learn(data, "constant")
     residuals = task.residuals(data)
     comparison, by_constant = (
-        TissueComparison.of(residuals, one.model) for one in (fit, constant)
+        _Comparison.of(residuals, one.model) for one in (fit, constant)
     )
     constants = fit.constants.items()
     held_out = settings.held_out if task.fitted is None else ()
@@ -139,14 +235,14 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
         title=setup.title,
         outcome=fit.outcome,
         iterations=fit.iterations,
-        residual=comparison.residual,
+        residual=_rms(comparison.scaled),
         noise=float(fit.hyperparameters.noise),
         relative=in_frames,
         log_evidence=fit.hyperparameters.log_evidence,
         constants={describe_constant(name, setup): one for name, one in constants},
         quantities=_compare(task, fit),
         laws={} if is_constant else _laws(task, fit),
-        constant_residual=by_constant.residual,
+        constant_residual=_rms(by_constant.scaled),
         held_out=tuple(
             _held_out(setup, fit.model, constant.model, power) for power in held_out
         ),
@@ -170,36 +266,23 @@ def _compare(task: TissueFit, fit: EvidenceFit) -> tuple[LearnedQuantity, ...]:
     )
 
 
-class TissueComparison(eqx.Module):
-    """What a model predicts, beside the readings.
-
-    Attributes:
-        predicted: temperatures at the readings' times and places [°C].
-        readings: readings without turns and drift [°C], NaN where there are none.
-        scaled: predicted less read, of voxels over their noise.
-    """
+class _Comparison(NamedTuple):
+    """Predicted temperatures, readings without turns and drift, and residuals."""
 
     predicted: Float[np.ndarray, "time place"]
-    readings: Float[np.ndarray, "time place"]
+    read: Float[np.ndarray, "time place"]
     scaled: Float[np.ndarray, "time place"]
 
     @classmethod
-    def of(cls, residuals: Residuals, model: Bioheat) -> "TissueComparison":
-        """The comparison of a model."""
-        predicted, readings = map(np.asarray, residuals.correct(model))
-        scaled = (predicted - readings) * np.asarray(residuals.weights)
-        return cls(predicted, readings, scaled)
-
-    @property
-    def residual(self) -> float:
-        """Root mean square of the scaled residuals."""
-        return _rms(self.scaled)
+    def of(cls, residuals: Residuals, model: Bioheat) -> "_Comparison":
+        predicted, read = map(np.asarray, residuals.correct(model))
+        return cls(predicted, read, (predicted - read) * np.asarray(residuals.weights))
 
 
 def _frames(
-    setup: Setup, residuals: Residuals, comparison: TissueComparison
+    setup: Setup, residuals: Residuals, comparison: _Comparison
 ) -> FittedFrames:
-    predicted, corrected = comparison.predicted, comparison.readings
+    predicted, corrected = comparison.predicted, comparison.read
     assert isinstance(residuals.observe, Voxels)
     grid, cells = setup.model.grid, np.asarray(residuals.observe.cells)
 
@@ -209,7 +292,7 @@ def _frames(
         return full.reshape(grid.shape)
 
     means = {}
-    for name, fraction in setup.fractions.items():
+    for name, fraction in setup.body.fractions.items():
         inside = np.asarray(fraction).reshape(-1)[cells] > 0.5
         if inside.any():
             read = np.nanmean(corrected[:, inside], axis=1)
@@ -218,7 +301,7 @@ def _frames(
         times=residuals.schedule.times,
         read=image(corrected[-1]),
         fitted=image(predicted[-1]),
-        target=np.asarray(setup.target),
+        target=np.asarray(setup.body.target),
         spacing=grid.cell_sizes,
         means=means,
     )
@@ -228,12 +311,12 @@ def _forecast(task: TissueFit, fit: EvidenceFit) -> Forecast | None:
     setup, fitted, every = task.setup, task.fitted, task.every
     if fitted is None or every is None or fitted.times[-1] >= setup.protocol.duration:
         return None
-    times = forecast_times(setup)
+    times = np.linspace(0.0, setup.protocol.duration, MOMENTS + 1)[1:]
     values, sd = forecast(setup, fit.posterior, times)
     true = None if task.truth is None else follow_target(setup, times)(task.truth.model)
     residual = None
     if len(every.times) > len(fitted.times):
-        whole = TissueComparison.of(task.residuals(every), fit.model)
+        whole = _Comparison.of(task.residuals(every), fit.model)
         residual = _rms(whole.scaled[len(fitted.times) :])
     return Forecast(
         times=times,
@@ -254,14 +337,14 @@ def _laws(task: TissueFit, fit: EvidenceFit) -> dict[str, PerfusionCurve]:
     truth = setup if task.settings.is_synthetic else task.truth
     for name in task.names:
         visited = visited_range(
-            fit.model, setup.protocol, setup.fractions[name], setup.start
+            fit.model, setup.protocol, setup.body.fractions[name], setup.start
         )
         at = np.linspace(setup.arterial, visited[1] + 1.0, 61)
         true = None
         if truth is not None:
             true = np.array([mean_perfusion(truth, name, one) for one in at])
         curves[name] = perfusion_curve(
-            fit.posterior, setup.laws[name], at, visited, true
+            fit.posterior, setup.body.laws[name], at, visited, true
         )
     return curves
 

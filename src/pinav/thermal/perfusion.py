@@ -146,10 +146,17 @@ class TabulatedPerfusion(AbstractPerfusion):
     values: Float[Array, " temperature"]
 
     def __check_init__(self) -> None:
+        count = len(self.temperatures)
+        if len(self.values) != count or count < 2:
+            raise InputError(
+                "values: expected one for each of two temperatures or more, got "
+                f"{len(self.values)} for {count}"
+            )
         if np.diff(self.temperatures).min() < BLEND * (1 - 1e-9):
             raise InputError(
-                f"TabulatedPerfusion: expected temperatures {BLEND:g} K apart or more, "
-                f"got {list(self.temperatures)}; a jump has no derivative"
+                f"temperatures: expected increasing, {BLEND:g} K apart or more, got "
+                f"{list(self.temperatures)}; a law that jumps has no derivative there: "
+                f"let it rise over {BLEND:g} K"
             )
 
     def __call__(self, temperature: Field) -> Field:

@@ -155,7 +155,7 @@ class PlanTask:
         return optimise(
             Run(model, setup.protocol),
             self.variables,
-            maximise=log_d90(setup.target),
+            maximise=log_d90(setup.body.target),
             subject_to=self.constraints,
             stepper=setup.stepper,
             begin=begin,
@@ -238,7 +238,7 @@ def tissue_beyond(setup: Setup, margin: float) -> Field:
     if body.radius is not None:
         return 1 - grid.ball(body.radius + margin, center=body.middle)
     assert isinstance(grid, CartesianGrid)
-    outside, sizes = np.asarray(setup.target) <= 0.5, grid.cell_sizes
+    outside, sizes = np.asarray(setup.body.target) <= 0.5, grid.cell_sizes
     # from centre to centre: half a voxel is inside the target
     distance = np.asarray(distance_transform_edt(outside, sizes)) - 0.5 * min(sizes)
     return jnp.asarray(distance >= margin, float)

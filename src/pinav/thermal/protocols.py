@@ -1,4 +1,8 @@
-"""Protocols: the amplitude of the field over time, and steps that end at switches."""
+"""Protocols: the field over time, its limits, and steps that end at switches.
+
+Which limit holds is the user's choice. A product of amplitude and frequency leaves out
+the duty cycle; what limits in practice is the temperature that eddy currents make.
+"""
 
 import abc
 
@@ -267,3 +271,50 @@ def _merge(times: np.ndarray, end: Number) -> np.ndarray:
     ordered = np.sort(times)
     kept = np.append(True, np.diff(ordered) > COINCIDENT * end)
     return ordered[kept]
+
+
+class HfLimit(eqx.Module):
+    """A bound on the product of amplitude and frequency.
+
+    Attributes:
+        product: largest $Hf$ [A m⁻¹ s⁻¹], positive.
+    """
+
+    product: Number
+    name: str = eqx.field(static=True, default="Hf limit")
+
+    def __check_init__(self) -> None:
+        if not self.product > 0:
+            raise InputError(
+                f"HfLimit.product: expected > 0 A/(m s), got {self.product}"
+            )
+
+    def exposure(self, protocol: Piecewise) -> Float[Array, " interval"]:
+        """$Hf$ of each interval, differentiable by the amplitudes.
+
+        The largest of them has a kink, at which an optimiser stops.
+        """
+        return jnp.maximum(protocol.starts, protocol.ends) * protocol.frequency
+
+
+ATKINSON_BREZOVICH = HfLimit(product=4.85e8, name="Atkinson-Brezovich limit")
+"""Tolerated for over an hour by a torso of some 30 cm: Atkinson, Brezovich and
+Chakraborty, IEEE Trans. Biomed. Eng. 31, 70 (1984)."""
+
+HERGT_DUTZ = HfLimit(product=5e9, name="Hergt-Dutz limit")
+"""Proposed for smaller exposed regions: Hergt and Dutz, J. Magn. Magn. Mater. 311, 187
+(2007)."""
+
+LIMITS = {"atkinson-brezovich": ATKINSON_BREZOVICH, "hergt-dutz": HERGT_DUTZ}
+
+
+def require(protocol: Piecewise, *limits: HfLimit) -> None:
+    """Refuse a protocol that exceeds a limit."""
+    for limit in limits:
+        reached = float(jnp.max(limit.exposure(protocol)))
+        if reached > limit.product * (1 + 1e-9):
+            raise InputError(
+                f"protocol exceeds the {limit.name}: expected <= {limit.product:.4g} "
+                f"A/(m s), got {reached:.4g} A/(m s); lower the amplitude or "
+                "the frequency, or choose another limit"
+            )

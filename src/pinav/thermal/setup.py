@@ -1,8 +1,6 @@
 """A case as values that can be run: tissue, field, stepper, limits and start."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,9 +13,7 @@ from pinav.thermal.case import Before, Case, read_case
 from pinav.thermal.case_geometry import Probes
 from pinav.thermal.case_matter import Absorption, Power, heating_file
 from pinav.thermal.dose import Arrhenius
-from pinav.thermal.exposure_limits import HfLimit, limit
-from pinav.thermal.images import Image
-from pinav.thermal.protocols import Piecewise
+from pinav.thermal.protocols import LIMITS, HfLimit, Piecewise
 from pinav.thermal.quantities import Field
 from pinav.thermal.readings import Readings, simulate_probes
 from pinav.thermal.rosenbrock import Rosenbrock
@@ -28,8 +24,13 @@ from pinav.thermal.sources import (
     PowerSource,
     ShiftedSource,
 )
-from pinav.thermal.starts import AT_REST, AbstractStart, AtSteadyState, read_state
-from pinav.thermal.steady import find_steady_state
+from pinav.thermal.starts import (
+    AT_REST,
+    AbstractStart,
+    AtSteadyState,
+    find_steady_state,
+    read_state,
+)
 from pinav.thermal.steppers import RKL2, AbstractStepper
 
 
@@ -96,7 +97,7 @@ class Setup(eqx.Module):
             protocol=case.field.build(),
             body=body,
             stepper=stepper,
-            limits=() if case.limit is None else (limit(case.limit),),
+            limits=() if case.limit is None else (LIMITS[case.limit],),
             points=np.array(probes.points, float).reshape(-1, len(grid.shape)),
             every=probes.every,
             start=start,
@@ -115,26 +116,6 @@ class Setup(eqx.Module):
             stepper=self.stepper,
             start=self.start,
         )
-
-    @property
-    def target(self) -> Field:
-        """Volume fraction of the target in each cell."""
-        return self.body.target
-
-    @property
-    def laws(self) -> dict[str, Callable[[Any], Any]]:
-        """For each tissue, what picks its perfusion from a model."""
-        return self.body.laws
-
-    @property
-    def fractions(self) -> dict[str, Field]:
-        """Volume fraction of each tissue in each cell."""
-        return self.body.fractions
-
-    @property
-    def image(self) -> Image | None:
-        """Labels, where the cells are voxels."""
-        return self.body.image
 
     @property
     def arterial(self) -> float:

@@ -143,7 +143,7 @@ def run(
     and of one block at a time, about twice the square root of the number of steps.
     """
     balance, begin = HeatBalance.of(model), _with_damage(start.state(model), damage)
-    watch = _Following(observe, observe_dose, jnp.asarray(cutoff), damage).watch
+    watch = _watch(observe, observe_dose, cutoff, damage)
 
     def advance(carry: HeatState, inputs: PyTree) -> tuple[HeatState, PyTree]:
         durations, forced = inputs
@@ -181,23 +181,19 @@ def run(
     )
 
 
-class _Following(eqx.Module):
-    observe: Observe
-    observe_dose: Observe
-    cutoff: Scalar
-    damage: Arrhenius | None
+def _watch(
+    observe: Observe, observe_dose: Observe, cutoff: Number, damage: Arrhenius | None
+) -> Watch:
+    """What of a run is added up and kept."""
 
-    @property
-    def watch(self) -> Watch:
-        def accrue(before: Field, after: Field, dt: Scalar) -> PyTree:
-            dose = cem43_segment(before, after, dt, self.cutoff)
-            law = self.damage
-            return dose, None if law is None else law.segment(before, after, dt)
+    def accrue(before: Field, after: Field, dt: Scalar) -> PyTree:
+        dose = cem43_segment(before, after, dt, jnp.asarray(cutoff))
+        return dose, None if damage is None else damage.segment(before, after, dt)
 
-        def keep(after: Field, total: PyTree) -> PyTree:
-            return self.observe(after), self.observe_dose(total[0]), jnp.max(after)
+    def keep(after: Field, total: PyTree) -> PyTree:
+        return observe(after), observe_dose(total[0]), jnp.max(after)
 
-        return Watch(accrue, keep)
+    return Watch(accrue, keep)
 
 
 def _with_damage(state: HeatState, damage: Arrhenius | None) -> HeatState:

@@ -68,13 +68,13 @@ class TissueFit:
         Raises:
             InputError: a file cannot be read, or nothing could be learned from it.
         """
-        settings = case.learn or Learn()
-        names = tuple(setup.laws) if settings.laws is None else settings.laws
+        settings, laws = case.learn or Learn(), setup.body.laws
+        names = tuple(laws) if settings.laws is None else settings.laws
         for name in names:
-            if name not in setup.laws:
+            if name not in laws:
                 raise InputError(
-                    f"learn.laws: expected names of tissues, {', '.join(setup.laws)}; "
-                    f"got {name!r}"
+                    f"learn.laws: expected names of tissues, {', '.join(laws)}; got "
+                    f"{name!r}"
                 )
             perfusion_at_rest(setup, name)
         require_heating(setup)
@@ -112,7 +112,7 @@ class TissueFit:
             )
         read = data.observed.any(axis=0)
         for name in self.names if data.points is None else ():
-            if not (read & (np.asarray(self.setup.fractions[name]) > 0.5)).any():
+            if not (read & (np.asarray(self.setup.body.fractions[name]) > 0.5)).any():
                 raise InputError(
                     f"learn.laws: expected tissues with a reading, got {name}, of "
                     "which no voxel is read; leave it out"
@@ -131,7 +131,7 @@ class TissueFit:
             FitError: the fit did not converge.
         """
         setup, kind = self.setup, kind or self.settings.kind
-        laws, model = [setup.laws[name] for name in self.names], self.movable()
+        laws, model = [setup.body.laws[name] for name in self.names], self.movable()
         for index, law in enumerate(laws):
             model = eqx.tree_at(law, model, self._first_law(kind, index, data))
 
@@ -190,7 +190,7 @@ class TissueFit:
 
     def _hottest(self, name: str, data: Readings) -> float:
         """Highest temperature of a tissue by its probes, or by the case about [°C]."""
-        setup, fraction = self.setup, self.setup.fractions[name]
+        setup, fraction = self.setup, self.setup.body.fractions[name]
         if data.points is None:
             visited = visited_range(setup.model, setup.protocol, fraction, setup.start)
             return visited[1] + MORE_RISE
@@ -204,7 +204,9 @@ class TissueFit:
 
 def _read_data(settings: Learn, setup: Setup, folder: Path) -> Readings | None:
     if settings.thermometry is not None:
-        return read_frames(settings.thermometry, setup.image, setup.arterial, folder)
+        return read_frames(
+            settings.thermometry, setup.body.image, setup.arterial, folder
+        )
     return None if settings.data is None else load_probes(folder / settings.data)
 
 
@@ -220,10 +222,10 @@ def _read_truth(path: Path, setup: Setup, names: tuple[str, ...]) -> Setup:
             f"{given}; take the same"
         )
     for name in names:
-        if name not in truth.laws:
+        if name not in truth.body.laws:
             raise InputError(
                 f"learn.truth: expected a case with the tissue {name}, got "
-                f"{', '.join(truth.laws)}; name its tissues as here"
+                f"{', '.join(truth.body.laws)}; name its tissues as here"
             )
     return truth
 
@@ -241,9 +243,9 @@ def perfusion_at_rest(setup: Setup, name: str) -> float:
 
 def mean_perfusion(setup: Setup, name: str, celsius: float) -> float:
     """Perfusion of a tissue at a temperature [kg m⁻³ s⁻¹], on average over it."""
-    law: AbstractPerfusion = setup.laws[name](setup.model)
+    law: AbstractPerfusion = setup.body.laws[name](setup.model)
     flow = law(jnp.full(setup.model.grid.shape, celsius))
-    fraction = setup.fractions[name]
+    fraction = setup.body.fractions[name]
     return float(jnp.sum(flow * fraction) / jnp.sum(fraction))
 
 
@@ -269,7 +271,7 @@ def require_heating(setup: Setup) -> None:
 
 def describe_constant(path: str, setup: Setup) -> str:
     """The name of a number of the model, by its path in it."""
-    names = list(setup.laws)
+    names = list(setup.body.laws)
     path = path.replace("perfusion.inside.", "tumour ").replace(
         "perfusion.outside.", "tissue "
     )
@@ -294,7 +296,7 @@ def quantities_of(
     setup, settings = fit.setup, fit.settings
     amplitude, frequency = setup.protocol.largest, setup.protocol.frequency
     constant = fit.names if settings.kind == "constant" else ()
-    laws = [setup.laws[name] for name in constant]
+    laws = [setup.body.laws[name] for name in constant]
     axes = "xyz"[: len(setup.model.grid.shape)] if settings.spot else ""
     names = [f"perfusion of {name} [kg/(m³ s)]" for name in constant]
     names += ["power of the source [W]"] * settings.power_scale

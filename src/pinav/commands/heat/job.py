@@ -11,7 +11,6 @@ from pinav.commands.heat.settings import HeatOptions
 from pinav.commands.results import keep
 from pinav.runs import RunFolder
 from pinav.thermal.case import Case, read_case
-from pinav.thermal.exposure_limits import require
 from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun, simulate
 from pinav.thermal.images import write_image
 from pinav.thermal.learned_tissue import (
@@ -19,6 +18,7 @@ from pinav.thermal.learned_tissue import (
     learn_tissue,
 )
 from pinav.thermal.planned_run import PlannedRun, PlanTask
+from pinav.thermal.protocols import require
 from pinav.thermal.readings import Readings, save_probes
 from pinav.thermal.setup import Setup
 from pinav.thermal.tissue_fit import TissueFit
@@ -53,9 +53,9 @@ def run(options: HeatOptions) -> CommandResult:
     if isinstance(heated, HeatedRun):
         end = {"temperature": heated.temperature, "dose": heated.dose}
         folder.write_arrays(END, end)
-    if setup.image is not None and setup.image.is_nifti:
+    if setup.body.image is not None and setup.body.image.is_nifti:
         for name, values in _images(heated).items():
-            write_image(folder.path / f"{name}.nii.gz", values, setup.image)
+            write_image(folder.path / f"{name}.nii.gz", values, setup.body.image)
             folder.record(f"{name}.nii.gz")
     return keep(HEAT, folder, result)
 
