@@ -44,6 +44,7 @@ def fitted_probes_figure(title: str, fitted: FittedProbes) -> Picture:
 
     def draw() -> Figure:
         data = fitted.data
+        assert data.points is not None
         names, readings = place_names(data.points), (data.times, data.values)
         curves = probe_curves(data.times, fitted.predicted, names, readings=readings)
         return figure_of(curves)

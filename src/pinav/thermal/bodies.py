@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from pinav.errors import InputError
-from pinav.thermal.case import Case, TargetFile
+from pinav.thermal.case import Case, FromFile
 from pinav.thermal.case_geometry import Box, Meshed, Voxels
 from pinav.thermal.case_matter import (
     LARGEST_LABEL,
@@ -311,7 +311,7 @@ def _target(
     case: Case, masks: dict[str, Bool[np.ndarray, "..."]], files: _Files
 ) -> np.ndarray:
     """Share of each voxel that the target has."""
-    if not isinstance(case.target, TargetFile):
+    if not isinstance(case.target, FromFile):
         return np.any([masks[name] for name in case.target or ()], axis=0).astype(float)
     image = read_image(files.folder / case.target.file)
     check_place(image, files.labels)

@@ -47,14 +47,10 @@ class Sphere(Strict, frozen=True, tag="sphere", tag_field="kind"):
         return RadialGrid.sphere(self.radius, self.cells)
 
 
-class Cylinder(Strict, frozen=True, tag="cylinder", tag_field="kind"):
+class Cylinder(Sphere, frozen=True, tag="cylinder", tag_field="kind"):
     """A long cylinder, everything a function of the radius [m]."""
 
-    radius: Length
-    cells: Cells
-
     def build(self) -> RadialGrid:
-        """The cells."""
         return RadialGrid.cylinder(self.radius, self.cells)
 
 

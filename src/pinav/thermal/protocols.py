@@ -58,7 +58,11 @@ class Piecewise(AbstractProtocol):
     frequency: Scalar
 
     def __check_init__(self) -> None:
-        _check_edges(self.edges)
+        edges = self.edges
+        if len(edges) < 2 or edges[0] != 0 or not np.all(np.diff(edges) > 0):
+            raise InputError(
+                f"protocol: expected edges that increase from 0 s, got {list(edges)}"
+            )
         for values in (self.starts, self.ends):
             if len(values) != len(self.edges) - 1:
                 raise InputError(
@@ -110,21 +114,6 @@ class Piecewise(AbstractProtocol):
         bursts = 1.0 - np.arange(len(edges) - 1) % 2
         return cls.constant(edges, amplitude * jnp.asarray(bursts), frequency)
 
-    def then(self, other: "Piecewise") -> "Piecewise":
-        """This protocol, then another of the same frequency."""
-        if self.frequency != other.frequency:
-            raise InputError(
-                f"then: expected the same frequency, got {self.frequency} and "
-                f"{other.frequency} Hz"
-            )
-        later = tuple(self.duration + t for t in other.edges[1:])
-        return Piecewise(
-            edges=self.edges + later,
-            starts=jnp.concatenate([self.starts, other.starts]),
-            ends=jnp.concatenate([self.ends, other.ends]),
-            frequency=self.frequency,
-        )
-
     def until(self, time: Number) -> "Piecewise":
         """The intervals before a switch."""
         if time not in self.edges[1:]:
@@ -158,14 +147,6 @@ class Piecewise(AbstractProtocol):
 
 def _times(edges: Numbers) -> tuple[float, ...]:
     return tuple(np.asarray(edges, float).reshape(-1).tolist())
-
-
-def _check_edges(edges: tuple[float, ...]) -> None:
-    gaps = np.diff(edges)
-    if len(edges) < 2 or edges[0] != 0 or not np.all(gaps > 0):
-        raise InputError(
-            f"protocol: expected edges that increase from 0 s, got {list(edges)}"
-        )
 
 
 COINCIDENT = 1e-9

@@ -40,7 +40,6 @@ Reference = Annotated[float, Meta(gt=0, le=1e6)]
 """[A m⁻¹]"""
 Frequency = Annotated[float, Meta(ge=1e3, le=1e9)]
 """[Hz]; the bounds refuse kilohertz."""
-Positive = Annotated[float, Meta(gt=0, le=1e15)]
 Magnitude = Annotated[float, Meta(ge=0, le=1e15)]
 PowerDensity = Annotated[float, Meta(ge=0, le=1e10)]
 """[W m⁻³]"""

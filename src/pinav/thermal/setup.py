@@ -9,7 +9,7 @@ import numpy as np
 
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.bodies import Body, build_body, read_heating
-from pinav.thermal.case import Before, Case, read_case
+from pinav.thermal.case import Case, FromFile, read_case
 from pinav.thermal.case_geometry import Probes
 from pinav.thermal.case_matter import Absorption, Power, heating_file
 from pinav.thermal.dose import Arrhenius
@@ -123,8 +123,10 @@ class Setup(eqx.Module):
         return float(self.model.blood.arterial)
 
 
-def _start(start: Before | str, shape: tuple[int, ...], folder: Path) -> AbstractStart:
-    if isinstance(start, Before):
+def _start(
+    start: FromFile | str, shape: tuple[int, ...], folder: Path
+) -> AbstractStart:
+    if isinstance(start, FromFile):
         return read_state(folder / start.file, shape)
     return AtSteadyState() if start == "steady" else AT_REST
 

@@ -73,7 +73,6 @@ def solve(
     save_every: Number | None = None,
     save_at: Numbers | None = None,
     start: AbstractStart = AT_REST,
-    cutoff: Number = 37.0,
     damage: Arrhenius | None = None,
 ) -> Solution:
     """Run a protocol, from rest, a steady state or a state of another run.
@@ -90,7 +89,6 @@ def solve(
         save_every: interval between saved times [s].
         save_at: saved times [s]; the end alone unless given.
         start: where to begin; at rest unless given.
-        cutoff: temperature [°C] below which no dose counts.
         damage: law of damage that is accumulated beside the dose.
 
     Raises:
@@ -114,7 +112,6 @@ def solve(
         observe=observe,
         observe_dose=observe_dose,
         start=begin,
-        cutoff=cutoff,
         damage=damage,
     )
 
@@ -134,7 +131,6 @@ def run(
     observe: Observe,
     observe_dose: Observe = lambda dose: None,
     start: AbstractStart = AT_REST,
-    cutoff: Number = 37.0,
     damage: Arrhenius | None = None,
 ) -> Solution:
     """Run a protocol with a given schedule; see `solve`.
@@ -143,7 +139,7 @@ def run(
     and of one block at a time, about twice the square root of the number of steps.
     """
     balance, begin = HeatBalance.of(model), _with_damage(start.state(model), damage)
-    watch = _watch(observe, observe_dose, cutoff, damage)
+    watch = _watch(observe, observe_dose, damage)
 
     def advance(carry: HeatState, inputs: PyTree) -> tuple[HeatState, PyTree]:
         durations, forced = inputs
@@ -181,13 +177,11 @@ def run(
     )
 
 
-def _watch(
-    observe: Observe, observe_dose: Observe, cutoff: Number, damage: Arrhenius | None
-) -> Watch:
+def _watch(observe: Observe, observe_dose: Observe, damage: Arrhenius | None) -> Watch:
     """What of a run is added up and kept."""
 
     def accrue(before: Field, after: Field, dt: Scalar) -> PyTree:
-        dose = cem43_segment(before, after, dt, jnp.asarray(cutoff))
+        dose = cem43_segment(before, after, dt)
         return dose, None if damage is None else damage.segment(before, after, dt)
 
     def keep(after: Field, total: PyTree) -> PyTree:

@@ -44,12 +44,6 @@ class HeatState(AbstractStart):
         """A temperature [°C] at the begin of a protocol, no dose."""
         return cls(jnp.asarray(0.0), temperature, jnp.zeros_like(temperature))
 
-    @classmethod
-    def at_rest(cls, model: Bioheat) -> "HeatState":
-        """Everything at the arterial temperature, no dose."""
-        arterial = jnp.asarray(model.blood.arterial, float)
-        return cls.at(jnp.full(model.grid.shape, arterial))
-
     def state(self, model: Bioheat) -> "HeatState":
         for name in ("temperature", "dose"):
             shape = getattr(self, name).shape
@@ -65,17 +59,15 @@ class AtRest(AbstractStart):
     """Everything at the arterial temperature."""
 
     def state(self, model: Bioheat) -> HeatState:
-        return HeatState.at_rest(model)
+        arterial = jnp.asarray(model.blood.arterial, float)
+        return HeatState.at(jnp.full(model.grid.shape, arterial))
 
 
 class AtSteadyState(AbstractStart):
-    """The steady state of a constant field, or without one: a cooled wall at rest."""
-
-    amplitude: Scalar = 0.0
-    frequency: Scalar = 1e5
+    """The steady state without a field, such as that of a cooled wall at rest."""
 
     def state(self, model: Bioheat) -> HeatState:
-        steady = steady_state(model, self.amplitude, self.frequency)
+        steady = steady_state(model)
         return HeatState.at(
             eqx.error_if(steady.temperature, ~steady.converged, NOT_STEADY)
         )

@@ -74,7 +74,6 @@ _UNITS = {
     "conductivity": "W/(m K)",
     "density": "kg/m³",
     "specific_heat": "J/(kg K)",
-    "arterial": "°C",
 }
 
 
