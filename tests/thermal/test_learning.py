@@ -151,25 +151,6 @@ def test_readings_survive_a_file(tmp_path, readings):
     assert np.array_equal(again.values, with_gap.values, equal_nan=True)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("t,r\n1,2\n", r"expected the columns t, r, T or t, x, y, z, T, got t, r"),
-        ("t,r,T\n1,0.0\n", r"row 2: expected 3 cells, got 2"),
-        ("t,r,T\n1,abc,40\n", r"row 2, column 2: expected a number, got 'abc'"),
-        ("t,r,T\n", r"expected readings, got a header alone"),
-        ("t,r,T\n0,0.0,37\n", r"row 2: expected times > 0 s"),
-        ("t,r,T\n1,0.0,\n", r"expected a reading, got empty cells alone"),
-        ("", r"got none"),
-    ],
-)
-def test_bad_files_name_the_place(tmp_path, text, message):
-    path = tmp_path / "probes.csv"
-    path.write_text(text)
-    with pytest.raises(InputError, match=message):
-        load_probes(path)
-
-
 @pytest.mark.slow
 def test_what_cannot_be_learned_is_refused(readings, tmp_path):
     with pytest.raises(InputError, match="nothing to learn"):
@@ -190,16 +171,3 @@ def test_what_cannot_be_learned_is_refused(readings, tmp_path):
         kernel_perfusion(1.0, (45.0, 37.0))
     with pytest.raises(InputError, match="length_scale: expected > 0 K"):
         kernel_perfusion(1.0, (37.0, 45.0), length_scale=0.0)
-
-
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        ("1,0,37\n1,0,38\n", "expected one reading for each time and place, got 2 at"),
-        ("1,0,310\n2,0,311\n", "row 2: expected temperatures in °C, which are kelvi"),
-    ],
-)
-def test_readings_that_cannot_be_meant_are_refused(tmp_path, rows, message):
-    (tmp_path / "probes.csv").write_text("t,r,T\n" + rows)
-    with pytest.raises(InputError, match=message):
-        load_probes(tmp_path / "probes.csv")
