@@ -92,7 +92,7 @@ def test_candidates_that_cannot_be_had_are_refused(models, name, channels, messa
 
 
 def test_one_model_is_nothing_to_compare():
-    with pytest.raises(InputError, match="--models: expected two or more different"):
+    with pytest.raises(InputError, match="--models: expected at least 2 different"):
         CompareSettings(models=("kernel-force",)).check()
 
 
