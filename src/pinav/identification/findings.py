@@ -10,16 +10,15 @@ from pinav.evaluation import normal_quantile
 from pinav.fitting import Estimate, EvidenceFit
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.identification.candidates import (
-    RESPONSES,
     axis_gains,
     drift_only,
     gain_matrix,
     like,
-    response_name,
     scalar_gain,
     with_learned,
     with_response,
 )
+from pinav.identification.drive import RESPONSES, response_name
 from pinav.identification.estimates import estimates as estimates_of
 from pinav.identification.fit import fit_track
 from pinav.identification.parameters import DELAY

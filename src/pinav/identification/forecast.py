@@ -11,10 +11,11 @@ from jaxtyping import Array, Complex, Float
 from pinav.actuation import HeldProgramme
 from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting import EvidenceFit
-from pinav.identification.candidates import (
-    SwitchedResponse,
+from pinav.identification.drive import (
+    RollingDrive,
+    fitted_coordinates,
     gain_basis,
-    response_place,
+    rolling_coordinates,
 )
 from pinav.identification.estimates import drift_of, entries, gain_of
 from pinav.identification.kalman import (
@@ -25,14 +26,7 @@ from pinav.identification.kalman import (
     transitions,
 )
 from pinav.identification.likelihood import disturbance_of
-from pinav.identification.parameters import (
-    DRIFT,
-    DRIVE,
-    GAIN,
-    PLACES,
-    drive_coordinates,
-    fitted_coordinates,
-)
+from pinav.identification.parameters import DRIFT, GAIN, ROLLING, Coordinates
 from pinav.identification.tracks import Track, commands_of, round_up_to
 from pinav.trajectories import Trajectory
 
@@ -63,29 +57,25 @@ on, since a program takes longer to compile than to run on twice the samples."""
 
 
 def cycles(
-    swimmer: OverdampedSwimmer, piece: Trajectory
+    swimmer: OverdampedSwimmer,
+    piece: Trajectory,
+    coordinates: Coordinates | None = None,
 ) -> Float[np.ndarray, "time 2"]:
-    """Integral of the delayed response along the heading."""
-    return _cycles_at(drive_coordinates(swimmer), swimmer, piece)
+    """Integral of the delayed response of a rolling swimmer along the heading.
 
-
-def _cycles_at(
-    drive: Float[np.ndarray, "4"], swimmer: OverdampedSwimmer, piece: Trajectory
-) -> Float[np.ndarray, "time 2"]:
-    """The same with the drive at other coordinates."""
+    Args:
+        swimmer: its response, delay and lag count.
+        piece: its commands count.
+        coordinates: those of response, delay and lag in place of the swimmer's.
+    """
+    at = rolling_coordinates(swimmer) if coordinates is None else coordinates
     with jax.enable_x64(new_val=True):
         # The response is chosen by its place, in one compiled program for all of them.
-        index = jnp.asarray(response_place(swimmer))
-        integral = _cycles(programme_of(piece), index, jnp.asarray(drive))
+        drive = RollingDrive.of(swimmer)
+        integral = eqx.filter_jit(RollingDrive.cycles)(
+            drive, jnp.asarray(at), programme_of(piece)
+        )
     return np.asarray(integral)[: len(piece.times)]
-
-
-@eqx.filter_jit
-def _cycles(programme: HeldProgramme, index: Array, drive: Array) -> Array:
-    corner, residual, delay, lag = drive
-    response = SwitchedResponse(index, corner, residual)
-    times = programme.times - delay
-    return programme.lagged_integral(response, times, jnp.exp(lag))
 
 
 def path_of(swimmer: OverdampedSwimmer) -> Displacement:
@@ -226,7 +216,7 @@ def _wandering_variances(
     intervals: Array, frequency: Array, turned: Array, disturbance: Disturbance
 ) -> Array:
     """Variance of the way after each interval, velocities and gain unknown at first."""
-    strength = disturbance.strength(frequency)
+    strength = disturbance.wandering.strength(frequency)
     steps = transitions(intervals, strength, disturbance, turned)
 
     def step(state: State, inputs: tuple[Array, Array]) -> tuple[State, Array]:
@@ -283,14 +273,13 @@ class Predictor(eqx.Module):
         """Slopes of a displacement by each unknown, and the covariance of these."""
         known, swimmer = self.wandering or self.fit, self.fit.model
         columns, places = [], []
-        drive = drive_coordinates(swimmer)
+        drive = rolling_coordinates(swimmer)
         turned = cycles(swimmer, piece)
-        for parameter in DRIVE:
+        for place, parameter in enumerate(ROLLING):
             if parameter.path in known.constants:
-                place = PLACES[parameter.path]
                 # A forward difference is enough: a band needs its slope to per milles.
                 moved = drive + STEP * (np.arange(len(drive)) == place)
-                slope = (_cycles_at(moved, swimmer, piece) - turned) / STEP
+                slope = (cycles(swimmer, piece, moved) - turned) / STEP
                 slope = slope @ gain_of(swimmer).T
                 slope = slope / parameter.scale.slope(drive[place])
                 columns.append(slope[:, :, None])

@@ -20,6 +20,7 @@ from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.engine.problem import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
+from pinav.identification.drive import fitted_coordinates
 from pinav.identification.forecast import path_of
 from pinav.identification.likelihood import (
     Design,
@@ -30,7 +31,6 @@ from pinav.identification.likelihood import (
     path_displacement,
     whiten,
 )
-from pinav.identification.parameters import fitted_coordinates
 from pinav.identification.rollouts import Errors, Rollouts
 from pinav.identification.tracks import Blocks, Track
 from pinav.systems import System

@@ -20,7 +20,6 @@ from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.forces import KernelForce, KernelPotential, NeuralForce
 from pinav.identification.baselines import least_squares
 from pinav.identification.candidates import (
-    RESPONSES,
     drift_only,
     gain_matrix,
     like,
@@ -29,6 +28,7 @@ from pinav.identification.candidates import (
     with_response,
     with_slow_drift,
 )
+from pinav.identification.drive import RESPONSES
 from pinav.identification.fit import fit_track
 from pinav.identification.forecast import (
     Displacement,

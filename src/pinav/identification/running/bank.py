@@ -19,6 +19,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from pinav.identification.kalman import ornstein_uhlenbeck
+
 P, W, B, G = 0, 1, 2, slice(3, 5)
 """Places in the state."""
 
@@ -167,16 +169,13 @@ def wandering(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     r"""Variances that wandering adds in an interval, over $\sigma^2$.
 
-    Of the position, of position with velocity, and of the velocity: exact, as in
-    `pinav.identification.kalman`, for the strength at a frequency [Hz].
+    Of the position, of position with velocity, and of the velocity, for the strength
+    at a frequency [Hz].
     """
     strength = STILL**2 + np.sqrt(np.maximum(frequency, 0.0))
-    ratio = interval / memory
-    decay = np.exp(-ratio)
-    spread = 2 * ratio - 3 + 4 * decay - decay**2
-    spread = np.where(ratio < 1e-3, 2 * ratio**3 / 3, spread)  # cancellation
+    lost, _, spread, fresh = ornstein_uhlenbeck(interval / memory, np)
     return (
         strength * memory**2 * spread,
-        strength * memory * np.expm1(-ratio) ** 2,
-        -strength * np.expm1(-2 * ratio),
+        strength * memory * lost**2,
+        strength * fresh,
     )
