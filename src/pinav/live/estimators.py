@@ -26,29 +26,6 @@ class Whereabouts:
     sd: float | None
 
 
-@dataclasses.dataclass(frozen=True)
-class Drive:
-    """What is known of drive and surroundings; none where it is not.
-
-    Attributes:
-        delay: from command to motion [s].
-        gain: speed at 1 Hz and small frequencies [L per cycle].
-        gain_sd: its standard deviation [L per cycle].
-        offset: angle from the commanded heading to the motion [rad].
-        drift: velocity without command [L/s].
-        force: at the position.
-        force_sd: of either component.
-    """
-
-    delay: float | None = None
-    gain: float | None = None
-    gain_sd: float | None = None
-    offset: float | None = None
-    drift: Point | None = None
-    force: Point | None = None
-    force_sd: float | None = None
-
-
 class AbstractEstimator(eqx.Module):
     """A belief about the robot, as a value."""
 
@@ -70,8 +47,8 @@ class AbstractEstimator(eqx.Module):
         """The position at a time [s], not before the last frame; none if unknown."""
 
     @abc.abstractmethod
-    def drive(self) -> Drive:
-        """What is known of drive and surroundings."""
+    def drive(self) -> DriveEstimate | None:
+        """The numbers of the drive; none before anything is known of it."""
 
 
 class Intent(enum.Enum):
@@ -189,17 +166,8 @@ class DriveEstimator(AbstractEstimator):
             return None
         return math.sqrt(jitter) + self.known.gain * self.fit.fastest * elapsed
 
-    def drive(self) -> Drive:
-        now = self.known
-        if now is None:
-            return Drive()
-        return Drive(
-            delay=now.delay,
-            gain=now.gain,
-            gain_sd=now.gain_sd,
-            offset=now.offset,
-            drift=now.drift,
-        )
+    def drive(self) -> DriveEstimate | None:
+        return self.known
 
     def _last(self, frame: Frame) -> np.ndarray:
         if frame.x is None or frame.y is None:
