@@ -147,7 +147,7 @@ def test_any_propulsion_drives_a_path_as_it_drives_a_swimmer():
     (states,), _ = predict(swimmer, data)
     moved = np.asarray(states) - states[0]
     np.testing.assert_allclose(path[: len(moved)], moved, atol=1e-4)
-    assert np.abs(late - path).max() < 0.03  # no step of the way jumps with the delay
+    assert np.abs(late - path).max() < 0.05  # no step of the way jumps with the delay
 
 
 @pytest.mark.slow
@@ -185,7 +185,7 @@ def test_a_wandering_velocity_stands_beside_a_propulsion_without_commands(roller
     blocks = Blocks(times, jnp.zeros((10, 2)), *(jnp.zeros(10),) * 6)
     path = drive.displacements(jnp.zeros(0), blocks)
     velocity = swimmer.mobility(jnp.zeros(2), propulsion.force)
-    np.testing.assert_allclose(path, times[:, None] * velocity, atol=1e-6)
+    np.testing.assert_allclose(path, jnp.outer(times, velocity), atol=1e-6)
 
 
 @pytest.mark.parametrize("slow", [0.0, 0.3])

@@ -47,7 +47,6 @@ def fit_track(
     track: Track,
     system: System,
     *,
-    prior: Prior | None = None,
     start: EvidenceFit | None = None,
     wandering_gain: bool = False,
 ) -> EvidenceFit:
@@ -56,7 +55,6 @@ def fit_track(
     Args:
         track: positions and commands that are fitted.
         system: candidate, whose `learn` says what is open.
-        prior: prior of all coordinates; `Prior.of(track)` unless given.
         start: fit of a simpler candidate to the same track, where the search begins.
         wandering_gain: learn a gain that wanders, too.
 
@@ -67,9 +65,9 @@ def fit_track(
     Raises:
         FitError: the likelihood is not finite at any start.
     """
-    prior = Prior.of(track) if prior is None else prior
     with jax.enable_x64(new_val=True):
         design = Design.of(system, Blocks.of(track))
+        prior = Prior.of(track, design.parameters)
         search = CandidateSearch(system, design, prior, wandering_gain=wandering_gain)
         # Starts that coincide are searched once.
         begins = np.unique(search.begins(start), axis=0)

@@ -191,24 +191,14 @@ class _BaseDesign(eqx.Module):
 
 def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Errors:
     """End-point errors of rollouts in which the residual acts along the way."""
-    displacement = path_of(fit.swimmer)
-    paths = [displacement(piece) for piece in track.pieces]
-    distance, length = [], []
-    for index in range(len(track.pieces)):
+    path_to, distance = path_of(fit.swimmer), [np.zeros(0)]
+    for index, piece in enumerate(track.pieces):
         chosen = np.flatnonzero(rollouts.piece == index)
-        if not len(chosen):
-            continue
-        piece = track.pieces[index]
-        first, last = rollouts.first[chosen], rollouts.last[chosen]
-        ends = _roll_out(fit.swimmer.environment, piece, paths[index], (first, last))
-        distance.append(np.hypot(*(ends - piece.states[last]).T))
-        steps = np.hypot(*np.diff(piece.states, axis=0).T)
-        total = np.concatenate([[0.0], np.cumsum(steps)])
-        length.append(total[last] - total[first])
-    return Errors.of(
-        np.concatenate(distance) if distance else np.zeros(0),
-        np.concatenate(length) if length else np.zeros(0),
-    )
+        if len(chosen):
+            ends = rollouts.first[chosen], rollouts.last[chosen]
+            reached = _roll_out(fit.swimmer.environment, piece, path_to(piece), ends)
+            distance.append(np.hypot(*(reached - piece.states[ends[1]]).T))
+    return Errors.of(np.concatenate(distance), rollouts.lengths(track))
 
 
 def _roll_out(
@@ -223,10 +213,8 @@ def _roll_out(
     index = np.minimum(first[:, None] + np.arange(count + 1), last[:, None])
     steps = np.diff(path[index], axis=1)
     intervals = np.diff(piece.times[index], axis=1)
-    starts = piece.states[first]
-    return np.asarray(
-        _integrate(environment, *map(jnp.asarray, (starts, steps, intervals)))
-    )
+    inputs = map(jnp.asarray, (piece.states[first], steps, intervals))
+    return np.asarray(_integrate(environment, *inputs))
 
 
 @eqx.filter_jit

@@ -5,10 +5,11 @@ that. What is predicted here are seconds, not frames: likelihoods see the mean p
 of each block of time, in which the jitter averages out.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -247,12 +248,7 @@ def _drop_unseen(piece: Trajectory) -> Trajectory:
 
 
 def _keep_rows(piece: Trajectory, kept: Any) -> Trajectory:
-    return Trajectory(
-        times=piece.times[kept],
-        states=piece.states[kept],
-        observed=piece.observed[kept],
-        commands={name: values[kept] for name, values in piece.commands.items()},
-    )
+    return jax.tree.map(lambda values: values[kept], piece)
 
 
 def commands_of(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
@@ -266,20 +262,17 @@ def commands_of(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 def before(track: Track, time: float) -> Track:
     """The part of a track before a time; blocks keep their length."""
-    cut = [_keep_rows(piece, np.less(piece.times, time)) for piece in track.pieces]
-    return _shorten(track, cut)
+    return _cut(track, lambda times: times < time)
 
 
 def after(track: Track, time: float) -> Track:
     """The part of a track from a time on; blocks keep their length."""
-    cut = [
-        _keep_rows(piece, np.greater_equal(piece.times, time)) for piece in track.pieces
-    ]
-    return _shorten(track, cut)
+    return _cut(track, lambda times: times >= time)
 
 
-def _shorten(track: Track, pieces: Sequence[Trajectory]) -> Track:
-    long = tuple(piece for piece in pieces if len(piece.times) >= LEAST_SAMPLES)
+def _cut(track: Track, kept: Callable[[np.ndarray], np.ndarray]) -> Track:
+    cut = [_keep_rows(piece, kept(piece.times)) for piece in track.pieces]
+    long = tuple(piece for piece in cut if len(piece.times) >= LEAST_SAMPLES)
     if not long:
         raise InputError(
             f"track {track.name}: expected {LEAST_SAMPLES} samples or more on both "
@@ -316,7 +309,7 @@ class Blocks(NamedTuple):
 
     @classmethod
     def of(cls, track: Track) -> "Blocks":
-        """The blocks of a track; sizes are rounded up, to compile seldom."""
+        """The blocks of a track."""
         indices = [block_indices(piece.times, track.width) for piece in track.pieces]
         samples, blocks = track.sizes
         first = np.cumsum([0, *(int(index[-1]) + 1 for index in indices)])

@@ -4,8 +4,15 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from pinav.identification.running.bank import Bank, G, P, W, rows, wandering
-from pinav.identification.running.drives import effective_rates
+from pinav.identification.running.bank import (
+    Bank,
+    G,
+    P,
+    W,
+    effective_rates,
+    rows,
+    wandering,
+)
 from pinav.identification.running.running_fit import RunningFit
 
 MEMBERS = 48

@@ -6,8 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from pinav.identification.running.bank import Bank
-from pinav.identification.running.drives import REACH, CommandHistory, DriveGrid
+from pinav.identification.running.bank import REACH, Bank, CommandHistory, DriveGrid
 
 
 class Frames(eqx.Module):
