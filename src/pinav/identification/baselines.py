@@ -117,7 +117,7 @@ class RestoringForce(eqx.Module):
     Positions every 0.5 s follow
     $x_{i+1} - x_i = a + \Phi (x_i - x_{i-1}) + B x_i + \epsilon$, in which $\Phi$ is
     what a wandering velocity does, whatever its memory, and $B$ a linear force:
-    $B = e^{-K \tau} - 1$ for the rates $K$ and the interval $\tau$ where $\Phi$ is zero.
+    $B = e^{-K \tau} - 1$ for the rates $K$ and the interval $\tau$ where $\Phi$ is 0.
     Both are fitted together, so that neither takes what belongs to the other.
 
     Attributes:
