@@ -20,9 +20,7 @@ class Baseline(eqx.Module):
     """A fitted baseline.
 
     Attributes:
-        name: name in tables.
         velocity: velocity at each sample of a segment [L T⁻¹].
-        seconds: duration of the fit [s].
     """
 
     name: str = eqx.field(static=True)
@@ -40,14 +38,7 @@ class Baseline(eqx.Module):
 
 
 class Samples(eqx.Module):
-    """Velocities of a track beside the commands.
-
-    Attributes:
-        velocity: central differences [L T⁻¹].
-        position: [L].
-        frequency: [Hz].
-        heading: [rad].
-    """
+    """Velocities of a track beside the commands."""
 
     velocity: Float[np.ndarray, "sample 2"]
     position: Float[np.ndarray, "sample 2"]

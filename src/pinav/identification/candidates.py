@@ -44,12 +44,6 @@ def system_of(
 
     Its environment is unknown. What was learned may be learned again: gain and drift
     with flat priors, delay, corner and residual gain with what the fit says of them.
-
-    Args:
-        fit: fit of a candidate to a track.
-        jitter: standard deviation of single frames about the mean path [L].
-        name: of the system.
-        units: of the recording.
     """
     noise = {
         field.name: fit.constants[f"wandering.{field.name}"].value

@@ -107,14 +107,7 @@ def displacements_by(
     *,
     drift: bool,
 ) -> Field:
-    """Displacements by the weights of the environment and by what is known.
-
-    Args:
-        swimmer: swimmer whose environment has weights, or is none.
-        blocks: the observed path.
-        gain: gain matrix that is known; zero where it is open.
-        drift: True where the drift is open.
-    """
+    """Displacements by the weights of the environment and by what is known."""
     nothing = Field.nothing(blocks)
     known_drift, flow = nothing.drift, swimmer.flow
     if isinstance(flow, UniformFlow):

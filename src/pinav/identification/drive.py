@@ -100,9 +100,6 @@ class RollingDrive(AbstractDrive):
     """The drive of a rolling propulsion, or of none [cycles].
 
     A swimmer without a lag has one that is too short to matter: one program for all.
-
-    Attributes:
-        response: place in `RESPONSES`; it may be traced.
     """
 
     response: Int[Array, ""]
@@ -195,7 +192,6 @@ class SwitchedResponse(AbstractResponse):
     """Any of the responses, by a number that may be traced: one compilation for all.
 
     Attributes:
-        index: place in `RESPONSES`.
         log_corner: logarithm of the corner frequency [Hz].
         logit_residual: logit of the part of the gain that remains above it.
     """
@@ -230,10 +226,6 @@ class OtherDrive(AbstractDrive):
     """The drive of any propulsion [L], by the force that its commands make of it.
 
     Its numbers have the priors of the system: nothing else is known of their scales.
-
-    Attributes:
-        swimmer: nothing but the propulsion moves it.
-        numbers: open ones of it.
     """
 
     swimmer: OverdampedSwimmer
@@ -317,12 +309,6 @@ def integrate_between(
     By the midpoint rule between all times and jumps, so that a velocity that is held
     from one jump to the next is integrated exactly, and so are derivatives by a delay,
     which moves the jumps.
-
-    Args:
-        swimmer: the dynamics.
-        jumps: times at which its velocity may jump [T].
-        times: of the samples, increasing [T].
-        positions: position at each of them [L].
     """
     knots = jnp.sort(jnp.concatenate([times, jnp.clip(jumps, times[0], times[-1])]))
     middle = (knots[1:] + knots[:-1]) / 2

@@ -107,13 +107,7 @@ def posterior_over(
     numbers: list[LearnedNumber],
     covariance: Float[np.ndarray, "unknown unknown"],
 ) -> Posterior:
-    """The posterior of a swimmer whose learned numbers have these values.
-
-    Args:
-        swimmer: the numbers that are not learned are right.
-        numbers: all learned ones; those of the noise are no part of it.
-        covariance: that of the unknowns by which the numbers have derivatives.
-    """
+    """The posterior of a swimmer whose learned numbers have these values."""
     numbers = [number for number in numbers if not is_noise(number)]
     free_numbers = [FreeNumber(n.path) for n in numbers if n.path != WEIGHTS]
     has_weights = len(free_numbers) < len(numbers)

@@ -84,7 +84,6 @@ class DelayFindings(eqx.Module):
         offset_without_delay: the heading offset without a delay [rad].
         zero_offset: the delay with a gain for each axis and no turn [s]; None where
             the offset without delay is not small.
-        turning_rate: median of the commanded heading [rad/s].
         confounded: whether that rate is constant, so that delay and offset are one
             number.
     """
@@ -98,13 +97,7 @@ class DelayFindings(eqx.Module):
 
 
 def delay_findings(track: Track, system: System, fit: EvidenceFit) -> DelayFindings:
-    """The delay with the heading offset fixed at zero, and with both free.
-
-    Args:
-        track: all of a track.
-        system: candidate with a gain, whose response is kept.
-        fit: fit of the candidate to all of the track.
-    """
+    """The delay with the heading offset fixed at zero, and with both free."""
     response = response_name(system.swimmer)
 
     def refit(candidate: System) -> dict[str, Estimate]:
@@ -133,13 +126,7 @@ def delay_findings(track: Track, system: System, fit: EvidenceFit) -> DelayFindi
 def finding_sentences(
     selection: Selection, estimates: dict[str, Estimate], delays: DelayFindings | None
 ) -> list[str]:
-    """The verdict on one track.
-
-    Args:
-        selection: selection on the track.
-        estimates: quantities of the chosen candidate.
-        delays: result of `delay_findings`; None where nothing was commanded.
-    """
+    """The verdict on one track."""
     responses = RESPONSES if selection.train.commanded else ()
     nats = {
         response: selection.evidence(with_response(gain_matrix(), response).name)
@@ -171,13 +158,7 @@ def finding_sentences(
 
 
 def choice(chosen: str, response: str, evidence: dict[str, float]) -> str:
-    """The chosen model, and why it is that one where another has more evidence.
-
-    Args:
-        chosen: name of the chosen candidate.
-        response: of it, to high frequencies.
-        evidence: log evidence of each response [nats]; empty without commands.
-    """
+    """The chosen model, and why it is that one where another has more evidence."""
     best = max(evidence, key=lambda name: evidence[name], default=response)
     if best == response:
         return f"The evidence chooses: {chosen}."

@@ -52,12 +52,6 @@ def fit_track(
 ) -> EvidenceFit:
     """Maximise the posterior of a candidate and integrate it.
 
-    Args:
-        track: positions and commands that are fitted.
-        system: candidate, whose `learn` says what is open.
-        start: fit of a simpler candidate to the same track, where the search begins.
-        wandering_gain: learn a gain that wanders, too.
-
     Returns:
         The swimmer, its posterior and the log evidence, the nonlinear parameters
         integrated out by Laplace's method; those of the noise are constants.
@@ -103,9 +97,6 @@ class CandidateSearch:
     """The posterior of the nonlinear parameters of a system, by Laplace's method.
 
     Attributes:
-        design: the track, as the system sees it.
-        learned: parameters that are open.
-        prior: prior of all coordinates.
         base: coordinates of those that are not open.
         field: displacements by a field whose weights have unit prior variances.
         evaluations: number of evaluations of the likelihood so far.
@@ -242,12 +233,7 @@ class CandidateSearch:
         begin: Float[np.ndarray, " learned"],
         sizes: Float[np.ndarray, " learned"] | None = None,
     ) -> tuple[Float[np.ndarray, " learned"], float]:
-        """The nearest maximum of the posterior, and minus its logarithm.
-
-        Args:
-            begin: where the search begins.
-            sizes: units of the search; the prior's deviations unless given.
-        """
+        """The nearest maximum of the posterior, and minus its logarithm."""
         units = self.prior.sd[self.places] if sizes is None else sizes
         bounds = self.prior.bounds()[self.places]
         low, high = bounds.T

@@ -61,13 +61,7 @@ def cycles(
     piece: Trajectory,
     coordinates: Coordinates | None = None,
 ) -> Float[np.ndarray, "time 2"]:
-    """Integral of the delayed response of a rolling swimmer along the heading.
-
-    Args:
-        swimmer: its response, delay and lag count.
-        piece: its commands count.
-        coordinates: those of response, delay and lag in place of the swimmer's.
-    """
+    """Integral of the delayed response of a rolling swimmer along the heading."""
     at = rolling_coordinates(swimmer) if coordinates is None else coordinates
     with jax.enable_x64(new_val=True):
         # The response is chosen by its place, in one compiled program for all of them.
@@ -158,14 +152,11 @@ class Forecast(eqx.Module):
     """A model's path through a segment, with what is uncertain about it.
 
     Attributes:
-        piece: segment that is predicted.
         path: displacement from its first sample [L].
         slopes: derivatives of the displacement by gain, drift and drive.
-        covariance: covariance of those unknowns.
         beyond: standard deviation of the displacement that another form of the
             response would add above the frequencies that were fitted [L].
         frame: variance of a single frame about the mean path [L²].
-        disturbance: the noise.
         turned: integral of the response along the heading, x + iy [cycles].
     """
 
@@ -232,8 +223,6 @@ class Predictor(eqx.Module):
     """A fitted swimmer, and all else from the training part that its bands need.
 
     Attributes:
-        fit: swimmer with its posterior and its noise.
-        jitter: scatter of single frames.
         fastest: highest frequency that was commanded while it was fitted [Hz].
         wandering: the same swimmer fitted beside a gain that wanders, where the
             evidence prefers that; bands are those of this fit about the path of the

@@ -34,7 +34,6 @@ class Disturbance(eqx.Module):
             slow one.
         gain_wander: standard deviation of either part of $\gamma g$ [L per cycle].
         gain_memory: correlation time of that gain [T].
-        noise: standard deviation of the mean position of a block [L].
     """
 
     wandering: WanderingVelocity

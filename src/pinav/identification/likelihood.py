@@ -64,8 +64,6 @@ class Drive(eqx.Module):
     """Motion of the blocks of a track, as far as the noise depends on it.
 
     Attributes:
-        times: mean of each block [T].
-        frequency: commanded [T⁻¹].
         cycles: integral of the response along the heading, x + iy.
     """
 
@@ -122,10 +120,7 @@ class Regressors(NamedTuple):
 
     Attributes:
         times: since the first sample [T]; zero in padding, as all of these.
-        positions: observed [L].
-        frequency: commanded [T⁻¹].
         cycles: integral of the response along the heading, delayed and lagged.
-        counts: samples in each block.
         begins: 1 where a segment begins with the block.
         gains: gain matrix by each number of an open gain, zero where absent.
         drifts: drift by each number of an open drift, zero where absent.
@@ -156,12 +151,7 @@ class Regressors(NamedTuple):
 
 
 class CommandedPath(NamedTuple):
-    """The path that the commands ask for, with its derivatives.
-
-    Attributes:
-        cycles: mean of each block.
-        slopes: derivatives by the coordinates of the drive.
-    """
+    """The path that the commands ask for, with its derivatives."""
 
     cycles: Float[Array, "block 2"]
     slopes: Float[Array, "block 2 parameter"]
@@ -171,9 +161,7 @@ class Design(eqx.Module):
     """A track as a candidate sees it, as arrays.
 
     Attributes:
-        blocks: the track.
         still: the regressors before the commands move anything.
-        drive: what the commands do.
     """
 
     blocks: Blocks
@@ -271,7 +259,6 @@ class Whitened(eqx.Module):
     Attributes:
         rows: columns of gains and then drifts; zero where absent.
         field: columns of the weights of a field.
-        target: observed positions, x above y.
         log_variance: sum over the innovations of one axis.
         count: number of innovations of one axis.
     """
@@ -364,11 +351,6 @@ def evidence_and_coefficients(
     Weights of a field, of unit prior variance each, are integrated out: once the
     coefficients are projected out, the whitened targets y have the covariance
     $1 + A A^\top$.
-
-    Args:
-        theta: nonlinear parameters.
-        regressors: those of the candidate, moved by its commands.
-        field: displacements by a field; none unless given.
 
     Returns:
         It, and the best coefficients with their information, a field left out.

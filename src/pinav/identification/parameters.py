@@ -189,12 +189,7 @@ Coordinates = Float[np.ndarray, " parameter"]
 def learned_noise(
     system: System, *, wandering_gain: bool = False
 ) -> tuple[Parameter, ...]:
-    """The parameters of the noise that a fit of a system learns, in their order.
-
-    Args:
-        system: a drift that changes is learned where its wandering velocity has one.
-        wandering_gain: learn a gain that wanders, too.
-    """
+    """The parameters of the noise that a fit of a system learns, in their order."""
     slow = system.wandering is not None and system.wandering.slow > 0
     return (
         *NOISE,
@@ -234,8 +229,6 @@ class Prior(NamedTuple):
     """Normal priors of the coordinates of some parameters.
 
     Attributes:
-        mean: their centres.
-        sd: their standard deviations.
         least: least coordinate that a search may take.
     """
 

@@ -46,7 +46,6 @@ class ResidualFit(eqx.Module):
     Attributes:
         swimmer: the candidate in the residual velocity field, a force under mobility 1,
             with gain and drift as they are beside it.
-        log_evidence: log evidence of both together.
     """
 
     swimmer: OverdampedSwimmer
@@ -65,14 +64,7 @@ def positions_of(track: Track) -> Trajectories:
 def fit_residual(
     track: Track, system: System, base: EvidenceFit, environment: Any
 ) -> ResidualFit:
-    """Fit the weights of an environment to what a candidate leaves.
-
-    Args:
-        track: positions and commands that are fitted.
-        system: candidate that the residual is added to.
-        base: fit of the candidate to the same track.
-        environment: untrained force of `kernel_environment` or `neural_environment`.
-    """
+    """Fit the weights of an environment to what a candidate leaves."""
     with jax.enable_x64(new_val=True):
         design = _BaseDesign.of(track, system, base)
         linear = environment.is_linear
@@ -103,10 +95,6 @@ class FilteredDisplacement(eqx.Module):
     """Whitened residuals as a function of the environment.
 
     Attributes:
-        theta: parameters of the candidate's filter.
-        blocks: the observed path.
-        drive: commands and cycles of the blocks.
-        target: whitened displacements.
         basis: orthonormal basis of what gain and drift explain; it is projected out.
     """
 
@@ -135,14 +123,7 @@ class FilteredDisplacement(eqx.Module):
 
 
 class _BaseDesign(eqx.Module):
-    """The regressors of a candidate beside the residual field.
-
-    Attributes:
-        rows: whitened regressors that occur.
-        residuals: whitened residuals by the residual field.
-        num_free: whitened displacements less regressors.
-        num_gains: regressors that belong to the gain.
-    """
+    """The regressors of a candidate beside the residual field."""
 
     rows: Float[np.ndarray, "row regressor"]
     residuals: FilteredDisplacement

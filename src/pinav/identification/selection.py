@@ -70,8 +70,6 @@ class Row(eqx.Module):
     """One line of the table.
 
     Attributes:
-        name: candidate or baseline.
-        log_evidence: log evidence of the training part; NaN for baselines [nats].
         seconds: duration of the fit, compilation included [s].
         errors: errors of held-out rollouts by their length in seconds.
         velocity_r2: share of the held-out velocity's variance that is explained.
@@ -103,13 +101,8 @@ class Selection:
     """The selection on one track.
 
     Attributes:
-        track: all of it.
         train: first part of the track, which trains.
         held_out: rest of the track, which judges.
-        rows: the table.
-        candidates: systems that were fitted, by name.
-        fits: their fits to the training part.
-        chosen: name of the candidate that the evidence chose.
         wandering: fit of the chosen candidate beside a gain that wanders, where the
             evidence prefers that.
     """
@@ -297,11 +290,6 @@ def select_model(
     track: Track, *, train_fraction: float = 0.7, residuals: Sequence[str] = ()
 ) -> Selection:
     """Fit every candidate to the first part of a track and roll it out on the rest.
-
-    Args:
-        track: one robot of one run.
-        train_fraction: first part of its time that trains.
-        residuals: names in `RESIDUALS`: fields of position on the chosen candidate.
 
     Raises:
         InputError: a part of the track is too short.

@@ -30,8 +30,6 @@ class Track(eqx.Module):
     """One robot of one run; never integrated across its segments.
 
     Attributes:
-        name: run and particle.
-        pieces: the segments, without padding.
         width: length of a block [s].
         sizes: samples and blocks to pad to; parts of a track keep them, so that a
             likelihood is compiled once.
@@ -94,13 +92,7 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
 def trajectories_of(
     recording: Trajectories, name: str, *, pooled: bool = False
 ) -> Trajectories:
-    """The trajectories of one track; all where no track has this name.
-
-    Args:
-        recording: the whole recording.
-        name: name of the track, as in `tracks`.
-        pooled: see `tracks`.
-    """
+    """The trajectories of one track; all where no track has this name."""
     names = _names(recording, pooled=pooled)
     chosen = [index for index, other in enumerate(names) if other == name]
     return recording.select(chosen) if chosen else recording
@@ -117,10 +109,6 @@ def _names(recording: Trajectories, *, pooled: bool) -> list[str]:
 
 def one_track(data: Trajectories, name: str) -> Track:
     """All trajectories as the segments of one track, one after the other in time.
-
-    Args:
-        data: positions of one robot, or of robots that one system describes.
-        name: name of the track.
 
     Raises:
         InputError: the channels are not x and y, or nothing is long enough to fit.
@@ -206,9 +194,6 @@ def shared_sizes(counts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     A size is compiled once, in seconds, and then serves all tracks that are padded to
     it; but padding is computed with. Tracks ordered by length are cut into groups of
     least total time, by dynamic programming.
-
-    Args:
-        counts: samples and blocks of each track.
     """
     order = sorted(range(len(counts)), key=lambda i: counts[i][::-1])
     best: list[float] = [0.0]
@@ -289,11 +274,7 @@ class Blocks(NamedTuple):
     Attributes:
         times: time of each sample [s], increasing, in the padding too; segments that
             overlap are put one after the other.
-        positions: position of each sample [L].
         frequency: commanded [Hz]; 0 where nothing was recorded.
-        heading: commanded [rad].
-        real: True for samples that are no padding.
-        block: number of the block of each sample.
         counts: samples in each block; 0 in padding.
         begins: 1 where a segment begins with the block.
     """

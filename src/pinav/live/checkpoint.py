@@ -46,10 +46,6 @@ def write_session(path: Path, session: Session) -> None:
 def read_session(path: Path, session: Session) -> Session:
     """What the session in a file knows, with the settings of another one.
 
-    Args:
-        path: of the file.
-        session: a new one, with estimator and pilot of the same kinds.
-
     Raises:
         InputError: the file is missing, damaged, or of another version.
     """
@@ -83,10 +79,6 @@ def with_drive_of(path: Path, session: Session) -> Session:
     """A new session that knows the drive of the robot from an earlier one.
 
     Where the robot is, and what happened to it, is not taken over.
-
-    Args:
-        path: of the earlier session's file.
-        session: a new one, with an estimator of the same settings.
 
     Raises:
         InputError: the file is missing, damaged, or of another version; no drive had

@@ -18,7 +18,6 @@ class Whereabouts:
     """Where the robot is believed to be.
 
     Attributes:
-        position: [L].
         sd: standard deviation of either coordinate [L]; none where it is not known.
     """
 
@@ -80,9 +79,6 @@ class Advice:
     """A command that a pilot advises.
 
     Attributes:
-        frequency: [Hz].
-        heading: [rad].
-        intent: what it is for.
         time_to_go: to the goal [s]; none where it is not known.
     """
 
@@ -110,7 +106,6 @@ class DriveEstimator(AbstractEstimator):
     """Gain, heading offset, response, delay and drift of a robot, by `RunningFit`.
 
     Attributes:
-        fit: what is known.
         last: the last position that was seen, its time and standard deviation; NaN
             before there is one.
         known: the numbers of the drive, which change when a block closes.

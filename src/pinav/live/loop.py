@@ -49,10 +49,6 @@ class Loop:
     """A session between a source and a sink.
 
     Attributes:
-        session: the value that changes with each line.
-        source: where lines come from.
-        sink: where commands go.
-        show: takes all that is said.
         checkpoint: file for the state of the session; none where it is not kept.
         limits: of a table's robot, which it does not say.
     """
@@ -171,10 +167,8 @@ class TableReader:
     A row that cannot be read is passed on as it is, for the session to refuse it.
 
     Attributes:
-        session: name of the session.
         limits: what may be commanded, which a table does not say.
         places: column of each quantity; none before the header.
-        first: the first row, which waits for the second.
         rows: number of rows so far, which counts where the table has no frames.
         greeted: the hello has been made.
     """

@@ -56,10 +56,8 @@ class Counts:
         frames: that were learned from, lost ones included.
         refused: lines that were no message, or came at a wrong time.
         repeated: frames whose number was not larger than the last one.
-        jumps: of the clock.
         lost: frames without a position.
         reacquired: new states after the robot was lost.
-        commands: that were given.
     """
 
     frames: int = 0
@@ -80,19 +78,14 @@ class Session:
     """All that a session remembers.
 
     Attributes:
-        estimator: of the robot.
         pilot: what steers; none where pinav only watches.
         token: shared secret that `Hello` must bear; empty where none is asked for.
-        hello: of the rig; none before it.
-        mode: what is done.
-        last: the last frame that was learned from.
         blind: frames in a row without a position.
         doubted: a position far from where a lost robot was expected.
         refused_in_row: lines in a row that were no messages.
         ended: the rig has said bye.
         repeating: the last line was a frame that had been there before.
         resumed_at: last frame that was learned from by a process before this one.
-        counts: how often each thing happened.
         known_in: unit of length in which an earlier session has learned the drive;
             empty where there is none.
     """
@@ -344,9 +337,7 @@ class SessionOutcome:
     """What a line leads to.
 
     Attributes:
-        session: after it.
         answers: lines for the rig and for people, in their order.
-        hang_up: the connection should be closed.
     """
 
     session: Session
@@ -355,13 +346,7 @@ class SessionOutcome:
 
 
 class Meaning(NamedTuple):
-    """An intent of a pilot, as a session tells it.
-
-    Attributes:
-        mode: that it belongs to.
-        reason: for people.
-        kind: of the event that tells it.
-    """
+    """An intent of a pilot, as a session tells it."""
 
     mode: Mode
     reason: str

@@ -40,7 +40,6 @@ class Bank(eqx.Module):
     r"""States of all members.
 
     Attributes:
-        mean: mean state of each member along each axis.
         covariance: that of each member, the same along both axes, over $\sigma^2$.
         log_weight: logarithm of the evidence of each member, less that of the best.
         squares: rate of the gamma posterior of $1/\sigma^2$ of each member.
@@ -55,12 +54,7 @@ class Bank(eqx.Module):
 
     @classmethod
     def prior(cls, log_prior: Float[np.ndarray, " member"], scale: float) -> "Bank":
-        """The bank before any block.
-
-        Args:
-            log_prior: of the members.
-            scale: rough speed per frequency [L per cycle].
-        """
+        """The bank before any block."""
         members = len(log_prior)
         covariance = np.zeros((members, 5, 5))
         covariance[:, B, B] = DRIFT_PRIOR**2
@@ -97,14 +91,7 @@ class Bank(eqx.Module):
         memory: Float[np.ndarray, " member"],
         frequency: float,
     ) -> "Bank":
-        """The states after an interval.
-
-        Args:
-            cycles: integral of the delayed response along the heading, of each member.
-            interval: from mean time to mean time [s].
-            memory: correlation time of each member [s].
-            frequency: mean of it [Hz].
-        """
+        """The states after an interval."""
         decay = np.exp(-interval / memory)
         row = rows(cycles, interval, memory)
         mean, covariance = self.mean.copy(), self.covariance.copy()
@@ -213,11 +200,7 @@ class DriveGrid(eqx.Module):
     Attributes:
         corners: corner frequency of each response [Hz]; infinite where it is linear.
         residuals: part of the gain that each response keeps above it.
-        delays: delays [s].
-        drive: drive of each member.
         blur: noise of a block's mean position, over the wandering speed at 1 Hz [s].
-        memory: correlation time of each member [s].
-        log_prior: logarithm of the prior weight of each member.
     """
 
     corners: Float[np.ndarray, " response"]
@@ -273,7 +256,6 @@ class CommandHistory(eqx.Module):
     r"""Held commands, and $C(t) = \int s(f) n(\theta) dt$ at the time of each.
 
     Attributes:
-        times: time of each command [s].
         rates: effective velocity per gain from each on, by response [Hz].
         integrals: integral of the rates up to each command [cycles].
     """
@@ -344,12 +326,6 @@ def effective_rates(
     frequency: Float[np.ndarray, "*times"],
     heading: Float[np.ndarray, "*times"],
 ) -> Float[np.ndarray, "*times response 2"]:
-    """Velocity per gain that commands ask for, by response [Hz].
-
-    Args:
-        grid: the hypotheses.
-        frequency: [Hz].
-        heading: [rad].
-    """
+    """Velocity per gain that commands ask for, by response [Hz]."""
     direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     return grid.response(frequency)[..., None] * direction[..., None, :]
