@@ -61,6 +61,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     """What coils and robot allow.
 
     Attributes:
+        frequency: greatest frequency [Hz].
         turning_rate: greatest rate of the heading [rad/s]; none where it turns at once.
     """
 
@@ -72,9 +73,11 @@ class Hello(msgspec.Struct, frozen=True, kw_only=True, tag="hello"):
     """The first line of a rig, and again after it has started anew.
 
     Attributes:
+        version: of the protocol.
         session: name of the session; a new name begins with a new robot or clock.
         step: interval of frames [s].
         units: of lengths, such as um.
+        limits: what may be commanded.
         clock: what times count from, in words.
         token: the shared secret, where pinav asks for one.
     """
@@ -116,7 +119,11 @@ class Frame(msgspec.Struct, frozen=True, kw_only=True, tag="frame"):
 
 
 class Bye(msgspec.Struct, frozen=True, kw_only=True, tag="bye"):
-    """The last line of a rig."""
+    """The last line of a rig.
+
+    Attributes:
+        reason: in words.
+    """
 
     reason: Text = ""
 
@@ -125,6 +132,8 @@ class Ready(msgspec.Struct, frozen=True, kw_only=True, tag="ready"):
     """The answer to `Hello`.
 
     Attributes:
+        version: of the protocol.
+        session: that of the rig.
         resumed_at: last frame that was learned from before; none in a new session.
     """
 
@@ -137,6 +146,7 @@ class Command(msgspec.Struct, frozen=True, kw_only=True, tag="command"):
     """What the rig should apply at once.
 
     Attributes:
+        seq: of the frame that it answers.
         for_t: time from which it is meant to hold [s].
         frequency: [Hz].
         heading: [rad].
@@ -154,7 +164,9 @@ class State(msgspec.Struct, frozen=True, kw_only=True, tag="state"):
     """What is believed after a frame; none stands where something is not known.
 
     Attributes:
+        seq: of the frame.
         t: its time [s].
+        mode: what pinav is doing.
         x: position [L].
         y: position, upwards [L].
         sd: standard deviation of either coordinate [L].
@@ -209,6 +221,8 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, tag="event"):
 
     Attributes:
         t: time of the last frame [s]; none before the first.
+        kind: of the event.
+        text: a sentence.
     """
 
     t: float | None
