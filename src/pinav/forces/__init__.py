@@ -46,6 +46,8 @@ from pinav.forces.kernels import check_kernels as check_kernels
 from pinav.forces.kernels import kernel_centers as kernel_centers
 from pinav.forces.kernels import kernel_values as kernel_values
 from pinav.forces.landscapes import CompactHill as CompactHill
+from pinav.forces.landscapes import GaussianBarrier as GaussianBarrier
+from pinav.forces.landscapes import HarmonicTrap as HarmonicTrap
 from pinav.forces.landscapes import LinearForce as LinearForce
 from pinav.forces.landscapes import PlaneWaves as PlaneWaves
 from pinav.forces.landscapes import PowerHill as PowerHill
@@ -61,10 +63,8 @@ from pinav.forces.networks import spread_weights as spread_weights
 from pinav.forces.networks import tanh_network as tanh_network
 from pinav.forces.obstacles import AbstractMotion as AbstractMotion
 from pinav.forces.obstacles import CircularMotion as CircularMotion
-from pinav.forces.obstacles import GaussianBarrier as GaussianBarrier
 from pinav.forces.obstacles import GaussianRidge as GaussianRidge
 from pinav.forces.obstacles import GaussianSwirl as GaussianSwirl
-from pinav.forces.obstacles import HarmonicTrap as HarmonicTrap
 from pinav.forces.obstacles import LinearMotion as LinearMotion
 from pinav.forces.obstacles import Moving as Moving
 from pinav.forces.obstacles import Superposition as Superposition

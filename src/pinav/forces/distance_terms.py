@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector
-from pinav.forces.profile_laws import AbstractProfileLaw
+from pinav.forces.profiles import FittedLaw
 from pinav.forces.structures import (
     ROUNDING,
     AbstractProfileTerm,
@@ -33,7 +33,7 @@ class CentralTerm(AbstractProfileTerm):
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)
-    law: AbstractProfileLaw | None = None
+    law: FittedLaw | None = None
 
     @property
     def kind(self) -> str:
@@ -77,7 +77,7 @@ class EllipticTerm(AbstractProfileTerm):
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)
-    law: AbstractProfileLaw | None = None
+    law: FittedLaw | None = None
 
     @property
     def kind(self) -> str:
@@ -126,7 +126,7 @@ class WallTerm(AbstractProfileTerm):
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)
-    law: AbstractProfileLaw | None = None
+    law: FittedLaw | None = None
 
     @property
     def kind(self) -> str:
@@ -178,7 +178,7 @@ class SegmentTerm(AbstractProfileTerm):
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)
-    law: AbstractProfileLaw | None = None
+    law: FittedLaw | None = None
 
     @property
     def kind(self) -> str:
@@ -221,7 +221,7 @@ class ObstaclesTerm(AbstractProfileTerm):
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)
-    law: AbstractProfileLaw | None = None
+    law: FittedLaw | None = None
 
     @property
     def kind(self) -> str:

@@ -1,4 +1,4 @@
-"""Forces of an environment: fibres, rotation, motion, and random fields of them."""
+"""Fibres, swirls, sums and motion of obstacles."""
 
 import abc
 
@@ -10,6 +10,8 @@ from jaxtyping import Array, Float
 from pinav.arguments import Scalar, Vector, check_positive, dimension, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce, AbstractPotentialForce
+from pinav.forces.formulas import NUMERIC
+from pinav.forces.profiles import Gaussian
 
 
 class GaussianRidge(AbstractPotentialForce):
@@ -46,7 +48,7 @@ class GaussianRidge(AbstractPotentialForce):
         cos, sin = jnp.cos(self.angle), jnp.sin(self.angle)
         along = (cos * offset[0] + sin * offset[1]) / self.length
         across = (cos * offset[1] - sin * offset[0]) / self.width
-        return self.height * jnp.exp(-0.5 * (along**2 + across**2))
+        return self.height * Gaussian().of_square((1.0,), along**2 + across**2, NUMERIC)
 
 
 class GaussianSwirl(AbstractForce):
@@ -76,12 +78,13 @@ class GaussianSwirl(AbstractForce):
 
     def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         r"""Stream function $\psi(x)$ [L² T⁻²]."""
-        offset = (x - self.center) / self.width
-        return self.strength * jnp.exp(-0.5 * offset @ offset)
+        offset = x - self.center
+        square = offset @ offset
+        return self.strength * Gaussian().of_square((self.width,), square, NUMERIC)
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        offset = (x - self.center) / self.width**2
-        return self.stream(x) * jnp.stack([-offset[1], offset[0]])
+        slope = jax.grad(self.stream)(x)
+        return jnp.stack([slope[1], -slope[0]])
 
 
 class Superposition(AbstractForce):
@@ -121,64 +124,6 @@ class Superposition(AbstractForce):
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         one = eqx.filter_vmap(lambda f: f(t, x, v), in_axes=(eqx.if_array(0),))
         return jnp.sum(one(self.stacked), axis=0)
-
-
-class GaussianBarrier(AbstractForce):
-    r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-|x - c|^2 / 2\sigma^2)$.
-
-    Attributes:
-        height: $U_0$ [L² T⁻²]; negative makes a trap.
-        center: $c$ [L].
-        width: $\sigma$ [L], positive.
-
-    Raises:
-        InputError: `center` is not a point, or `width` is a number <= 0.
-
-    References:
-        PI-NAV paper, eq. (1); its centre is (5, 5).
-    """
-
-    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
-    center: Vector = eqx.field(
-        metadata=dimension("L"), converter=point("GaussianBarrier.center")
-    )
-    width: Scalar = eqx.field(metadata=dimension("L"))
-
-    def __check_init__(self) -> None:
-        check_positive(self, "width")
-
-    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        """Potential energy per mass $U(t, x)$ [L² T⁻²], here the same at all times."""
-        offset = (x - self.center) / self.width
-        return self.height * jnp.exp(-0.5 * offset @ offset)
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return self.potential(t, x) * (x - self.center) / self.width**2
-
-
-class HarmonicTrap(AbstractForce):
-    r"""Pull $-\nabla U$ from $U(x) = k |x - c|^2 / 2$, as of an optical tweezer.
-
-    Attributes:
-        stiffness: $k$ [T⁻²]; negative pushes away.
-        center: $c$ [L].
-
-    Raises:
-        InputError: `center` is not a point.
-    """
-
-    stiffness: Scalar = eqx.field(metadata=dimension("T-2"))
-    center: Vector = eqx.field(
-        metadata=dimension("L"), converter=point("HarmonicTrap.center")
-    )
-
-    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        """Potential energy per mass $U(t, x)$ [L² T⁻²], here the same at all times."""
-        offset = x - self.center
-        return 0.5 * self.stiffness * (offset @ offset)
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return -self.stiffness * (x - self.center)
 
 
 class AbstractMotion(eqx.Module):

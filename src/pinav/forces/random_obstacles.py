@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.forces.obstacles import GaussianBarrier, GaussianRidge, Superposition
+from pinav.forces.landscapes import GaussianBarrier
+from pinav.forces.obstacles import GaussianRidge, Superposition
 
 
 class Domain(eqx.Module):

@@ -38,8 +38,8 @@ from pinav.forces.priors import (
     MixturePrior,
     Shape,
 )
-from pinav.forces.profile_laws import AbstractProfileLaw
 from pinav.forces.profile_priors import DistancePrior, ProfilePrior
+from pinav.forces.profiles import FittedLaw
 
 Places = Float[Array, " kernel"]
 """Places of the kernels of a profile [L]."""
@@ -59,7 +59,7 @@ ROUNDING = 0.05
 
 At the point itself its derivative does not exist. Where the slope of a potential is not
 zero there, as about the centre of a wide ring, steps of a fit would go to and fro
-across the point. A hill that follows a `HillLaw` remains one when it is rounded."""
+across the point. A hill that follows the law `hill` remains one when it is rounded."""
 
 
 class AbstractTerm(AbstractForce):
@@ -135,7 +135,7 @@ class AbstractProfileTerm(AbstractTerm):
 
     places: eqx.AbstractVar[Places]
     width: eqx.AbstractVar[Scalar]
-    law: eqx.AbstractVar[AbstractProfileLaw | None]
+    law: eqx.AbstractVar[FittedLaw | None]
 
     @property
     @abc.abstractmethod

@@ -28,7 +28,6 @@ from pinav.analysis.discovery.potentials import (
     SWIRLS,
     WALL,
 )
-from pinav.analysis.discovery.profiles import SuperGaussian
 from pinav.analysis.discovery.refit import laplace_posterior
 from pinav.analysis.discovery.term_laws import (
     TermLaws,
@@ -51,7 +50,7 @@ from pinav.forces import (
     WallTerm,
 )
 from pinav.forces.field_terms import HARMONICS
-from pinav.forces.profile_laws import HillLaw
+from pinav.forces.profiles import FittedLaw, SuperGaussian
 from pinav.scenarios import barrier_crossings
 from pinav.systems import Observation
 from pinav.trajectories import simulate
@@ -66,7 +65,7 @@ def sample_of(force):
 
 
 def hill(center=CENTER, **options):
-    law = HillLaw(jnp.log(2.9), jnp.asarray(0.0))
+    law = FittedLaw("hill", (jnp.log(2.9), jnp.asarray(0.0)))
     return CentralTerm(jnp.array([5.25]), center, NONE, 1.0, law=law, **options)
 
 

@@ -27,7 +27,6 @@ from pinav.analysis.discovery.law_regression import (
 from pinav.analysis.discovery.laws import (
     AbstractLaw,
     LawForce,
-    Role,
     SumLaw,
     latex,
     sympy_text,
@@ -48,6 +47,7 @@ from pinav.evaluation import normal_quantile
 from pinav.fitting import AbstractLearned, Outcome, Posterior
 from pinav.fitting.environments.summary import learned_part
 from pinav.forces import as_learned_force, split_structure
+from pinav.forces.formulas import Role
 from pinav.identification import needs_kalman_filter
 from pinav.threads import map_on_cores
 from pinav.trajectories import Trajectories, with_velocities

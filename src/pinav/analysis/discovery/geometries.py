@@ -6,17 +6,9 @@ import itertools
 import math
 from typing import final
 
-from pinav.analysis.discovery.laws import (
-    AbstractLaw,
-    AbstractPotential,
-    Constant,
-    Constants,
-    Expr,
-    Functions,
-    Landscape,
-    Role,
-)
-from pinav.analysis.discovery.profiles import AbstractProfile
+from pinav.analysis.discovery.laws import AbstractLaw, Landscape
+from pinav.forces.formulas import Constant, Constants, Expr, Functions, Role
+from pinav.forces.profiles import AbstractProfile
 
 CENTER = (
     Constant("center_x", "c_x", Role.POSITION),
@@ -176,7 +168,7 @@ class Centers(AbstractGeometry):
 
 @final
 @dataclasses.dataclass(frozen=True)
-class ProfileLaw(AbstractPotential):
+class ProfileLaw(AbstractLaw):
     """A profile of the coordinates of a geometry.
 
     Its constants are the amplitude, those of the geometry and those of the profile.

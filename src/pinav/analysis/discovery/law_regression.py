@@ -18,8 +18,9 @@ import scipy.special
 from jaxtyping import Array, ArrayLike, Float
 
 from pinav.analysis.discovery.force_sample import ForceSample
-from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role, SumLaw, terms_of
+from pinav.analysis.discovery.laws import AbstractLaw, LawForce, SumLaw, terms_of
 from pinav.analysis.discovery.term_laws import MOST_TERMS, TermLaws
+from pinav.forces.formulas import Role
 from pinav.threads import map_on_cores
 
 STARTS = 3
@@ -142,10 +143,10 @@ class _Regression(eqx.Module):
         self, constants: Float[np.ndarray, " constant"]
     ) -> tuple[Float[np.ndarray, "point dim"], Float[np.ndarray, "point dim constant"]]:
         """Force and slopes; of a sum term by term, whose programs are there already."""
-        law, parts = self.law, [(self.law, constants)]
-        if isinstance(law, SumLaw):
-            parts = [(one, np.asarray(c)) for one, c in law.split(tuple(constants))]
-        both = [_force_and_slopes(*part, self.positions) for part in parts]
+        both = [
+            _force_and_slopes(law, np.asarray(c), self.positions)
+            for law, c in self.law.split(tuple(constants))
+        ]
         values = sum(np.asarray(force) for force, _ in both)
         slopes = [np.asarray(slope) for _, slope in both]
         return np.asarray(values), np.concatenate(slopes, axis=-1)

@@ -23,7 +23,6 @@ from pinav.analysis.discovery.geometries import (
 )
 from pinav.analysis.discovery.laws import (
     AbstractLaw,
-    AbstractPotential,
     Landscape,
     SumLaw,
     Turned,
@@ -44,7 +43,6 @@ from pinav.analysis.discovery.potentials import (
     WALL,
     profile_laws,
 )
-from pinav.analysis.discovery.profiles import EVEN_PROFILES, Ring
 from pinav.forces import (
     AbstractProfileTerm,
     AbstractTerm,
@@ -57,6 +55,7 @@ from pinav.forces import (
     WallTerm,
 )
 from pinav.forces.field_terms import HARMONICS
+from pinav.forces.profiles import EVEN_PROFILES, Ring
 
 MOST_TERMS = 3
 """Terms of a sum of laws at most."""
@@ -128,7 +127,7 @@ def laws_of(term: AbstractTerm) -> tuple[AbstractLaw, ...]:
             return ()
 
 
-def _swirls_of(laws: Sequence[AbstractPotential]) -> tuple[AbstractLaw, ...]:
+def _swirls_of(laws: Sequence[AbstractLaw]) -> tuple[AbstractLaw, ...]:
     return tuple(Turned(law, f"{law.name} swirl") for law in laws)
 
 

@@ -38,7 +38,7 @@ from pinav.fitting.structure.response import (
 from pinav.fitting.structure.starts import KERNELS
 from pinav.forces import AbstractProfileTerm, AbstractTerm, SumForce
 from pinav.forces.priors import AbstractPrior
-from pinav.forces.profile_laws import AbstractProfileLaw
+from pinav.forces.profiles import FittedLaw
 from pinav.forces.structures import prior_of
 from pinav.threads import map_on_cores
 
@@ -103,7 +103,7 @@ def with_places(
     term: AbstractProfileTerm,
     places: Float[np.ndarray, " kernel"],
     width: Scalar,
-    law: AbstractProfileLaw | None = None,
+    law: FittedLaw | None = None,
 ) -> AbstractProfileTerm:
     """The term with other kernels, without weight.
 
