@@ -46,7 +46,6 @@ class HelmholtzSplit(eqx.Module):
         rotational: $\nabla^\perp\psi$ there [L T⁻²].
         potential: $U$ [L² T⁻²]; its least value on the region is zero.
         stream: $\psi$ [L² T⁻²].
-        region: grid points that count.
         rotational_fraction: $|F_r|^2 / (|F_g|^2 + |F_r|^2)$, sums over the region.
         least_fraction: rotational fraction where harmonic fields are all gradients.
         greatest_fraction: rotational fraction where they are all rotational.
@@ -133,14 +132,7 @@ def rotational_fractions(
 def sample_forces(
     posterior: Posterior, field: FieldMap, count: int, *, key: PRNGKeyArray
 ) -> Float[np.ndarray, "sample rows columns 2"]:
-    """Forces on the grid of a map, of models drawn from a posterior, at time zero.
-
-    Args:
-        posterior: the distribution of models.
-        field: the map.
-        count: number of draws.
-        key: random key of the draws.
-    """
+    """Forces on the grid of a map, of models drawn from a posterior, at time zero."""
     points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
     with jax.enable_x64(new_val=True):
         draws = posterior.draws(count, key=key)

@@ -51,6 +51,7 @@ from pinav.forces.landscapes import HarmonicTrap as HarmonicTrap
 from pinav.forces.landscapes import LinearForce as LinearForce
 from pinav.forces.landscapes import PlaneWaves as PlaneWaves
 from pinav.forces.landscapes import PowerHill as PowerHill
+from pinav.forces.landscapes import ProfileBarrier as ProfileBarrier
 from pinav.forces.landscapes import RingBarrier as RingBarrier
 from pinav.forces.landscapes import SoftWall as SoftWall
 from pinav.forces.networks import AbstractFeatures as AbstractFeatures

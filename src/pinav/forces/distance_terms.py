@@ -1,9 +1,13 @@
-"""Terms whose force is a profile of a distance: from points, walls and segments."""
+"""Terms whose force is a profile of a distance: from points, walls and segments.
+
+Their first fields are the weights: the height of the law, if any, then those of the
+kernels of the profile [L T⁻²]. `places` and `width` of the kernels [L] are fixed.
+"""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector
 from pinav.forces.profiles import FittedLaw
@@ -20,12 +24,7 @@ class CentralTerm(AbstractProfileTerm):
     r"""A force about a centre, $f(r)\,\hat r$ with $r = |x - c|$, or a swirl about it.
 
     Attributes:
-        weights: height of the law, if any, then $w_j$ of the profile [L T⁻²].
         center: $c$ [L].
-        places: of the kernels [L]; fixed.
-        width: of a kernel [L]; fixed.
-        rotational: a swirl, in the plane alone.
-        law: that the potential follows beside the kernels, if any.
     """
 
     weights: Float[Array, " weight"]
@@ -35,21 +34,9 @@ class CentralTerm(AbstractProfileTerm):
     rotational: bool = eqx.field(static=True, default=False)
     law: FittedLaw | None = None
 
-    @property
-    def kind(self) -> str:
-        return "central swirl" if self.rotational else "central"
-
-    @property
-    def latex(self) -> str:
-        return r"f(|x - c|)\,\hat\varphi" if self.rotational else r"f(|x - c|)\,\hat r"
-
-    @property
-    def placement(self) -> PyTree:
-        return (self.center,)
-
-    @property
-    def is_odd(self) -> bool:
-        return True
+    kinds = ("central", "central swirl")
+    formulas = (r"f(|x - c|)\,\hat r", r"f(|x - c|)\,\hat\varphi")
+    shaped_by = ("center",)
 
     def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
         return distance(x - self.center, ROUNDING * self.width)[None]
@@ -62,13 +49,8 @@ class EllipticTerm(AbstractProfileTerm):
     entries $(p, q)$: $e^{2|S|}$ is the ratio of the axes.
 
     Attributes:
-        weights: height of the law, if any, then $w_j$ of the profile [L T⁻²].
         center: $c$ [L].
         shear: $p$ and $q$.
-        places: of the kernels [L]; fixed.
-        width: of a kernel [L]; fixed.
-        rotational: whether $z$ shapes a stream function.
-        law: that the potential follows beside the kernels, if any.
     """
 
     weights: Float[Array, " weight"]
@@ -79,25 +61,13 @@ class EllipticTerm(AbstractProfileTerm):
     rotational: bool = eqx.field(static=True, default=False)
     law: FittedLaw | None = None
 
-    @property
-    def kind(self) -> str:
-        return "elliptic"
-
-    @property
-    def latex(self) -> str:
-        return r"f(z)\,\nabla z,\ z^2 = (x - c)^\top e^{2S} (x - c)"
-
-    @property
-    def placement(self) -> PyTree:
-        return self.center, self.shear
+    kinds = ("elliptic",) * 2
+    formulas = (r"f(z)\,\nabla z,\ z^2 = (x - c)^\top e^{2S} (x - c)",) * 2
+    shaped_by = ("center", "shear")
 
     @property
     def placement_scales(self) -> tuple[float, ...]:
         return self.reach, 1.0
-
-    @property
-    def is_odd(self) -> bool:
-        return True
 
     def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
         root = exponential_of_shear(self.shear[0], self.shear[1])
@@ -111,13 +81,8 @@ class WallTerm(AbstractProfileTerm):
     or, turned, a shear flow.
 
     Attributes:
-        weights: height of the law, if any, then $w_j$ of the profile [L T⁻²].
         angle: $\phi$ of the normal to the x axis [rad].
         origin: $x_0$ [L]; fixed.
-        places: of the kernels [L]; fixed.
-        width: of a kernel [L]; fixed.
-        rotational: the force is along the layers.
-        law: that the potential follows beside the kernels, if any.
     """
 
     weights: Float[Array, " weight"]
@@ -128,26 +93,14 @@ class WallTerm(AbstractProfileTerm):
     rotational: bool = eqx.field(static=True, default=False)
     law: FittedLaw | None = None
 
-    @property
-    def kind(self) -> str:
-        return "shear layer" if self.rotational else "wall"
-
-    @property
-    def latex(self) -> str:
-        normal = r"n^\perp" if self.rotational else "n"
-        return rf"f(n \cdot x)\,{normal}"
-
-    @property
-    def placement(self) -> PyTree:
-        return (self.angle,)
+    kinds = ("wall", "shear layer")
+    formulas = (r"f(n \cdot x)\,n", r"f(n \cdot x)\,n^\perp")
+    shaped_by = ("angle",)
+    is_odd = False
 
     @property
     def placement_scales(self) -> tuple[float, ...]:
         return (1.0,)
-
-    @property
-    def is_odd(self) -> bool:
-        return False
 
     @property
     def offset(self) -> Scalar:
@@ -162,15 +115,10 @@ class WallTerm(AbstractProfileTerm):
 
 
 class SegmentTerm(AbstractProfileTerm):
-    r"""A force away from a segment: a fibre with round ends.
+    r"""A force away from a segment, a fibre with round ends; or a swirl about it.
 
     Attributes:
-        weights: height of the law, if any, then $w_j$ of the profile [L T⁻²].
         ends: of the segment [L].
-        places: of the kernels [L]; fixed.
-        width: of a kernel [L]; fixed.
-        rotational: a swirl about the segment.
-        law: that the potential follows beside the kernels, if any.
     """
 
     weights: Float[Array, " weight"]
@@ -180,21 +128,9 @@ class SegmentTerm(AbstractProfileTerm):
     rotational: bool = eqx.field(static=True, default=False)
     law: FittedLaw | None = None
 
-    @property
-    def kind(self) -> str:
-        return "segment"
-
-    @property
-    def latex(self) -> str:
-        return r"f(z)\,\nabla z,\ z = \mathrm{dist}(x, \overline{ab})"
-
-    @property
-    def placement(self) -> PyTree:
-        return (self.ends,)
-
-    @property
-    def is_odd(self) -> bool:
-        return True
+    kinds = ("segment",) * 2
+    formulas = (r"f(z)\,\nabla z,\ z = \mathrm{dist}(x, \overline{ab})",) * 2
+    shaped_by = ("ends",)
 
     def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
         along = self.ends[1] - self.ends[0]
@@ -208,12 +144,7 @@ class ObstaclesTerm(AbstractProfileTerm):
     r"""Obstacles of one kind: central forces about several centres, one profile.
 
     Attributes:
-        weights: height of the law, if any, then $w_j$ of the profile [L T⁻²].
         centers: $c_k$ [L].
-        places: of the kernels [L]; fixed.
-        width: of a kernel [L]; fixed.
-        rotational: swirls of one kind.
-        law: that the potential follows beside the kernels, if any.
     """
 
     weights: Float[Array, " weight"]
@@ -223,21 +154,9 @@ class ObstaclesTerm(AbstractProfileTerm):
     rotational: bool = eqx.field(static=True, default=False)
     law: FittedLaw | None = None
 
-    @property
-    def kind(self) -> str:
-        return "obstacles"
-
-    @property
-    def latex(self) -> str:
-        return r"\sum_k f(|x - c_k|)\,\hat r_k"
-
-    @property
-    def placement(self) -> PyTree:
-        return (self.centers,)
-
-    @property
-    def is_odd(self) -> bool:
-        return True
+    kinds = ("obstacles",) * 2
+    formulas = (r"\sum_k f(|x - c_k|)\,\hat r_k",) * 2
+    shaped_by = ("centers",)
 
     def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
         rounding = ROUNDING * self.width

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector
 from pinav.forces.priors import (
@@ -16,7 +16,7 @@ from pinav.forces.priors import (
     MixturePrior,
     Shape,
 )
-from pinav.forces.structures import AbstractTerm, exponential_of_shear, quarter_turn
+from pinav.forces.structures import AbstractTerm, exponential_of_shear
 
 
 class LatticePrior(AbstractPrior):
@@ -63,7 +63,6 @@ class LatticeTerm(AbstractTerm):
         weights: $a_m$, then $b_m$ [L² T⁻²].
         wave_vectors: $k_1$ and $k_2$ [rad L⁻¹].
         origin: $x_0$ [L]; fixed.
-        rotational: whether the series is a stream function.
     """
 
     weights: Float[Array, " weight"]
@@ -71,17 +70,9 @@ class LatticeTerm(AbstractTerm):
     origin: Float[Array, "2"]
     rotational: bool = eqx.field(static=True, default=False)
 
-    @property
-    def kind(self) -> str:
-        return "lattice"
-
-    @property
-    def latex(self) -> str:
-        return r"-\nabla U(k_1 \cdot x, k_2 \cdot x)"
-
-    @property
-    def geometry(self) -> PyTree:
-        return (self.wave_vectors,)
+    kinds = ("lattice",) * 2
+    formulas = (r"-\nabla U(k_1 \cdot x, k_2 \cdot x)",) * 2
+    shaped_by = ("wave_vectors",)
 
     @property
     def geometry_scales(self) -> tuple[float, ...]:
@@ -98,10 +89,6 @@ class LatticeTerm(AbstractTerm):
         phases = jnp.asarray(HARMONICS, float) @ (self.wave_vectors @ (x - self.origin))
         return jnp.concatenate([jnp.cos(phases), jnp.sin(phases)]) @ self.weights
 
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        force = -jax.grad(self.potential, argnums=1)(t, x)
-        return quarter_turn(force) if self.rotational else force
-
 
 HARMONICS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
 """Orders of the harmonics of a lattice."""
@@ -117,7 +104,6 @@ class LinearTerm(AbstractTerm):
         weights: $g$, then the upper half of $S$, row by row; or $\omega$ [L² T⁻²].
         origin: $x_0$ [L]; fixed.
         scale: $s$ [L]; fixed.
-        rotational: a rigid rotation.
     """
 
     weights: Float[Array, " weight"]
@@ -125,17 +111,8 @@ class LinearTerm(AbstractTerm):
     scale: Scalar
     rotational: bool = eqx.field(static=True, default=False)
 
-    @property
-    def kind(self) -> str:
-        return "rotation" if self.rotational else "linear"
-
-    @property
-    def latex(self) -> str:
-        return r"\omega\,(x - x_0)^\perp" if self.rotational else r"g + S (x - x_0)"
-
-    @property
-    def geometry(self) -> PyTree:
-        return ()
+    kinds = ("linear", "rotation")
+    formulas = (r"g + S (x - x_0)", r"\omega\,(x - x_0)^\perp")
 
     @property
     def geometry_scales(self) -> tuple[float, ...]:
@@ -159,10 +136,6 @@ class LinearTerm(AbstractTerm):
         upper = jnp.outer(place, place)[jnp.triu_indices(place.shape[0])]
         return -self.weights @ jnp.concatenate([place, 0.5 * upper])
 
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        force = -jax.grad(self.potential, argnums=1)(t, x)
-        return quarter_turn(force) if self.rotational else force
-
 
 WIDTHS = (0.6, 1.0, 1.7)
 """Widths of the Gaussians that make a hill, relative to its size: a steeper summit, or
@@ -176,9 +149,6 @@ class HillsPrior(AbstractPrior):
 
     Its shape is the logarithm of the deviation for each other width, relative to that
     for the middle one: where they are low, hills are Gaussian.
-
-    Attributes:
-        count: of the hills.
     """
 
     count: int
@@ -215,7 +185,6 @@ class HillsTerm(AbstractTerm):
         weights: $a_{km}$, the Gaussians of a hill one after the other [L² T⁻²].
         centers: $c_k$ [L].
         shapes: $s_k$, the logarithm of a length [L], then $p_k$ and $q_k$.
-        rotational: swirls in place of hills.
     """
 
     weights: Float[Array, " weight"]
@@ -224,18 +193,9 @@ class HillsTerm(AbstractTerm):
     rotational: bool = eqx.field(static=True, default=False)
 
     KIND: ClassVar[str] = "hills and wells"
-
-    @property
-    def kind(self) -> str:
-        return self.KIND
-
-    @property
-    def latex(self) -> str:
-        return r"-\nabla \sum_k U_k(|A_k (x - c_k)|)"
-
-    @property
-    def geometry(self) -> PyTree:
-        return self.centers, self.shapes
+    kinds = (KIND,) * 2
+    formulas = (r"-\nabla \sum_k U_k(|A_k (x - c_k)|)",) * 2
+    shaped_by = ("centers", "shapes")
 
     @property
     def geometry_scales(self) -> tuple[float, ...]:
@@ -275,10 +235,6 @@ class HillsTerm(AbstractTerm):
         )
         exponents = -0.5 * squares[:, None] / jnp.asarray(WIDTHS)[None] ** 2
         return jnp.ravel(jnp.exp(exponents)) @ self.weights
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        force = -jax.grad(self.potential, argnums=1)(t, x)
-        return quarter_turn(force) if self.rotational else force
 
 
 def _squared_distance(

@@ -126,11 +126,7 @@ class SampledFlow(AbstractFlow):
 
 
 class SumFlow(AbstractFlow):
-    """Sum of flows, each a term of its own.
-
-    Attributes:
-        terms: the flows that add up.
-    """
+    """Sum of flows, each a term of its own."""
 
     terms: tuple[AbstractFlow, ...]
 

@@ -128,7 +128,6 @@ class Constant:
 
     Attributes:
         name: in words, as `height`.
-        symbol: in LaTeX.
         role: amplitudes enter the force linearly, scales are positive.
         unit: dimension in length L and time T; "1" means dimensionless.
     """

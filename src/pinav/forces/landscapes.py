@@ -13,7 +13,8 @@ from pinav.errors import InputError
 from pinav.forces.force import AbstractForce, AbstractPotentialForce
 from pinav.forces.formulas import NUMERIC, Constants
 from pinav.forces.profiles import (
-    AbstractEvenProfile,
+    PROFILES,
+    AbstractProfile,
     Gaussian,
     Harmonic,
     InversePower,
@@ -43,7 +44,7 @@ class AbstractCentralForce(AbstractPotentialForce):
 
     @property
     @abc.abstractmethod
-    def profile(self) -> AbstractEvenProfile:
+    def profile(self) -> AbstractProfile:
         """The profile of its potential."""
 
     @property
@@ -170,7 +171,7 @@ class CompactHill(AbstractCentralForce):
         return self.radius, 3.0
 
 
-class RingBarrier(AbstractPotentialForce):
+class RingBarrier(AbstractCentralForce):
     r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-(|x - c| - \rho)^2 / 2 w^2)$.
 
     At the very centre the force has no direction; it counts as zero there.
@@ -192,13 +193,48 @@ class RingBarrier(AbstractPotentialForce):
     radius: Scalar = eqx.field(metadata=dimension("L"))
     width: Scalar = eqx.field(metadata=dimension("L"))
 
+    @property
+    def profile(self) -> Ring:
+        return Ring()
+
+
+class ProfileBarrier(AbstractPotentialForce):
+    r"""Repulsion $-\nabla U$ from any profile about a centre, $U(x) = U_0 L(|x - c|)$.
+
+    Attributes:
+        law: name of the profile, such as "Yukawa".
+        height: $U_0$, or the other amplitude of the profile.
+        center: $c$ [L].
+        shapes: the other constants of the profile, in its order.
+
+    Raises:
+        InputError: there is no such profile, or it has another number of constants.
+    """
+
+    law: str = eqx.field(static=True)
+    height: Scalar
+    center: Vector = eqx.field(
+        metadata=dimension("L"), converter=point("ProfileBarrier.center")
+    )
+    shapes: tuple[Scalar, ...] = ()
+
     def __check_init__(self) -> None:
-        check_positive(self, "radius", "width")
+        if self.law not in PROFILES:
+            raise InputError(
+                f"ProfileBarrier.law: {self.law!r} is unknown; choose one of: "
+                f"{', '.join(PROFILES)}"
+            )
+        expected = [shape.name for shape in PROFILES[self.law].shapes]
+        if len(self.shapes) != len(expected):
+            raise InputError(
+                f"ProfileBarrier.shapes: {self.law} expects {len(expected)} "
+                f"({', '.join(expected)}), got {len(self.shapes)}"
+            )
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         offset = x - self.center
-        distance = NUMERIC.root(offset @ offset)
-        return self.height * Ring().value((self.radius, self.width), distance, NUMERIC)
+        profile = PROFILES[self.law]
+        return self.height * profile.of_square(self.shapes, offset @ offset, NUMERIC)
 
 
 class SoftWall(AbstractPotentialForce):

@@ -175,7 +175,6 @@ class Moving(AbstractForce):
 
     Attributes:
         force: the force of the source where it stands without displacement.
-        motion: displacement of the source in time.
     """
 
     force: AbstractForce

@@ -2,8 +2,9 @@ r"""Profiles: formulas of a potential along one coordinate.
 
 $z$ is the distance from a centre, or the signed distance from a line. The barrier of a
 scenario, the law that a term of a fit follows and the law that is discovered have the
-same profiles. A new profile is one class here; in `FITTED` a fit of a structure tries
-it, too, and in `EVEN_PROFILES` the discovery of laws.
+same profiles. A new profile is one class here, which files state by its name
+(`ProfileBarrier`) and LaTeX and the explorer know; an entry in `FITTED` lets a fit of a
+structure try it, one in `EVEN_PROFILES` the discovery of laws.
 """
 
 import abc
@@ -39,8 +40,6 @@ class AbstractProfile(abc.ABC):
     r"""A potential $U(z)$ of one coordinate.
 
     Attributes:
-        amplitude: the constant that it is proportional to.
-        shapes: its other constants.
         ratios: values of `shapes` from which a fit may start: of a length relative to
             the length over which the potential changes, of a number itself.
         limits: names of the profiles that it becomes for special values of them.
@@ -61,6 +60,10 @@ class AbstractProfile(abc.ABC):
             z: the coordinate [L].
             f: the functions that it is made of.
         """
+
+    def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:
+        """The potential for unit amplitude at a squared coordinate [L²]."""
+        return self.value(c, f.root(q), f)
 
     def starts(self, length: float) -> list[tuple[float, ...]]:
         """Values of `shapes` from which a fit may start.
@@ -83,7 +86,7 @@ class AbstractEvenProfile(AbstractProfile):
 
     @abc.abstractmethod
     def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:
-        """The potential for unit amplitude at a squared coordinate [L²]."""
+        pass
 
 
 @final
@@ -291,6 +294,14 @@ class Wave(AbstractProfile):
         return f.cos(z / c[0])
 
 
+PROFILES: dict[str, AbstractProfile] = {
+    cls.name: cls()
+    for family in (AbstractProfile, AbstractEvenProfile)
+    for cls in family.__subclasses__()
+    if cls is not AbstractEvenProfile
+}
+"""All profiles by their names."""
+
 EVEN_PROFILES: tuple[AbstractProfile, ...] = (
     Harmonic(),
     Gaussian(),
@@ -317,7 +328,6 @@ class LawFamily:
         place: symbol of the place in LaTeX; empty where the profile stands at zero.
         of_distances: whether terms of a distance may follow it.
         of_lines: whether terms along a line may.
-        reach: deviation of the prior of a place, in sizes.
     """
 
     profile: AbstractProfile

@@ -60,13 +60,8 @@ class EstimatedConstant(eqx.Module):
     """A constant of a law, as the trajectories determine it.
 
     Attributes:
-        name: in words.
-        symbol: in LaTeX.
         unit: dimension in length L, time T and force F; "1" means dimensionless.
-        value: best value.
         sd: standard deviation; infinite where the data say nothing.
-        low: lower end of the 95 % interval.
-        high: upper end.
         identifiable: whether the interval is short enough to mean anything.
     """
 
@@ -84,19 +79,13 @@ class Candidate(eqx.Module):
     """A law in the ranking.
 
     Attributes:
-        name: of the law.
-        law: the formula.
-        constants: their values and intervals.
         bic: Bayesian information criterion on the trajectories.
-        delta_bic: that of this law less that of the best one.
         field_bic: the criterion on the learned force, by which the laws to be refitted
             were chosen.
         noise: standard deviation of the observations that the law needs.
-        outcome: how the refit ended.
         fits: whether the law explains the data as well as the learned force does.
         extends_best: whether the best law is a special case of this one, which then
             explains as much with more constants, and is no rival of it.
-        latex: the formula in LaTeX.
         sympy: both components of the force as SymPy prints and parses them.
     """
 
@@ -146,7 +135,6 @@ class Discovery(eqx.Module):
             pairs of a name and that criterion.
         verdict: identified, not identifiable (other laws are within `CLOSE` of the
             best one, or one of its constants is not determined), or no law fits.
-        central: whether the force is central at all.
         learned_noise: standard deviation of the observations about the learned force.
         num_effective: independent numbers that the data tell about the force.
         sample: the learned force that the candidates were fitted to first.

@@ -43,7 +43,6 @@ class ForceSample(eqx.Module):
     Attributes:
         positions: where [L].
         force: its value there [L T⁻²].
-        covariance: of the force, flattened point by point.
         num_effective: number of independent numbers that the data tell about it.
 
     Raises:
@@ -127,7 +126,6 @@ class Sampling(eqx.Module):
     """Where a learned force is sampled: at points spread over visited ground.
 
     Attributes:
-        posterior: of a fit.
         positions: of the points [L].
         times: when trajectories were there [T].
         num_effective: independent numbers that the data tell about the force.
@@ -143,11 +141,6 @@ class Sampling(eqx.Module):
         cls, posterior: Posterior, trajectories: Trajectories, num_effective: float
     ) -> "Sampling":
         """Points among the observed positions, each far from the others.
-
-        Args:
-            posterior: of a fit.
-            trajectories: their observed positions are the visited ground.
-            num_effective: independent numbers that the data tell about the force.
 
         Raises:
             InputError: the trajectories are not planar.
@@ -166,9 +159,6 @@ class Sampling(eqx.Module):
 
     def of_profile(self, index: int) -> "ProfileSample":
         """The profile of one term of a structured force, along its coordinate.
-
-        Args:
-            index: of a term with a profile of a single coordinate.
 
         Raises:
             InputError: the term has no such profile.
@@ -215,7 +205,6 @@ class ProfileSample(eqx.Module):
     Attributes:
         z: values of the coordinate [L].
         force: along it [L T⁻²].
-        covariance: of the force.
         num_effective: number of independent numbers that the data tell about it.
     """
 

@@ -129,11 +129,7 @@ class Line(AbstractGeometry):
 @final
 @dataclasses.dataclass(frozen=True)
 class Centers(AbstractGeometry):
-    """Distances from several centres, of obstacles of one kind.
-
-    Attributes:
-        count: of the centres.
-    """
+    """Distances from several centres, of obstacles of one kind."""
 
     count: int
 
@@ -172,10 +168,6 @@ class ProfileLaw(AbstractLaw):
     """A profile of the coordinates of a geometry.
 
     Its constants are the amplitude, those of the geometry and those of the profile.
-
-    Attributes:
-        profile: of the potential.
-        geometry: its coordinates.
     """
 
     profile: AbstractProfile

@@ -48,13 +48,12 @@ class Landscape:
 
 
 class AbstractLaw(abc.ABC):
-    r"""A family of forces $-\nabla U$, turned by a right angle where it has no potential.
+    r"""A family of forces $-\nabla U$, or such forces turned by a right angle.
 
     $c$ stands for the constants, in their order, and `f` for the elementary functions,
     of JAX or of SymPy.
 
     Attributes:
-        name: what tables call it.
         constants: its constants, in order.
         turns: whether $U$ is a stream function.
     """
@@ -143,11 +142,7 @@ class SumLaw(AbstractLaw):
         return [sum((term.shapes(landscape)[0] for term in self.terms), ())]
 
     def contains(self, other: AbstractLaw) -> bool:
-        """Whether each term of the other law is one of this sum, or contained in one.
-
-        Args:
-            other: a law, or a sum of no more terms.
-        """
+        """Whether each term of the other law is one of this sum, or in one."""
         theirs = terms_of(other)
         return self != other and any(
             all(

@@ -117,7 +117,6 @@ class Lattice(AbstractLaw):
 
     Attributes:
         orders: $m$ of the waves.
-        name: what tables call it.
         constants: $a_m$ and $b_m$ of each wave, then the wave vectors.
     """
 

@@ -36,12 +36,8 @@ class Refit(eqx.Module):
     r"""A law refitted on trajectories.
 
     Attributes:
-        law: the formula.
-        constants: its best constants.
         covariance: their covariance; infinite in directions the data say nothing of.
-        squares: sum of squared residuals.
         noise: $\sigma$ of the observations, estimated.
-        num_residuals: observations less starts.
         outcome: what was reached when the refit stalled or diverged is not a best fit.
     """
 
@@ -64,15 +60,7 @@ class Refit(eqx.Module):
 
 
 class LinearisedModel(eqx.Module):
-    """A model linearised about states that need not solve it, the starts eliminated.
-
-    Attributes:
-        parametric: the model as a function of its constants.
-        theta: their values.
-        states: one for each sample.
-        linear: the sum of squares of the residuals there.
-        hessian: of the sum of squares, halved.
-    """
+    """A model linearised about states that need not solve it, the starts eliminated."""
 
     parametric: ParametricModel
     theta: Float[np.ndarray, " parameter"]
@@ -118,12 +106,8 @@ class RefitProblem(eqx.Module):
     """What all refits on the same trajectories share.
 
     Attributes:
-        observations: what was observed.
         states: where the first linearisation stands.
-        scale: spread of each channel.
         extent: of the positions [L].
-        num_residuals: observations less starts.
-        solver: steps between samples.
     """
 
     observations: Observations
@@ -284,8 +268,6 @@ class LearnedOnPaths(eqx.Module):
 
     Attributes:
         problem: the trajectories, linearised about the smoothed states.
-        squares: sum of squared residuals.
-        noise: standard deviation of the observations.
         num_effective: parameters that the data, not the prior, determine.
     """
 

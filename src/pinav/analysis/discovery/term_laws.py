@@ -65,10 +65,7 @@ class TermLaws(eqx.Module):
     """A term of a learned force, and the laws that it may follow.
 
     Attributes:
-        kind: the word for it in tables.
         sample: its force, with the covariance of its errors.
-        laws: candidates.
-        landscape: what the starts of their fits need to know.
     """
 
     kind: str = eqx.field(static=True)

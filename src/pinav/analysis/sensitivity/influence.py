@@ -52,8 +52,6 @@ class Influence(eqx.Module):
     Parameters are those that the fit learned, and the constants it was given.
 
     Attributes:
-        free: the model as a function of them.
-        theta: their values.
         removals: change of them where one trajectory is left out.
         first_order: the same by the infinitesimal jackknife.
         constants: change of them per unit of each constant, the data fitted anew.

@@ -26,8 +26,6 @@ class RolloutStudy(eqx.Module):
     has them, and shifts [L] for the start.
 
     Attributes:
-        swimmer: the nominal swimmer.
-        start: its nominal start.
         ts: times [T].
         landmark: such as the top of a barrier [L].
         tolerance: of arrival [L].

@@ -33,7 +33,6 @@ class Factor(eqx.Module):
     """A parameter that varies uniformly and independently of the others.
 
     Attributes:
-        name: what it is called in tables.
         low: from where.
         high: up to where.
 
@@ -61,14 +60,7 @@ class SobolIndices(eqx.Module):
     An outcome that does not vary has no indices: they are NaN.
 
     Attributes:
-        factors: names of the parameters.
-        outcomes: names of the outcomes.
         first: first-order indices.
-        first_interval: their lower and upper confidence limits.
-        total: total indices.
-        total_interval: their lower and upper confidence limits.
-        confidence: level of the intervals.
-        variance: of each outcome.
     """
 
     factors: tuple[str, ...] = eqx.field(static=True)

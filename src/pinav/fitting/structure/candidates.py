@@ -85,11 +85,8 @@ class Candidates(eqx.Module):
     """Structures that may explain more of some data.
 
     Attributes:
-        response: of the data to forces.
         region: where they are.
-        noise: of the observations, roughly.
         enough: misfit relative to it at which nothing else is sought.
-        seen: the potential of free kernels, in the plane.
         summits: of that potential, further places of centres [L].
     """
 
@@ -220,10 +217,6 @@ class Candidates(eqx.Module):
         The one that is scanned moves towards whatever its wrong axes explain best. So
         those about single summits are polished from there, too. A long one explains
         little unless its direction and place are right: it is a segment of a wall.
-
-        Args:
-            terms: beside the ellipse.
-            fitted: other terms beside them, among which there may be a wall.
         """
         turned = turned_shears()
         starts = [ellipses(self.region, place[None], turned) for place in self.summits]
@@ -344,12 +337,7 @@ class Candidates(eqx.Module):
 
 
 class _Scanned(eqx.Module):
-    """A structure that was scanned.
-
-    Attributes:
-        terms: the last of them is the best of its kind.
-        log_evidence: at the better of a few smoothnesses, less what the geometry costs.
-    """
+    """A structure that was scanned."""
 
     terms: Terms
     log_evidence: float

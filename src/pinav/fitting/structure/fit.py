@@ -114,32 +114,21 @@ def _fit_student(
 ) -> StructuredFit:
     """The fit of a network, taught by that of kernels where data are worth a search."""
     data, model = specification.trajectories, specification.model
-    learning = functools.partial(
-        fit_bayes,
-        model,
-        data,
-        learn=specification.learn,
-        noise=specification.noise,
-        solver=specification.solver,
-        max_iterations=max_iterations,
-        on_step=on_step,
-        throw=throw,
-    )
+    options: dict[str, Any] = {
+        "learn": specification.learn,
+        "noise": specification.noise,
+        "solver": specification.solver,
+        "max_iterations": max_iterations,
+        "on_step": on_step,
+    }
+    learning = functools.partial(fit_bayes, model, data, throw=throw, **options)
     if not is_worth_a_search(model, data):
         return StructuredFit(learning(), np.nan)
     kernels, weigh_rotation = kernels_of_teacher(specification)
+    pupil = eqx.tree_at(lambda m: m.environment, model, kernels)
+    options["weigh_rotation"] = weigh_rotation
     try:
-        taught = fit_structured(
-            eqx.tree_at(lambda m: m.environment, model, kernels),
-            data,
-            learn=specification.learn,
-            noise=specification.noise,
-            solver=specification.solver,
-            max_iterations=max_iterations,
-            on_step=on_step,
-            weigh_rotation=weigh_rotation,
-            throw=False,
-        )
+        taught = fit_structured(pupil, data, throw=False, **options)
     except FitError:  # as of a potential, where the force turns
         return StructuredFit(learning(), np.nan)
     if taught.fit.outcome is Outcome.DIVERGED:
@@ -173,9 +162,6 @@ def _survey(search: Search) -> tuple[Search, Survey, bool]:
     Smoothed states miss the path of quick swimmers, and the data linearised about them
     ask for forces that are not there. They stay where free kernels do not explain the
     data, as a potential does not those of a swirl.
-
-    Returns:
-        The search, the survey, and whether the free kernels fail, too coarse.
     """
     specification, smooth = search.specification, search.free()
     survey = Survey.of(specification, smooth)
@@ -209,15 +195,7 @@ def _weigh_rotation(
     *,
     is_rugged: bool,
 ) -> StructuredFit:
-    """The fit of a potential or that of a mixture, by the evidence of its rotation.
-
-    Args:
-        search: of the potential.
-        survey: of the data.
-        fit_free: the fit of free kernels, or of hills.
-        is_rugged: whether hills are sought before any other structure, unless a
-            rotation is plain.
-    """
+    """The fit of a potential or that of a mixture, by the evidence of its rotation."""
     kernels = search.kernels.kernels
     asked = survey_rotation(survey.response, survey.noise, (), kernels)
     is_plain = asked.is_plain
@@ -279,17 +257,7 @@ def _potential(
     mixture: Callable[[], StructuredFit | None],
     fit_free: Callable[[], StructuredFit] | None = None,
 ) -> tuple[StructuredFit, bool]:
-    """The fit of a potential, or where that fails one of a mixture; which of them.
-
-    Args:
-        search: of the potential.
-        proposal: terms beside it.
-        mixture: gives the other fit, or None where that fails, too.
-        fit_free: see `Search.best`.
-
-    Raises:
-        FitError: both failed; the error is that of the potential.
-    """
+    """The fit of a potential, or where that fails one of a mixture; which of them."""
     try:
         still = search.best(proposal, fit_free)
     except FitError:
@@ -336,13 +304,7 @@ def _coarse_rotation(search: Search, still: EvidenceFit) -> float:
 def _weigh_beside(
     search: Search, still: StructuredFit, proposal: Proposal | None
 ) -> StructuredFit:
-    """The fit of a potential, or that of a mixture where the data about it ask for one.
-
-    Args:
-        search: of the potential.
-        still: its fit.
-        proposal: terms beside which a mixture is fitted.
-    """
+    """The fit of a potential, or of a mixture where the data about it ask for one."""
     rotation, turning = _rotation_beside(search, still.fit), None
     if rotation > DECISIVE:
         turning = _turning(search, proposal)

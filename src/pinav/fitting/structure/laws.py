@@ -76,16 +76,11 @@ def follow_laws(terms: Terms, response: ForceResponse, noise: float) -> Proposal
 
 
 def _is_lawful(alone: Proposal, index: int, noise: float) -> bool:
-    """Whether a law alone explains nearly what the kernels of a profile did.
+    """True if a law alone explains nearly what the kernels of a profile did.
 
-    Not where its numbers left the data: of their forces nothing but rounding is left,
-    and that explains data to any noise. A ring narrower than its own flank is no ring
-    but a hill whose formula is another one.
-
-    Args:
-        alone: the structure without these kernels.
-        index: of the term.
-        noise: that the structure with them left.
+    Rejects laws whose parameters left the region of the data: their forces are rounding
+    errors, which explain data to any noise. A ring narrower than its own flank is a
+    hill of another formula.
     """
     term = alone.terms[index]
     assert isinstance(term, AbstractProfileTerm)
@@ -146,13 +141,7 @@ def _nearest(
     z: Float[np.ndarray, " place"],
     profile: Float[np.ndarray, " place"],
 ) -> tuple[float, FittedLaw]:
-    """The law of a kind whose force comes nearest to a profile, after its misfit.
-
-    Args:
-        laws: where its numbers may begin, stacked.
-        z: where they are compared [L].
-        profile: the force there [L T⁻²].
-    """
+    """The law of a kind whose force comes nearest to a profile, after its misfit."""
     from scipy.optimize import least_squares
 
     leaves, kind = jax.tree.flatten(laws)
@@ -191,12 +180,7 @@ def _law_forces(
 def _laws(
     term: AbstractProfileTerm, z: Float[np.ndarray, " place"]
 ) -> Iterator[FittedLaw]:
-    """Laws of each kind that a profile may follow, their numbers stacked.
-
-    Args:
-        term: the profile.
-        z: where there are data [L].
-    """
+    """Laws of each kind that a profile may follow, their numbers stacked."""
     low, extent = z.min(), np.ptp(z)
     width = float(term.width)
     sizes = np.log(np.geomspace(width, max(0.5 * extent, 2 * width), SIZES))

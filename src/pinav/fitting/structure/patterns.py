@@ -68,11 +68,11 @@ points of the map within which a peak is the only one."""
 
 def lattices(region: Region) -> list[LatticeTerm]:
     """Square lattices of all periods and directions that the data could show."""
-    finest = 2 * np.pi * MOST_PERIODS / region.crowded
+    finest = 2 * np.pi * MOST_PERIODS / region.core_extent
     # a step changes the phase at the rim of the data by a radian
-    step = 2.0 / region.crowded
+    step = 2.0 / region.core_extent
     made = []
-    for size in np.arange(2 * np.pi / region.crowded, finest, step):
+    for size in np.arange(2 * np.pi / region.core_extent, finest, step):
         turns = max(int(np.ceil(0.5 * np.pi * size / step)), 2)
         for angle in 0.5 * np.pi * np.arange(turns) / turns:
             one = size * np.array([np.cos(angle), np.sin(angle)])
@@ -89,10 +89,6 @@ def lattice_of(first: WallTerm, second: WallTerm) -> LatticeTerm:
 
     Two plane waves are two walls, which explain the data as well where these are, but
     not what repeats beyond them.
-
-    Args:
-        first: with its weights; it gives the origin.
-        second: likewise; both rotational, or neither.
     """
     return LatticeTerm(
         weights=jnp.zeros(2 * len(HARMONICS)),
@@ -120,7 +116,6 @@ class PotentialMap(eqx.Module):
     Attributes:
         places: of a grid [L].
         heights: of the potential there [L² T⁻²].
-        is_seen: whether there are data nearby.
     """
 
     places: Float[np.ndarray, "row column 2"]
@@ -274,12 +269,7 @@ AT_ONCE = 2000
 
 
 class ScannedPair(eqx.Module):
-    """The best pair of two kinds.
-
-    Attributes:
-        terms: both.
-        log_evidence: at the best of a few amplitudes.
-    """
+    """The best pair of two kinds."""
 
     terms: tuple[AbstractTerm, AbstractTerm]
     log_evidence: float
@@ -291,14 +281,7 @@ def scan_pairs(
     beside: AbstractTerm,
     response: ForceResponse,
 ) -> list[ScannedPair]:
-    """The best pair of each two kinds, that of highest evidence first.
-
-    Args:
-        kinds: terms of each kind, of several geometries.
-        shapes: of the prior of each kind.
-        beside: a term that is there in any case.
-        response: of the data to forces.
-    """
+    """The best pair of each two kinds, that of highest evidence first."""
     blocks = [
         _directions([beside], beside.prior().start, response),
         *(
@@ -328,16 +311,7 @@ def _directions(
 
 
 class _Products(eqx.Module):
-    """Products of all directions of all terms with each other.
-
-    Attributes:
-        gram: of the directions with each other.
-        along: of the directions with the residuals of no force.
-        places: of the directions of each term of each kind; those of the term that is
-            there in any case come first.
-        squares: sum of squares where there is no force.
-        num_free: residuals less starts.
-    """
+    """Products of all directions of all terms with each other."""
 
     gram: Float[np.ndarray, "all all"]
     along: Float[np.ndarray, " all"]

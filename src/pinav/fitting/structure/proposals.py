@@ -121,11 +121,6 @@ def refine(
 
     Kernels that are coarser than the process asks for know of fewer profiles than
     there are, and their band is too sure. So finer ones need not gain.
-
-    Args:
-        proposal: terms that explain the data.
-        response: of the data to forces.
-        halvings: of the width of the kernels at most.
     """
     for _ in range(halvings):
         finer = proposal.finer
@@ -137,12 +132,7 @@ def refine(
 
 
 def prune(proposal: Proposal, response: ForceResponse) -> Proposal:
-    """Leave out terms and centres that are needless; make circles of ellipses.
-
-    Args:
-        proposal: terms that explain the data.
-        response: of the data to forces.
-    """
+    """Leave out terms and centres that are needless; make circles of ellipses."""
     for fewer in _simpler(proposal.terms):
         made = polish(fewer, response)
         if made and made.log_evidence >= proposal.log_evidence - 2 * DECISIVE:

@@ -67,7 +67,6 @@ class StructuredFit(eqx.Module):
     """A fit, and what the search for structure came to.
 
     Attributes:
-        fit: the result, structured or free.
         gain: log evidence of the structured force over the free one on the kernels with
             which fits begin, of hills over that on finer ones [nats]; NaN where no
             structure was fitted.
@@ -101,8 +100,6 @@ class Search(eqx.Module):
 
     Attributes:
         specification: what is asked; its model is that of the free kernels.
-        max_iterations: of each fit.
-        on_step: called after each step.
         throw: raise where a fit did not converge.
         states: about which fits begin; smoothed ones unless given.
     """
@@ -258,12 +255,7 @@ class Search(eqx.Module):
     def _fit_obstacles(
         self, hills: EvidenceFit, rough: EvidenceFit
     ) -> StructuredFit | None:
-        """The fit of obstacles of one kind in place of hills that are alike.
-
-        Args:
-            hills: their fit.
-            rough: that of free kernels.
-        """
+        """The fit of obstacles of one kind in place of hills that are alike."""
         terms = hills.model.environment.terms
         survey = Survey.of(self.specification, self.free(), hills)
         alike = obstacles_of(terms[0], survey.region)
@@ -291,9 +283,6 @@ class Search(eqx.Module):
         carries all terms, as about a centre that swimmers circle faster than smoothing
         follows, the one that was added last is left out; of obstacles, which such
         errors multiply, one stays.
-
-        Returns:
-            The fit, and its log evidence.
         """
         fit: EvidenceFit | None = None
         with contextlib.suppress(FitError):
@@ -381,15 +370,7 @@ class Search(eqx.Module):
     def _with_laws(
         self, fit: EvidenceFit, evidence: float
     ) -> tuple[EvidenceFit, float]:
-        """The fit of terms whose profiles follow laws, where it explains the data.
-
-        Args:
-            fit: of the terms.
-            evidence: its logarithm.
-
-        Returns:
-            The better fit, and its log evidence.
-        """
+        """The fit of terms whose profiles follow laws, where it explains the data."""
         survey = Survey.of(self.specification, self.free(), fit)
         noise = fit.hyperparameters.noise
         lawful = follow_laws(fit.model.environment.terms, survey.response, noise)

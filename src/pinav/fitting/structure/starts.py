@@ -46,18 +46,18 @@ class Region(eqx.Module):
     Attributes:
         middle: of the data [L].
         extent: longest side of the box around them [L].
-        crowded: longest side of the box around nine tenths of them [L].
-        heart: the middle of that box [L].
-        inner: twice the longest distance between the quartiles: of data that are spread
-            evenly their extent, of swimmers that are flung out less [L].
+        core_extent: longest side of the box around nine tenths of them [L].
+        core_center: the middle of that box [L].
+        quartile_extent: twice the longest distance between the quartiles [L]: of evenly
+            spread data their extent, of swimmers that are flung out less.
         ranks: positions along each axis with equal shares of the data between them [L].
     """
 
     middle: Float[np.ndarray, " dim"]
     extent: float
-    crowded: float
-    heart: Float[np.ndarray, " dim"]
-    inner: float
+    core_extent: float
+    core_center: Float[np.ndarray, " dim"]
+    quartile_extent: float
     ranks: Float[np.ndarray, "rank dim"]
 
     @classmethod
@@ -69,9 +69,9 @@ class Region(eqx.Module):
         return cls(
             middle=(low + high) / 2,
             extent=float((high - low).max()),
-            crowded=float((most - few).max()),
-            heart=(few + most) / 2,
-            inner=2 * float((upper - lower).max()),
+            core_extent=float((most - few).max()),
+            core_center=(few + most) / 2,
+            quartile_extent=2 * float((upper - lower).max()),
             ranks=np.quantile(
                 positions, np.linspace(0.05, 0.95, RANKS[positions.shape[1]]), axis=0
             ),
@@ -86,7 +86,7 @@ class Region(eqx.Module):
     def width(self) -> float:
         """Of a kernel of a profile [L]."""
         # few widths, so that regions share compilations
-        wanted = np.log(self.extent / max(self.inner, 1e-9)) / np.log(FINER)
+        wanted = np.log(self.extent / max(self.quartile_extent, 1e-9)) / np.log(FINER)
         finer = FINER ** np.clip(np.floor(wanted + 0.3), 0, FINEST - 1)
         return float(self.extent / round(KERNELS[len(self.middle)] * finer))
 
@@ -103,8 +103,8 @@ class Region(eqx.Module):
             middle: of the grid [L]; that of most of the data unless given.
             fraction: its size, as a share of the extent of most of the data.
         """
-        middle = self.heart if middle is None else middle
-        axis = np.linspace(-0.5, 0.5, side) * self.crowded * fraction
+        middle = self.core_center if middle is None else middle
+        axis = np.linspace(-0.5, 0.5, side) * self.core_extent * fraction
         return middle + _mesh([axis] * len(middle))
 
     def places(self) -> Float[np.ndarray, "point dim"]:
@@ -265,11 +265,11 @@ def segments(region: Region, wall: WallTerm) -> list[EllipticTerm]:
         return []
     angle = np.asarray(wall.angle)
     normal, along = _directions(angle), _directions(angle + 0.5 * np.pi)
-    across = np.linspace(-0.5, 0.5, ACROSS) * region.crowded
-    steps = np.linspace(-0.5, 0.5, ALONG) * region.crowded
+    across = np.linspace(-0.5, 0.5, ACROSS) * region.core_extent
+    steps = np.linspace(-0.5, 0.5, ALONG) * region.core_extent
     rows = across[:, None, None] * normal + steps[:, None] * along
     shears = LONG * _directions(2 * angle)[None]
-    return ellipses(region, region.heart + rows.reshape(-1, 2), shears)
+    return ellipses(region, region.core_center + rows.reshape(-1, 2), shears)
 
 
 def _directions(angles: Float[ArrayLike, "*all"]) -> Float[np.ndarray, "*all 2"]:

@@ -56,8 +56,6 @@ class Proposal(eqx.Module):
     """Terms with their geometry, and what the linearised data think of them.
 
     Attributes:
-        terms: with weights.
-        log_evidence: less what the geometry costs.
         noise: standard deviation of what they leave unexplained.
         length_scales: of the profile of each term, in widths of its kernels; infinite
             where it has none.
