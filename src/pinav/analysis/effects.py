@@ -17,7 +17,7 @@ from pinav.analysis.entropy import EntropyProduction, entropy_production
 from pinav.analysis.helmholtz import rotational_fractions, sample_forces
 from pinav.analysis.sensitivity.influence import Influence, influence
 from pinav.analysis.sensitivity.lyapunov import LyapunovMap, lyapunov_map
-from pinav.analysis.sensitivity.rollout_study import RolloutStudy
+from pinav.analysis.sensitivity.sobol import RolloutStudy
 from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap

@@ -247,5 +247,4 @@ TINY = 1e-30
 
 
 def _swing(pulse: Scalar, frequency: Scalar, t: Scalar) -> Float[Array, ""]:
-    """The factor of a pulsatile flow at a time."""
     return 1 + pulse * jnp.sin(2 * jnp.pi * frequency * jnp.asarray(t))

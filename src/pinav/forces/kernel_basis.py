@@ -233,7 +233,6 @@ def _near(
     positions: Float[np.ndarray, "sample dim"],
     margin: int,
 ) -> Float[np.ndarray, "_ embedded"]:
-    """The centres of a basis within a margin of any sample."""
     from scipy.spatial import KDTree
 
     with jax.enable_x64(new_val=True):

@@ -177,7 +177,6 @@ class WeightPrior(AbstractPrior):
         return envelope * (parts @ normal) / np.sqrt(FEATURES)
 
     def _scalar(self, shape: Shape) -> Gram:
-        """Covariance of one component."""
         envelope = self._envelope(shape, self._scaled_centers)
         alike = np.exp(-0.5 / np.exp(2 * shape[0]) * self._squares)
         return alike * np.outer(envelope, envelope)
@@ -212,7 +211,6 @@ class WeightPrior(AbstractPrior):
 
 
 def _per_component(scalar: Gram, components: int) -> Matrix:
-    """The covariance of independent components that are alike."""
     return np.kron(scalar, np.eye(components)) if components > 1 else scalar
 
 
@@ -289,7 +287,6 @@ class StationaryPrior(AbstractPrior):
         return np.array([np.vdot(_over_components(pull, self.components), slope)])
 
     def _relative_distances(self, shape: Shape) -> Gram:
-        """Distances in length scales."""
         offsets = self.centers[:, None] - self.centers[None]
         root = np.sqrt(3.0) if self.smooth else 1.0
         return root * np.sqrt((offsets**2).sum(axis=-1)) / np.exp(shape[0])

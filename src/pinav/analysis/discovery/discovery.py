@@ -267,7 +267,6 @@ def discover_law(
 
 
 def _terms_of(sampling: Sampling) -> tuple[TermLaws, ...] | None:
-    """The terms of the learned force with their candidates, if it has a structure."""
     terms, _ = split_structure(sampling.posterior.model.environment)
     return term_laws(terms, sampling)
 
@@ -348,7 +347,6 @@ FORCES = {"L² T⁻²": "F L", "L T⁻²": "F", "T⁻²": "F L⁻¹"}
 
 
 def _force_unit(unit: str) -> str:
-    """The dimension of a constant of a force, from that of an acceleration."""
     return FORCES.get(unit, unit)
 
 

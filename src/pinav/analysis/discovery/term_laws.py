@@ -54,8 +54,8 @@ from pinav.forces import (
     ObstaclesTerm,
     WallTerm,
 )
-from pinav.forces.field_terms import HARMONICS
 from pinav.forces.profiles import EVEN_PROFILES, Ring
+from pinav.forces.terms import HARMONICS
 
 MOST_TERMS = 3
 """Terms of a sum of laws at most."""

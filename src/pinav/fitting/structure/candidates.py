@@ -265,7 +265,6 @@ class Candidates(eqx.Module):
 
     @property
     def _places(self) -> Float[np.ndarray, "place dim"]:
-        """Where further centres are scanned [L]."""
         return np.concatenate([self.region.places(), self.summits])
 
     def is_enough(self, proposals: Sequence[Proposal]) -> bool:
@@ -337,8 +336,6 @@ class Candidates(eqx.Module):
 
 
 class _Scanned(eqx.Module):
-    """A structure that was scanned."""
-
     terms: Terms
     log_evidence: float
 

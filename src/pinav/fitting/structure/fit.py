@@ -183,7 +183,6 @@ def _explains(free: EvidenceFit, survey: Survey) -> bool:
 
 
 def _about(search: Search, fit: EvidenceFit) -> tuple[Search, Survey]:
-    """A search from the states of a fit, and the survey of the data about it."""
     search = search.about(fit)
     return search, Survey.of(search.specification, search.free(), fit)
 
@@ -242,7 +241,6 @@ def _weigh_rotation(
 
 
 def _has_swirl(proposal: Proposal | None) -> bool:
-    """Whether a proposal has a term without a potential."""
     return proposal is not None and any(term.rotational for term in proposal.terms)
 
 
@@ -326,7 +324,6 @@ def _rotation_beside(search: Search, fit: EvidenceFit) -> float:
 
 
 def _turning(search: Search, proposal: Proposal | None) -> StructuredFit | None:
-    """The fit of a mixture, beside a structure or alone; None where it fails."""
     try:
         mixture = search.of(mixture_on(search.kernels.kernels)).best(proposal)
     except FitError:

@@ -32,7 +32,7 @@ from pinav.fitting.structure.response import ForceResponse, columns
 from pinav.fitting.structure.starts import Region, central_term, obstacles_at
 from pinav.fitting.structure.summits import NUMBERS, Hills, doubtful, halves, summits
 from pinav.forces import HillsTerm, KernelPotential, ObstaclesTerm, forces_at
-from pinav.forces.field_terms import MIDDLE, WIDTHS
+from pinav.forces.terms import MIDDLE, WIDTHS
 from pinav.threads import map_on_cores
 
 MOST_HILLS = 24
@@ -125,8 +125,6 @@ obstacles of one kind; their greatest shear; and a height next to none."""
 
 
 class _Fit(eqx.Module):
-    """Hills beside coarse kernels."""
-
     hills: Hills
     log_evidence: float
 
@@ -246,11 +244,9 @@ class _Landscape(eqx.Module):
         return _Fit(search.x.reshape(-1, NUMBERS), value)
 
     def fit_each(self, trials: Sequence[Hills]) -> list[_Fit]:
-        """Short fits from several starts."""
         return map_on_cores(lambda hills: self.fit(hills, TRIED), trials)
 
     def without_needless(self, fit: _Fit) -> _Fit:
-        """The fit without hills that explain less than they cost."""
         shorter = [np.delete(fit.hills, i, axis=0) for i in doubtful(fit.hills)]
         best = max(self.fit_each(shorter), key=_log_evidence, default=fit)
         if best.log_evidence <= fit.log_evidence:
@@ -316,7 +312,6 @@ def _told(
 
 
 def _log_places(positions: Float[np.ndarray, "point 2"], hills: Hills) -> float:
-    """Logarithm of how many places there are for a hill where there are data."""
     size = np.exp(np.median(hills[:, 3]))
     ground = float(np.prod(np.ptp(positions, axis=0)))
     return float(np.log1p(ground / (2 * np.pi * (PLACE * size) ** 2)))
@@ -370,7 +365,6 @@ def _forces(
 
 
 def _term(hills: Hills) -> HillsTerm:
-    """The term of Gaussian hills."""
     weights = np.zeros((len(hills), len(WIDTHS)))
     weights[:, MIDDLE] = hills[:, 0]
     return HillsTerm(

@@ -48,8 +48,8 @@ from pinav.forces import (
     ObstaclesTerm,
     WallTerm,
 )
-from pinav.forces.field_terms import HARMONICS
 from pinav.forces.priors import Shape
+from pinav.forces.terms import HARMONICS
 
 MOST_PERIODS = 6
 """Periods of a lattice across most of the data, at most."""
@@ -99,7 +99,6 @@ def lattice_of(first: WallTerm, second: WallTerm) -> LatticeTerm:
 
 
 def _wave_vector(wall: WallTerm) -> Float[np.ndarray, "2"]:
-    """Of the strongest wave in a profile [rad L⁻¹]."""
     z = np.asarray(wall.places)
     profile = np.asarray(jax.vmap(wall.profile)(wall.places))
     waving = profile - np.polyval(np.polyfit(z, profile, 1), z)

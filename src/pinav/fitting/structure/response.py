@@ -283,7 +283,6 @@ def _means(
     group: Int[np.ndarray, " step"],
     groups: int,
 ) -> Float[np.ndarray, "trajectory group channel"]:
-    """Mean over the steps of each group."""
     fractions = np.eye(groups)[group]
     return np.einsum("isc,sg->igc", values, fractions / fractions.sum(axis=0)[None])
 

@@ -384,12 +384,10 @@ class Search(eqx.Module):
         return fit, evidence
 
     def _fit_terms(self, terms: Terms, begun: EvidenceFit) -> EvidenceFit:
-        """The fit of terms beside the free kernels, from the states of another."""
         search = self._beside(terms).about(begun)
         return search.fit(search.free(), None)
 
     def _beside(self, terms: Terms) -> "Search":
-        """The same with terms beside the free kernels."""
         return self.of(StructuredForce(terms, self.kernels))
 
 
@@ -449,7 +447,6 @@ def stands_alone(fit: EvidenceFit) -> bool:
 
 
 def _evidence_of_terms(fit: EvidenceFit) -> float:
-    """Log evidence of the terms of a fit where the free kernels are absent."""
     if not split_structure(fit.model.environment)[0]:
         return -np.inf
     return evidence_without_second(fit.linear, fit.hyperparameters)

@@ -4,6 +4,7 @@ Their kernels and their scanned places come from where the data are.
 """
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -11,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from pinav.arguments import on_device
 from pinav.forces import (
+    AbstractProfileTerm,
     AbstractTerm,
     CentralTerm,
     EllipticTerm,
@@ -130,7 +132,6 @@ class Region(eqx.Module):
 def _mesh(
     axes: Sequence[Float[np.ndarray, " place"]] | Float[np.ndarray, "dim place"],
 ) -> Float[np.ndarray, "point dim"]:
-    """All points whose coordinates are among these."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
@@ -157,27 +158,26 @@ def central_term(
     region: Region, center: Float[np.ndarray, " dim"], *, rotational: bool = False
 ) -> CentralTerm:
     """A central term about a place, without weight yet."""
-    places, width = region.distances()
     return CentralTerm(
-        weights=on_device(np.zeros(places.shape)),
-        center=on_device(center),
-        places=places,
-        width=width,
-        rotational=rotational,
+        center=on_device(center), rotational=rotational, **_kernels(*region.distances())
     )
 
 
 def wall_term(region: Region, angle: float, *, rotational: bool = False) -> WallTerm:
     """A wall whose normal has this angle, without weight yet."""
-    places, width = region.offsets()
     return WallTerm(
-        weights=on_device(np.zeros(places.shape)),
         angle=on_device(angle),
         origin=on_device(region.middle),
-        places=places,
-        width=width,
         rotational=rotational,
+        **_kernels(*region.offsets()),
     )
+
+
+def _kernels(
+    places: Float[Array, " kernel"], width: Float[Array, ""]
+) -> dict[str, Array]:
+    weights = on_device(np.zeros(places.shape))
+    return {"weights": weights, "places": places, "width": width}
 
 
 def linear_term(region: Region, *, rotational: bool = False) -> LinearTerm:
@@ -196,28 +196,19 @@ def circular(
     term: EllipticTerm | ObstaclesTerm, center: Float[Array, "2"]
 ) -> CentralTerm:
     """The central term about a place with the profile of an ellipse or of obstacles."""
-    return CentralTerm(
-        weights=term.weights,
-        center=center,
-        places=term.places,
-        width=term.width,
-        rotational=term.rotational,
-        law=term.law,
-    )
+    return CentralTerm(center=center, **_profile_of(term))
 
 
 def obstacles_at(
     term: CentralTerm | ObstaclesTerm, centers: Float[Array, "center dim"]
 ) -> ObstaclesTerm:
     """Obstacles at several centres with the profile of a term."""
-    return ObstaclesTerm(
-        weights=term.weights,
-        centers=centers,
-        places=term.places,
-        width=term.width,
-        rotational=term.rotational,
-        law=term.law,
-    )
+    return ObstaclesTerm(centers=centers, **_profile_of(term))
+
+
+def _profile_of(term: AbstractProfileTerm) -> dict[str, Any]:
+    names = ("weights", "places", "width", "rotational", "law")
+    return {name: getattr(term, name) for name in names}
 
 
 def ellipses(
@@ -225,22 +216,10 @@ def ellipses(
     centers: Float[np.ndarray, "place 2"],
     shears: Float[np.ndarray, "shear 2"],
 ) -> list[EllipticTerm]:
-    """Elliptic terms about several centres, each of several axes.
-
-    Args:
-        region: of the data.
-        centers: [L].
-        shears: $S$ of each.
-    """
-    places, width = region.distances()
+    """Elliptic terms about several centres [L], each of several axes."""
+    kernels = _kernels(*region.distances())
     return [
-        EllipticTerm(
-            weights=on_device(np.zeros(places.shape)),
-            center=on_device(center),
-            shear=on_device(shear),
-            places=places,
-            width=width,
-        )
+        EllipticTerm(center=on_device(center), shear=on_device(shear), **kernels)
         for center in centers
         for shear in shears
     ]

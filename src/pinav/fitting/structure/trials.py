@@ -89,7 +89,6 @@ to each other: a process of few derivatives needs several kernels for each."""
 
 
 def _with_finer_profile(term: AbstractProfileTerm) -> AbstractTerm:
-    """The term on kernels of half the width, without weight."""
     width, count = term.width / 2, 2 * len(term.places)
     places = (np.arange(count) + 0.5) * width
     if not term.is_odd:
