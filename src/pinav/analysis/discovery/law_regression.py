@@ -35,7 +35,6 @@ class FieldFit(eqx.Module):
     """A law fitted to a sampled force.
 
     Attributes:
-        squares: sum of squared, independent residuals of unit variance.
         bic: the squares, plus log of the effective sample size for each constant.
     """
 

@@ -103,12 +103,7 @@ class LinearisedModel(eqx.Module):
 
 
 class RefitProblem(eqx.Module):
-    """What all refits on the same trajectories share.
-
-    Attributes:
-        states: where the first linearisation stands.
-        extent: of the positions [L].
-    """
+    """What all refits on the same trajectories share."""
 
     observations: Observations
     states: Float[np.ndarray, "trajectory time state"]
@@ -157,14 +152,7 @@ def refit(
     model: Swimmer | OverdampedSwimmer,
     problem: RefitProblem,
 ) -> Refit:
-    """Least squares of a law through the dynamics, by damped local Gauss-Newton.
-
-    Args:
-        law: the formula.
-        constants: where to start.
-        model: its propulsion and drag, or mobility, are kept.
-        problem: the trajectories.
-    """
+    """Least squares of a law through the dynamics, by damped local Gauss-Newton."""
     with jax.enable_x64(new_val=True):
         environment = LawForce(law, jnp.asarray(constants, jnp.float64))
         swimmer = model.with_environment(environment)
@@ -264,12 +252,7 @@ def _inverse(
 
 
 class LearnedOnPaths(eqx.Module):
-    """A learned force held against the trajectories once more.
-
-    Attributes:
-        problem: the trajectories, linearised about the smoothed states.
-        num_effective: parameters that the data, not the prior, determine.
-    """
+    """A learned force held against the trajectories once more."""
 
     problem: RefitProblem
     squares: float

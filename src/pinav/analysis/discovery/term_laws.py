@@ -62,11 +62,7 @@ MOST_TERMS = 3
 
 
 class TermLaws(eqx.Module):
-    """A term of a learned force, and the laws that it may follow.
-
-    Attributes:
-        sample: its force, with the covariance of its errors.
-    """
+    """A term of a learned force, and the laws that it may follow."""
 
     kind: str = eqx.field(static=True)
     sample: ForceSample
@@ -78,10 +74,6 @@ def term_laws(
     terms: Sequence[AbstractTerm], sampling: Sampling
 ) -> tuple[TermLaws, ...] | None:
     """The laws that each term may follow.
-
-    Args:
-        terms: of a structured force.
-        sampling: where the force is known.
 
     Returns:
         Nothing known where there are no terms, more than `MOST_TERMS`, or one of a

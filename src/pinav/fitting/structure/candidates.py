@@ -85,8 +85,8 @@ class Candidates(eqx.Module):
     """Structures that may explain more of some data.
 
     Attributes:
-        region: where they are.
-        enough: misfit relative to it at which nothing else is sought.
+        enough: misfit relative to the noise at which nothing else is sought.
+        seen: the potential of free kernels, in the plane.
         summits: of that potential, further places of centres [L].
     """
 

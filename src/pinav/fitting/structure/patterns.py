@@ -113,8 +113,7 @@ class PotentialMap(eqx.Module):
     """The potential that free kernels have in the linearised data.
 
     Attributes:
-        places: of a grid [L].
-        heights: of the potential there [L² T⁻²].
+        heights: of the potential at the places of a grid [L² T⁻²].
     """
 
     places: Float[np.ndarray, "row column 2"]
@@ -160,13 +159,7 @@ class PotentialMap(eqx.Module):
     def peaks(
         self, heights: Float[np.ndarray, "row column"], apart: int, least: float
     ) -> Float[np.ndarray, "peak 2"]:
-        """Where heights over the map have peaks, the highest first [L].
-
-        Args:
-            heights: what to look at.
-            apart: points within which a peak is the only one.
-            least: height of a peak that counts, relative to the highest.
-        """
+        """Where heights over the map have peaks, the highest first [L]."""
         seen = np.where(self.is_seen, heights, 0.0)
         is_peak = (seen == maximum_filter(seen, size=apart)) & (
             seen > least * seen.max()
@@ -208,12 +201,7 @@ def obstacles(seen: PotentialMap, region: Region) -> Iterator[ObstaclesTerm]:
 def twins(
     term: CentralTerm | ObstaclesTerm, places: Float[np.ndarray, "place dim"]
 ) -> list[ObstaclesTerm]:
-    """Obstacles of the kind of a central term, one more than there are.
-
-    Args:
-        term: whose profile they share.
-        places: of the additional one [L].
-    """
+    """Obstacles of the kind of a central term, one more than there are."""
     several = isinstance(term, ObstaclesTerm)
     centers = term.centers if several else term.center[None]
     return [
@@ -235,12 +223,7 @@ def with_one_less(term: ObstaclesTerm) -> Iterator[ObstaclesTerm | CentralTerm]:
 def free_potential(
     response: ForceResponse, positions: Float[np.ndarray, "point 2"]
 ) -> KernelPotential | None:
-    """Free kernels of the linearised data; None where the data do not depend on them.
-
-    Args:
-        response: of the data to forces.
-        positions: around which kernels are laid [L].
-    """
+    """Free kernels of the linearised data; None if the data do not depend on them."""
     kernels = KernelPotential.with_zero_weights(*surround_with_kernels(positions, MAP))
     prior = kernels.prior()
     shape = prior.start.copy()

@@ -48,9 +48,6 @@ class ForceResponse(eqx.Module):
 
     Attributes:
         rows: $R_i$ of each trajectory, from forces to independent data.
-        targets: what the data ask of the change of the force.
-        points: where the forces act [L].
-        times: when [T].
         forces: $F_0$ there [L T⁻²].
     """
 
@@ -123,13 +120,7 @@ def term_quadratics(
     beside: tuple[AbstractTerm, ...],
     response: ForceResponse,
 ) -> list[Quadratic]:
-    """What the data say of the weights of each of several terms, beside others.
-
-    Args:
-        terms: of one kind, with as many kernels each.
-        beside: whose weights come first.
-        response: of the data to forces.
-    """
+    """What the data say of the weights of each of several terms, beside others."""
     offset = response.residuals_of_none
     others = [columns(term, response) for term in beside]
     kept = np.concatenate([np.zeros((len(offset), 0)), *others], axis=1)

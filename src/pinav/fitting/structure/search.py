@@ -99,8 +99,6 @@ class Search(eqx.Module):
     """Fits of one kind of free kernels, with structured terms and without.
 
     Attributes:
-        specification: what is asked; its model is that of the free kernels.
-        throw: raise where a fit did not converge.
         states: about which fits begin; smoothed ones unless given.
     """
 

@@ -56,7 +56,6 @@ class Proposal(eqx.Module):
     """Terms with their geometry, and what the linearised data think of them.
 
     Attributes:
-        noise: standard deviation of what they leave unexplained.
         length_scales: of the profile of each term, in widths of its kernels; infinite
             where it has none.
         is_rough: whether they may leave more unexplained than the noise, which they
@@ -137,11 +136,6 @@ def quick_evidences(
 
     The noise is estimated: far from the right geometry nothing explains the data, and
     with the noise fixed wild profiles would.
-
-    Args:
-        starts: terms of one kind on the same kernels, of different geometry.
-        beside: terms that there are.
-        response: of the data to forces.
     """
     terms = (*beside, starts[0])
     prior = prior_of(terms)
