@@ -153,7 +153,8 @@ def _forces(
     points: Float[ArrayLike, "point 2"],
 ) -> Float[Array, "sample point 2"]:
     def one(theta: Float[Array, " parameter"]) -> Float[Array, "point 2"]:
-        return forces_at(free(theta).environment, jnp.zeros(len(points)), points)
+        times = jnp.zeros(jnp.shape(points)[:1])
+        return forces_at(free(theta).environment, times, points)
 
     return jax.lax.map(one, draws)
 

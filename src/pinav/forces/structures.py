@@ -69,26 +69,26 @@ class AbstractTerm(AbstractForce):
     Attributes:
         weights: with a Gaussian prior.
         rotational: whether the force is turned by a right angle.
-        kinds: the word for it in tables, as it is and turned.
-        formulas: its formula, as it is and turned.
+        kinds: the word for it in tables, as it is and, where that differs, turned.
+        formulas: its formula, as it is and, where that differs, turned.
         shaped_by: fields that shape it, each with a wide prior.
     """
 
     weights: eqx.AbstractVar[Float[Array, " weight"]]
     rotational: eqx.AbstractVar[bool]
-    kinds: ClassVar[tuple[str, str]]
-    formulas: ClassVar[tuple[str, str]]
+    kinds: ClassVar[tuple[str, ...]]
+    formulas: ClassVar[tuple[str, ...]]
     shaped_by: ClassVar[tuple[str, ...]] = ()
 
     @property
     def kind(self) -> str:
         """The word for it in tables."""
-        return self.kinds[self.rotational]
+        return self.kinds[-1 if self.rotational else 0]
 
     @property
     def latex(self) -> str:
         """Its formula."""
-        return self.formulas[self.rotational]
+        return self.formulas[-1 if self.rotational else 0]
 
     @property
     def geometry(self) -> PyTree:

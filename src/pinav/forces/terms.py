@@ -82,8 +82,8 @@ class LatticeTerm(AbstractTerm):
     origin: Float[Array, "2"]
     rotational: bool = eqx.field(static=True, default=False)
 
-    kinds = ("lattice",) * 2
-    formulas = (r"-\nabla U(k_1 \cdot x, k_2 \cdot x)",) * 2
+    kinds = ("lattice",)
+    formulas = (r"-\nabla U(k_1 \cdot x, k_2 \cdot x)",)
     shaped_by = ("wave_vectors",)
 
     @property
@@ -205,8 +205,8 @@ class HillsTerm(AbstractTerm):
     rotational: bool = eqx.field(static=True, default=False)
 
     KIND: ClassVar[str] = "hills and wells"
-    kinds = (KIND,) * 2
-    formulas = (r"-\nabla \sum_k U_k(|A_k (x - c_k)|)",) * 2
+    kinds = (KIND,)
+    formulas = (r"-\nabla \sum_k U_k(|A_k (x - c_k)|)",)
     shaped_by = ("centers", "shapes")
 
     @property
@@ -299,8 +299,8 @@ class EllipticTerm(AbstractProfileTerm):
     rotational: bool = eqx.field(static=True, default=False)
     law: FittedLaw | None = None
 
-    kinds = ("elliptic",) * 2
-    formulas = (r"f(z)\,\nabla z,\ z^2 = (x - c)^\top e^{2S} (x - c)",) * 2
+    kinds = ("elliptic",)
+    formulas = (r"f(z)\,\nabla z,\ z^2 = (x - c)^\top e^{2S} (x - c)",)
     shaped_by = ("center", "shear")
 
     @property
@@ -366,8 +366,8 @@ class SegmentTerm(AbstractProfileTerm):
     rotational: bool = eqx.field(static=True, default=False)
     law: FittedLaw | None = None
 
-    kinds = ("segment",) * 2
-    formulas = (r"f(z)\,\nabla z,\ z = \mathrm{dist}(x, \overline{ab})",) * 2
+    kinds = ("segment",)
+    formulas = (r"f(z)\,\nabla z,\ z = \mathrm{dist}(x, \overline{ab})",)
     shaped_by = ("ends",)
 
     def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
@@ -392,8 +392,8 @@ class ObstaclesTerm(AbstractProfileTerm):
     rotational: bool = eqx.field(static=True, default=False)
     law: FittedLaw | None = None
 
-    kinds = ("obstacles",) * 2
-    formulas = (r"\sum_k f(|x - c_k|)\,\hat r_k",) * 2
+    kinds = ("obstacles",)
+    formulas = (r"\sum_k f(|x - c_k|)\,\hat r_k",)
     shaped_by = ("centers",)
 
     def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:

@@ -100,7 +100,7 @@ def _force_and_slopes(
     """One program for both: compiling a second one takes longer than all its calls."""
 
     def force(constants: Float[Array, " constant"]) -> tuple[Array, Array]:
-        times = np.zeros(len(positions))
+        times = np.zeros(np.shape(positions)[:1])
         values = forces_at(LawForce(law, constants), times, positions)
         return values, values
 

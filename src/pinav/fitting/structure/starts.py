@@ -175,7 +175,7 @@ def wall_term(region: Region, angle: float, *, rotational: bool = False) -> Wall
 
 def _kernels(
     places: Float[Array, " kernel"], width: Float[Array, ""]
-) -> dict[str, Array]:
+) -> dict[str, Any]:
     weights = on_device(np.zeros(places.shape))
     return {"weights": weights, "places": places, "width": width}
 
