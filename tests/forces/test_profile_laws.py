@@ -15,8 +15,8 @@ from pinav.forces import (
     SumForce,
     WallTerm,
 )
+from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.formulas import NEAR_GAUSSIAN, falling
-from pinav.forces.profiles import FittedLaw
 from pinav.forces.structures import ROUNDING
 
 HEIGHT, CENTER, NO_PLACES = 2.5, jnp.array([4.0, 5.5]), jnp.zeros(0)

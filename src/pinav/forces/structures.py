@@ -24,6 +24,7 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
+from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.force import (
     AbstractForce,
     AbstractLearnedForce,
@@ -40,7 +41,6 @@ from pinav.forces.priors import (
     Shape,
 )
 from pinav.forces.profile_priors import DistancePrior, ProfilePrior
-from pinav.forces.profiles import FittedLaw
 
 Places = Float[Array, " kernel"]
 """Places of the kernels of a profile [L]."""

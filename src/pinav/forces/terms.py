@@ -4,7 +4,7 @@
 kernels of the profile [L T⁻²]; `places` and `width` of the kernels [L] are fixed.
 """
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector
+from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.priors import (
     AbstractPrior,
     IsotropicPrior,
@@ -20,7 +21,6 @@ from pinav.forces.priors import (
     MixturePrior,
     Shape,
 )
-from pinav.forces.profiles import FittedLaw
 from pinav.forces.structures import (
     ROUNDING,
     AbstractProfileTerm,
@@ -204,8 +204,7 @@ class HillsTerm(AbstractTerm):
     shapes: Float[Array, "hill 3"]
     rotational: bool = eqx.field(static=True, default=False)
 
-    KIND: ClassVar[str] = "hills and wells"
-    kinds = (KIND,)
+    kinds = ("hills and wells",)
     formulas = (r"-\nabla \sum_k U_k(|A_k (x - c_k)|)",)
     shaped_by = ("centers", "shapes")
 

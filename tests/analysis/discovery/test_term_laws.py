@@ -50,7 +50,8 @@ from pinav.forces import (
     StructuredForce,
     WallTerm,
 )
-from pinav.forces.profiles import FittedLaw, SuperGaussian
+from pinav.forces.fitted_laws import FittedLaw
+from pinav.forces.profiles import SuperGaussian
 from pinav.forces.terms import HARMONICS
 from pinav.scenarios import barrier_crossings
 from pinav.systems import Observation

@@ -24,7 +24,7 @@ from pinav.commands.explore.printing import (
     print_function,
 )
 from pinav.dynamics import FixedStep, drive_by_commands, rollout
-from pinav.forces.profiles import FittedLaw
+from pinav.forces.fitted_laws import FittedLaw
 from pinav.learning.learned import Learned
 
 pytestmark = needs_node

@@ -43,7 +43,7 @@ from pinav.forces import (
     SoftWall,
     StructuredForce,
 )
-from pinav.forces.profiles import FittedLaw
+from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.structures import prior_of
 from pinav.scenarios import scenario
 
@@ -163,7 +163,7 @@ def test_an_ellipse_is_found_beside_the_wall_of_a_pair():
     linear = linear_term(REGION)
     circle, wall = central_term(REGION, np.array([6.0, 3.0])), wall_term(REGION, 0.72)
     pair = polish((linear, circle, wall), data)
-    (terms,) = candidates._beside_walls([pair, pair], linear)  # each wall once
+    (terms,) = candidates.beside_walls([pair, pair], linear)  # each wall once
     made = polish(terms, data, again=AGAIN, between=(0.014, 0.05))
     np.testing.assert_allclose(made.terms[2].center, ridge.center, atol=0.05)
     assert made.noise == pytest.approx(0.01, rel=0.3)

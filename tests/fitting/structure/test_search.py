@@ -13,8 +13,8 @@ from pinav.fitting.environments.kernels import KernelGrid, kernel_environment
 from pinav.fitting.environments.refinement import Refinement
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure import fit as structure_fit
 from pinav.fitting.structure import search
+from pinav.fitting.structure.fit import survey_first_steps
 from pinav.fitting.structure.search import Search, needs_no_search
 from pinav.fitting.structure.starts import Region, central_term, linear_term, wall_term
 from pinav.fitting.structure.survey import Survey
@@ -115,7 +115,7 @@ def test_quick_swimmers_are_surveyed_about_the_first_steps_of_a_fit():
     asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
     with jax.enable_x64(new_val=True):
         start = Search(asked, 20, None, throw=False)
-        begun, survey, is_rugged = structure_fit._survey(start)
+        begun, survey, is_rugged = survey_first_steps(start)
         (term,) = survey.proposal(rotational=False).terms
     assert begun.states is not None
     assert not is_rugged

@@ -24,7 +24,7 @@ from pinav.forces import (
     WallTerm,
     split_structure,
 )
-from pinav.forces.profiles import FITTED, FittedLaw
+from pinav.forces.fitted_laws import FITTED, FittedLaw
 
 TERMS: dict[str, type[AbstractTerm]] = {
     kind.__name__: kind

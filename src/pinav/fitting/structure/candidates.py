@@ -181,13 +181,13 @@ class Candidates(eqx.Module):
                 return proposals
         if self.is_hopeless(proposals):
             return proposals
-        for terms in self._beside_walls(proposals, linear):
+        for terms in self.beside_walls(proposals, linear):
             proposals += self._polish_each([terms], AGAIN)
             if self.is_enough(proposals):
                 break
         return proposals
 
-    def _beside_walls(
+    def beside_walls(
         self, proposals: Sequence[Proposal], linear: AbstractTerm
     ) -> Iterator[Terms]:
         """Structures of an ellipse anywhere beside the walls of the best pairs.

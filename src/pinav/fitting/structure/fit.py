@@ -92,7 +92,7 @@ def fit_structured(
         weigh_rotation &= may_turn(model)
         if not is_worth_a_search(model, trajectories):
             return _weigh_few(search) if weigh_rotation else search.best(None)
-        search, survey, is_rugged = _survey(search)
+        search, survey, is_rugged = survey_first_steps(search)
         fit_free = functools.cache(search.fit_free)
         if weigh_rotation:
             return _weigh_rotation(search, survey, fit_free, is_rugged=is_rugged)
@@ -114,21 +114,24 @@ def _fit_student(
 ) -> StructuredFit:
     """The fit of a network, taught by that of kernels where data are worth a search."""
     data, model = specification.trajectories, specification.model
-    options: dict[str, Any] = {
-        "learn": specification.learn,
-        "noise": specification.noise,
-        "solver": specification.solver,
-        "max_iterations": max_iterations,
-        "on_step": on_step,
-    }
-    learning = functools.partial(fit_bayes, model, data, throw=throw, **options)
+    learning = functools.partial(
+        fit_bayes,
+        model,
+        data,
+        learn=specification.learn,
+        noise=specification.noise,
+        solver=specification.solver,
+        max_iterations=max_iterations,
+        on_step=on_step,
+        throw=throw,
+    )
     if not is_worth_a_search(model, data):
         return StructuredFit(learning(), np.nan)
     kernels, weigh_rotation = kernels_of_teacher(specification)
     pupil = eqx.tree_at(lambda m: m.environment, model, kernels)
-    options["weigh_rotation"] = weigh_rotation
+    options = learning.keywords | {"throw": False, "weigh_rotation": weigh_rotation}
     try:
-        taught = fit_structured(pupil, data, throw=False, **options)
+        taught = fit_structured(pupil, data, **options)
     except FitError:  # as of a potential, where the force turns
         return StructuredFit(learning(), np.nan)
     if taught.fit.outcome is Outcome.DIVERGED:
@@ -156,7 +159,7 @@ PLANE = 2
 """Dimension in which a rotation is weighed."""
 
 
-def _survey(search: Search) -> tuple[Search, Survey, bool]:
+def survey_first_steps(search: Search) -> tuple[Search, Survey, bool]:
     """A survey about the first steps of the free fit, and the search from there.
 
     Smoothed states miss the path of quick swimmers, and the data linearised about them

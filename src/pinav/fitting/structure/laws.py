@@ -25,7 +25,7 @@ from pinav.fitting.structure.trials import (
     with_profiles,
 )
 from pinav.forces import AbstractProfileTerm
-from pinav.forces.profiles import FITTED, FittedLaw
+from pinav.forces.fitted_laws import FITTED, FittedLaw
 
 SIZES, PLACES = 10, 16
 """Sizes and places of a law that are tried."""
@@ -197,7 +197,7 @@ def _laws(
     }
     for name, family in FITTED.items():
         if family.of_distances if term.is_odd else family.of_lines:
-            forms = np.zeros(1) if family.place else np.array(FORMS)
+            forms = np.zeros(1) if family.is_placed else np.array(FORMS)
             axes = [(grids | {"tail": forms})[number] for number in family.numbers]
             mesh = np.meshgrid(*axes, indexing="ij")
             numbers = [on_device(one.ravel()) for one in mesh]

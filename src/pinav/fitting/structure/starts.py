@@ -3,8 +3,9 @@
 Their kernels and their scanned places come from where the data are.
 """
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -40,6 +41,9 @@ RANKS = {2: 7, 3: 3}
 
 ANGLES = 18
 """Directions that are scanned."""
+
+
+Term = TypeVar("Term", bound=AbstractProfileTerm)
 
 
 class Region(eqx.Module):
@@ -158,26 +162,22 @@ def central_term(
     region: Region, center: Float[np.ndarray, " dim"], *, rotational: bool = False
 ) -> CentralTerm:
     """A central term about a place, without weight yet."""
-    return CentralTerm(
-        center=on_device(center), rotational=rotational, **_kernels(*region.distances())
-    )
+    make = _on_kernels(CentralTerm, *region.distances())
+    return make(center=on_device(center), rotational=rotational)
 
 
 def wall_term(region: Region, angle: float, *, rotational: bool = False) -> WallTerm:
     """A wall whose normal has this angle, without weight yet."""
-    return WallTerm(
-        angle=on_device(angle),
-        origin=on_device(region.middle),
-        rotational=rotational,
-        **_kernels(*region.offsets()),
-    )
+    make = _on_kernels(WallTerm, *region.offsets())
+    origin = on_device(region.middle)
+    return make(angle=on_device(angle), origin=origin, rotational=rotational)
 
 
-def _kernels(
-    places: Float[Array, " kernel"], width: Float[Array, ""]
-) -> dict[str, Any]:
+def _on_kernels(
+    kind: Callable[..., Term], places: Float[Array, " kernel"], width: Float[Array, ""]
+) -> Callable[..., Term]:
     weights = on_device(np.zeros(places.shape))
-    return {"weights": weights, "places": places, "width": width}
+    return functools.partial(kind, weights=weights, places=places, width=width)
 
 
 def linear_term(region: Region, *, rotational: bool = False) -> LinearTerm:
@@ -196,19 +196,27 @@ def circular(
     term: EllipticTerm | ObstaclesTerm, center: Float[Array, "2"]
 ) -> CentralTerm:
     """The central term about a place with the profile of an ellipse or of obstacles."""
-    return CentralTerm(center=center, **_profile_of(term))
+    return _with_profile(CentralTerm, term)(center=center)
 
 
 def obstacles_at(
     term: CentralTerm | ObstaclesTerm, centers: Float[Array, "center dim"]
 ) -> ObstaclesTerm:
     """Obstacles at several centres with the profile of a term."""
-    return ObstaclesTerm(centers=centers, **_profile_of(term))
+    return _with_profile(ObstaclesTerm, term)(centers=centers)
 
 
-def _profile_of(term: AbstractProfileTerm) -> dict[str, Any]:
-    names = ("weights", "places", "width", "rotational", "law")
-    return {name: getattr(term, name) for name in names}
+def _with_profile(
+    kind: Callable[..., Term], term: AbstractProfileTerm
+) -> Callable[..., Term]:
+    return functools.partial(
+        kind,
+        weights=term.weights,
+        places=term.places,
+        width=term.width,
+        rotational=term.rotational,
+        law=term.law,
+    )
 
 
 def ellipses(
@@ -217,9 +225,9 @@ def ellipses(
     shears: Float[np.ndarray, "shear 2"],
 ) -> list[EllipticTerm]:
     """Elliptic terms about several centres [L], each of several axes."""
-    kernels = _kernels(*region.distances())
+    make = _on_kernels(EllipticTerm, *region.distances())
     return [
-        EllipticTerm(center=on_device(center), shear=on_device(shear), **kernels)
+        make(center=on_device(center), shear=on_device(shear))
         for center in centers
         for shear in shears
     ]

@@ -37,8 +37,8 @@ from pinav.fitting.structure.response import (
 )
 from pinav.fitting.structure.starts import KERNELS
 from pinav.forces import AbstractProfileTerm, AbstractTerm, SumForce
+from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.priors import AbstractPrior
-from pinav.forces.profiles import FittedLaw
 from pinav.forces.structures import prior_of
 from pinav.threads import map_on_cores
 
