@@ -86,7 +86,6 @@ def short_run():
             schedule,
             stepper=Rosenbrock(),
             observe=probes_at(model, [0.004]),
-            start=AT_REST.state(own),
         )
         return jnp.stack(
             [
@@ -167,7 +166,6 @@ def test_reverse_mode_in_the_plane():
             schedule,
             stepper=stepper,
             observe=jnp.max,
-            start=AT_REST.state(own),
         )
         return jnp.log(jnp.sum(found.final.dose)) + found.observed[-1]
 
@@ -198,7 +196,6 @@ def centre_rise(count):
             plan_steps(protocol, 2000.0),
             stepper=Rosenbrock(),
             observe=probe,
-            start=AT_REST.state(model),
         )
         return found.observed[-1, 0] - 37.0
 
@@ -237,7 +234,6 @@ def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel(
             schedule,
             stepper=Rosenbrock(),
             observe=probe,
-            start=AT_REST.state(model),
         ).observed[-1, 0]
 
     probe = probes_at(model, [0.0])
