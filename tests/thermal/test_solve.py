@@ -6,6 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from validation.heat import exact
+from validation.heat.checks import powers as switched
+from validation.heat.checks import reference_model as medium
 from validation.heat.exact import SET_S
 
 from pinav.errors import InputError
@@ -219,9 +221,7 @@ def test_exact_sensitivities_at_second_order():
 
 
 @pytest.mark.slow
-def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel(
-    medium, switched
-):
+def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel():
     grid = RadialGrid.sphere(0.05, 400)
     model = medium(grid, 4e5 * grid.ball(0.005))
     edges = (0.0, 120.0, 300.0)
