@@ -51,7 +51,7 @@ class Range:
         above = -math.inf if self.above is None else self.above
         most = math.inf if self.most is None else self.most
         is_within = low <= number <= most and above < number < self.below
-        return is_within and (not self.doubling or math.log2(number).is_integer())
+        return bool(is_within) and (not self.doubling or math.log2(number).is_integer())
 
     def check(self, name: str, value: Any) -> None:
         """Require that the value, or each of several, lies within; words always do.
