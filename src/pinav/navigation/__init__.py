@@ -15,7 +15,7 @@ from pinav.navigation.comparison import Attempt as Attempt
 from pinav.navigation.comparison import compare_models as compare_models
 from pinav.navigation.comparison import navigate as navigate
 from pinav.navigation.control.compensation import DelayCompensation as DelayCompensation
-from pinav.navigation.control.compensation import DriftEstimation as DriftEstimation
+from pinav.navigation.control.compensation import StateEstimation as StateEstimation
 from pinav.navigation.control.controller import AbstractController as AbstractController
 from pinav.navigation.control.controller import Observation as Observation
 from pinav.navigation.control.controller import StraightLine as StraightLine

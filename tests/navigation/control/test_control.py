@@ -146,22 +146,6 @@ def test_a_path_is_followed_through_a_delay():
 
 
 @pytest.mark.slow
-def test_an_unknown_drift_is_found_on_the_way():
-    """The model does not know of it; tracking with the filter is as if it did."""
-    circle = CirclePath(center=[-2.0, 0.0], radius=1.0, period=12.0, phase=-np.pi / 2)
-    task = swimming((0.4, 0.2), objective=FollowPath(circle), time_limit=8.0)
-    blind = swimming().truth
-
-    def error(**settings):
-        pilot = controller(task, blind, **settings)
-        episode = run(task, pilot, key=jax.random.key(0))
-        targets = jax.vmap(task.objective.target)(jnp.asarray(episode.ts))
-        return np.linalg.norm(episode.states - np.asarray(targets), axis=1)[30:].mean()
-
-    assert error(drift=0.5) < error() / 3
-
-
-@pytest.mark.slow
 def test_a_course_is_that_of_the_model(tables):
     task = swimming((0.4, -0.3))
     prediction = TrajectoryPrediction(

@@ -1,7 +1,7 @@
-r"""Controllers around a controller: for delays, noisy sensors and unknown drift.
+r"""Controllers around a controller: for delays and noisy sensors.
 
 Each gives the controller inside a better observation: the state when the command will
-come into force, or the state and the drift that explain what was seen.
+come into force, or the one that explains what was seen.
 """
 
 import math
@@ -95,37 +95,30 @@ class FilterState(eqx.Module, Generic[Inner]):
     """Memory of a filter.
 
     Attributes:
-        mean: mean of state and drift after the last observation.
-        covariance: covariance of both.
-        command: the one in force when they were observed.
+        mean: mean of the state after the last observation.
+        covariance: its covariance.
+        command: the one in force when it was observed.
         time: time of the last observation [T].
         inner: memory of the controller inside.
     """
 
-    mean: Float[Array, " all"]
-    covariance: Float[Array, "all all"]
+    mean: State
+    covariance: Float[Array, "state state"]
     command: Command
     time: Float[Array, ""]
     inner: Inner
 
 
-class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
-    r"""Estimates a constant drift and the state, by an extended Kalman filter.
-
-    The controller inside observes the state followed by the drift, as `Drifting`
-    predictors take it. The drift is a rate that the model does not know: of the
-    velocity where there is inertia, else of the position; it starts at zero, with the
-    standard deviation `prior`, and may wander.
+class StateEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
+    r"""Estimates the state from noisy observations, by an extended Kalman filter.
 
     Attributes:
-        controller: decides by state and drift.
-        predictor: the model, of state and drift.
+        controller: decides by the estimated state.
+        predictor: the model.
         timing: when commands come into force.
         noise: strength of the white noise, as in `Task`.
         sensor_noise: standard deviation of each observed component.
-        prior: standard deviation of the drift at first.
-        wandering: of the drift, the standard deviation of its change in a unit of time.
-        dim: components of the drift.
+        dim: components of the velocity, or without inertia of the position.
 
     References:
         Jazwinski, Stochastic Processes and Filtering Theory (1970), ch. 8.
@@ -136,17 +129,12 @@ class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
     timing: Timing
     noise: float
     sensor_noise: float
-    prior: float
-    wandering: float = 0.0
     dim: int = eqx.field(static=True, default=2)
 
     def start(self, observation: Observation) -> FilterState[Inner]:
-        state = observation.state
-        mean = jnp.concatenate([state, jnp.zeros(self.dim, state.dtype)])
-        known = jnp.full(state.shape[0], self.sensor_noise**2, state.dtype)
-        spread = jnp.full(self.dim, self.prior**2, state.dtype)
-        covariance = jnp.diag(jnp.concatenate([known, spread]))
-        time = jnp.asarray(observation.time, state.dtype)
+        mean = observation.state
+        covariance = jnp.diag(jnp.full(len(mean), self.sensor_noise**2, mean.dtype))
+        time = jnp.asarray(observation.time, mean.dtype)
         inner = self.controller.start(Observation(time, mean, observation.pending))
         return FilterState(mean, covariance, observation.pending[0], time, inner)
 
@@ -162,17 +150,16 @@ class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
 
     def _update(
         self, observation: Observation, memory: FilterState[Inner]
-    ) -> tuple[Float[Array, " all"], Float[Array, "all all"]]:
+    ) -> tuple[State, Float[Array, "state state"]]:
         """Mean and covariance after an observation; as they were at the first one."""
-        elapsed = observation.time - memory.time
         mean, covariance = self._predict(observation, memory)
-        gain = self._gain(covariance)
-        known = observation.state.shape[0]
-        new = mean + gain @ (observation.state - mean[:known])
-        spread = covariance - gain @ covariance[:known]
+        error = self.sensor_noise**2 + LEAST * jnp.diag(covariance)
+        gain = jnp.linalg.solve(covariance + jnp.diag(error), covariance).T
+        new = mean + gain @ (observation.state - mean)
+        spread = covariance - gain @ covariance
         # Rounding makes the difference lopsided, and later steps would amplify that.
         spread = (spread + spread.T) / 2
-        first = elapsed <= 0
+        first = observation.time <= memory.time
         return (
             jnp.where(first, memory.mean, new),
             jnp.where(first, memory.covariance, spread),
@@ -180,13 +167,11 @@ class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
 
     def _predict(
         self, observation: Observation, memory: FilterState[Inner]
-    ) -> tuple[Float[Array, " all"], Float[Array, "all all"]]:
+    ) -> tuple[State, Float[Array, "state state"]]:
         """Mean and covariance one step on, under the commands that were in force."""
         first, second = self.timing.remainder, self.timing.rest
 
-        def onward(
-            mean: Float[Array, " all"],
-        ) -> tuple[Float[Array, " all"], Float[Array, " all"]]:
+        def onward(mean: State) -> tuple[State, State]:
             t, moved = memory.time, mean
             if first > 0:
                 moved = self.predictor.step(t, moved, memory.command, first)
@@ -197,21 +182,9 @@ class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
 
         # Forward mode, for few inputs; the step itself comes out beside its slope.
         slope, mean = jax.jacfwd(onward, has_aux=True)(memory.mean)
-        return mean, slope @ memory.covariance @ slope.T + self._process_noise(mean)
-
-    def _process_noise(self, mean: Float[Array, " all"]) -> Float[Array, "all all"]:
-        """Contribution of a step to the covariance."""
-        size, step = mean.shape[0], self.timing.step
-        variances = jnp.zeros(size, mean.dtype)
-        variances = variances.at[-2 * self.dim : -self.dim].add(self.noise**2 * step)
-        variances = variances.at[-self.dim :].add(self.wandering**2 * step)
-        return jnp.diag(variances)
-
-    def _gain(self, covariance: Float[Array, "all all"]) -> Float[Array, "all known"]:
-        known = covariance.shape[0] - self.dim
-        observed = covariance[:known, :known]
-        error = self.sensor_noise**2 + LEAST * jnp.diag(observed)
-        return jnp.linalg.solve(observed + jnp.diag(error), covariance[:known]).T
+        moved = jnp.arange(len(mean)) >= len(mean) - self.dim
+        kicks = jnp.where(moved, self.noise**2 * self.timing.step, 0.0)
+        return mean, slope @ memory.covariance @ slope.T + jnp.diag(kicks)
 
 
 LEAST = 1e-6

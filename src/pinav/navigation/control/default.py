@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from pinav.navigation.control.compensation import (
     DelayCompensation,
-    DriftEstimation,
+    StateEstimation,
     Timing,
 )
 from pinav.navigation.control.controller import AbstractController
@@ -15,7 +15,6 @@ from pinav.navigation.control.prediction import (
     TrackingCost,
     TrajectoryPrediction,
 )
-from pinav.navigation.model.predictors import AbstractPredictor, Drifting
 from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
 from pinav.navigation.planning.plan import check_places, time_to_go
 from pinav.navigation.task.objectives import ReachGoal
@@ -29,13 +28,12 @@ def controller(
     *,
     samples: Sequence[SteeredSwimmer] = (),
     risk_aversion: float = 4.0,
-    drift: float | None = None,
 ) -> AbstractController:
     """Plan and control a task with a model: the truth of the task is not used.
 
     To reach a place: path integral control towards the plan's time-to-go. To follow a
-    path: shooting. Both inside a filter of drift and sensor noise where the task has a
-    noisy sensor or a `drift` is given, and a compensation of the delay if there is one.
+    path: shooting. Both inside a filter where the task has a noisy sensor, and a
+    compensation of the delay if there is one.
 
     Args:
         task: what is to be done, and within which limits.
@@ -43,55 +41,45 @@ def controller(
         samples: of the model's posterior, none or at least two: where they disagree,
             time costs more.
         risk_aversion: cost of time where their spread is as great as the thrust.
-        drift: standard deviation of a constant rate that the model does not know, and
-            that is estimated on the way [L T⁻¹], or [L T⁻²] with inertia; 0 for none.
-            Unless given, none.
 
     Raises:
         InputError: the task cannot be done with the model: see `time_to_go`.
     """
     check_places(task)
     tables = tabulate_model(task, model, samples=samples, risk_aversion=risk_aversion)
-    filtered = task.sensor_noise > 0 or bool(drift)
     predictor = tables.predictor
-    if filtered:
-        predictor = Drifting(predictor, task.dim)
-    steered = _undelayed_controller(task, model, tables, predictor)
+    steered = _undelayed_controller(task, model, tables)
     timing = Timing(task.step, task.delay)
     # The filter stands outside: it must see observations as they are, not ahead.
     if task.delay > 0:
         steered = DelayCompensation(steered, predictor, timing)
-    if filtered:
-        steered = DriftEstimation(
+    if task.sensor_noise > 0:
+        steered = StateEstimation(
             steered,
             predictor,
             timing,
-            dim=task.dim,
             noise=task.noise,
             sensor_noise=task.sensor_noise,
-            prior=drift or 0.0,
+            dim=task.dim,
         )
     return steered
 
 
 def _undelayed_controller(
-    task: Task,
-    model: SteeredSwimmer,
-    tables: TabulatedModel,
-    predictor: AbstractPredictor,
+    task: Task, model: SteeredSwimmer, tables: TabulatedModel
 ) -> AbstractController:
     """The controller without delay and with a good sensor."""
+
+    def predict(steps: int) -> TrajectoryPrediction:
+        return TrajectoryPrediction(
+            tables.predictor, tables.control_map, task.step, steps
+        )
+
     if isinstance(task.objective, ReachGoal):
         plan = time_to_go(task, model, tables=tables)
-        prediction = TrajectoryPrediction(
-            predictor, tables.control_map, task.step, STEPS
-        )
-        return PathIntegral(prediction, ArrivalCost(plan), GradientGuide(plan))
-    prediction = TrajectoryPrediction(
-        predictor, tables.control_map, task.step, TRACKING_STEPS
-    )
+        return PathIntegral(predict(STEPS), ArrivalCost(plan), GradientGuide(plan))
     cost = TrackingCost(task.objective, tables.time_cost)
-    return GradientMPC(prediction, cost)
+    return GradientMPC(predict(TRACKING_STEPS), cost)
 
 
 STEPS = 20

@@ -97,30 +97,6 @@ class OverdampedTable(AbstractPredictor):
         return y + duration * velocity(self.table(t + duration / 2, middle))
 
 
-class Drifting(AbstractPredictor):
-    r"""Another predictor, and a constant rate that it does not know.
-
-    The rate b comes last in the state: (x, b) or (x, v, b). It adds to the
-    velocity [L T⁻¹], or to the acceleration [L T⁻²] where there is one: half of it
-    before the step of the other predictor and half after, which is of second order.
-
-    Attributes:
-        predictor: what is known.
-        dim: components of the rate.
-    """
-
-    predictor: AbstractPredictor
-    dim: int = eqx.field(static=True, default=2)
-
-    def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
-        dim = self.dim
-        state, drift = y[:-dim], y[-dim:]
-        half = jnp.asarray(duration, y.dtype) / 2 * drift
-        state = state.at[-dim:].add(half)
-        state = self.predictor.step(t, state, command, duration).at[-dim:].add(half)
-        return jnp.concatenate([state, drift])
-
-
 class ControlMap(eqx.Module):
     r"""Commands as controls: vectors in the unit ball, in units of the greatest thrust.
 
