@@ -133,15 +133,7 @@ def try_model(
     seed: int,
     steering: AbstractController | None = None,
 ) -> Attempt:
-    """All closed loops with a model; one that sees no way is an answer, too.
-
-    Args:
-        problem: the task, and what is known of it.
-        name: name of the model.
-        seeds: number of loops.
-        seed: seed of their noise.
-        steering: its controller, where it was made already.
-    """
+    """All closed loops with a model; one that sees no way is an answer, too."""
     try:
         steering = problem.controller_with(name) if steering is None else steering
     except InputError as error:

@@ -21,9 +21,6 @@ class Course:
 
     Attributes:
         arena: lower and upper corner [L].
-        start: position of the start [L].
-        goal: middle of the goal [L].
-        tolerance: radius of the goal [L].
         discs: centre and radius of each disc, or ball, that must not be entered [L].
     """
 
@@ -49,12 +46,7 @@ class Course:
 
 
 class ArenaGrid(NamedTuple):
-    """Equally spaced points of an arena.
-
-    Attributes:
-        x: their coordinates along x [L].
-        y: their coordinates along y [L].
-    """
+    """Equally spaced points of an arena."""
 
     x: Float[np.ndarray, " x"]
     y: Float[np.ndarray, " y"]
@@ -96,8 +88,6 @@ class ForceMaps:
     """Forces on the arena.
 
     Attributes:
-        learned: the learned one.
-        truth: the true one, where it is known.
         sd: standard deviation of each component of the learned one [L T⁻²], where it is
             known.
     """

@@ -39,8 +39,6 @@ class Evidence:
     """A fit of trajectories with a posterior, which further ones can improve.
 
     Attributes:
-        posterior: of the model.
-        noise: standard deviation of what was observed.
         states: smoothed states of the data.
     """
 
@@ -55,7 +53,6 @@ class NavigationProblem:
 
     Attributes:
         task: its truth is that of the system, or the model where there is none.
-        model: the fitted swimmer.
         data: what was fitted.
         units: units of the channels, and the order of the dynamics.
         samples: draws of the posterior; none where the fit has no posterior.
@@ -142,9 +139,6 @@ class NavigationProblem:
 
     def controller_with(self, name: str) -> AbstractController:
         """The controller that takes a model for true.
-
-        Args:
-            name: one of `models`.
 
         Raises:
             InputError: start or goal are in a wall or outside the arena, or the goal

@@ -31,7 +31,6 @@ class PlanLattice:
         scale: time in which a value falls to 1/e [T].
         ahead: time that the control looks ahead [T].
         horizon: time limit of the task [T].
-        thrusts: thrusts that the control tries.
     """
 
     values: Float[np.ndarray, "..."]
@@ -52,9 +51,7 @@ class PlannedWay:
         route_time: the same along the planned route [T]; infinite if it does not
             arrive.
         unreachable: fraction of the arena from which the goal cannot be reached.
-        route: positions along the planned route, a control step apart [L].
         times: time to go from rest on the arena [T]; infinite where there is no way.
-        lattice: values of the plan; none in space.
     """
 
     time: float
@@ -84,16 +81,13 @@ class Navigation(AbstractNavigation):
 
     Attributes:
         truth: name of the system whose environment is the truth; none if not known.
-        plan: plan on the learned force.
         controllers: performance, by the model with which they plan.
         regret: arrival times over those with the truth, by the same.
         refused: reasons why there is no run with a model, by its name.
         computing: computing times of the controller with the learned model.
         units: units of the channels, and the order of the dynamics.
-        thrust: greatest thrust.
         delay: time from command to motion [T].
         step: time for which a command holds [T].
-        course: places of the task.
         episodes: closed loops, by the model with which the controller plans.
         maps: forces on the arena; none in space.
         suggestion: trajectory to record next; none where the fit tells of none.
@@ -120,16 +114,13 @@ class OnlineNavigation(AbstractNavigation):
     """Flights of swimmers that learn a force on the way.
 
     Attributes:
-        task: its name.
         position_noise: standard deviation of the observed positions [L].
         delay: time from command to thrust [T].
         time_limit: time when a flight is given up [T].
         own_limit: time limit of the task itself [T].
-        thrust: greatest thrust.
         step: time between two frames [T].
         prior: True where the first visit began with a fit.
         units: units of the channels, and the order of the dynamics.
-        course: places of the task.
         controllers: performance of the oracle, and of the visits.
         paths: true positions of each swimmer at the frames, by the controller [L].
         shown: first flight of the first swimmer.
@@ -158,14 +149,7 @@ class OnlineNavigation(AbstractNavigation):
         own_limit: float,
         units: Mapping[str, str],
     ) -> "OnlineNavigation":
-        """The result of the flights of some swimmers.
-
-        Args:
-            adaptive: the controller, as it began.
-            swimmers: their flights; the first one with what is shown.
-            own_limit: time limit of the task itself [T].
-            units: units of the channels, and the order of the dynamics.
-        """
+        """The result of the flights of some swimmers."""
         task, shown = adaptive.task, swimmers[0].shown
         assert shown is not None
         flights = {

@@ -38,11 +38,6 @@ class Suggestion:
         sd_after: the same, expected after the trajectory.
         sd_after_random: the same, expected after a random one; none where all of these
             leave the arena.
-        start: place of release [L].
-        duration: duration of the trajectory [T].
-        times: times of the commands [T].
-        frequency: commanded frequency then [cycles T⁻¹].
-        heading: commanded heading then [rad].
         path: predicted positions [L].
     """
 
@@ -61,11 +56,6 @@ def suggest_trajectory(
     problem: NavigationProblem, route: Float[np.ndarray, "time 2"], *, seed: int
 ) -> Suggestion | None:
     """The trajectory that would tell most about the force along a route.
-
-    Args:
-        problem: the task, and what is known of it.
-        route: places along which the force matters [L].
-        seed: seed of the candidates.
 
     Returns:
         The trajectory; none where the fit has no evidence that one could improve.

@@ -15,13 +15,7 @@ from pinav.navigation.trials.situation import Situation
 
 
 class Visit(NamedTuple):
-    """A flight, and what is believed after it.
-
-    Attributes:
-        flight: its record.
-        belief: belief at the end.
-        moments: beliefs on the way, to be shown.
-    """
+    """A flight, and what is believed after it."""
 
     flight: Flight
     belief: Belief
@@ -76,14 +70,7 @@ def fly(
 
 @dataclasses.dataclass
 class _Notes:
-    """Notes on a flight, as it goes.
-
-    Attributes:
-        every: time between the beliefs that are kept [T].
-        due: when the next one is kept [T].
-        stalls: frames at which no progress was noticed.
-        changed: commands that the safety filter changed.
-    """
+    """Notes on a flight, as it goes."""
 
     every: float
     due: float = 0.0

@@ -22,12 +22,7 @@ from pinav.navigation.task.task import Task
 
 
 def motion_of(task: Task, physics: TabulatedModel) -> AbstractMotion:
-    """The motion of a belief: its drag is the mean over arena and directions.
-
-    Args:
-        task: which states the noise.
-        physics: tables without the environment.
-    """
+    """The motion of a belief: its drag is the mean over arena and directions."""
     if isinstance(physics.predictor, InertialTable):
         drag = np.asarray(physics.table.values[0, ..., 2:]).reshape(-1, 2, 2)
         return InertialMotion(float(np.mean(np.trace(drag.T))) / 2, task.noise)
@@ -35,13 +30,7 @@ def motion_of(task: Task, physics: TabulatedModel) -> AbstractMotion:
 
 
 def with_known(frame: Frame, belief: Belief, physics: TabulatedModel) -> Frame:
-    """A frame whose thrust is all that is known of the rate since the last one.
-
-    Args:
-        frame: with the mean thrust since the last one.
-        belief: before it.
-        physics: tables without the environment.
-    """
+    """A frame whose thrust is all that is known of the rate since the last one."""
     elapsed = frame.time - belief.time
     rate = known_rate(belief.best, frame.thrust, elapsed, physics)
     return dataclasses.replace(frame, thrust=rate)
@@ -56,12 +45,6 @@ def known_rate(
     place. With the thrust u and the drag $\gamma$ of the motion, the known rate is
     $a + u - (D - \gamma)\,v$ with inertia and $a + M u$ without, at the middle of the
     way as it was believed.
-
-    Args:
-        before: the filter that leads, at the beginning of the way.
-        thrust: u.
-        elapsed: duration of the way [T].
-        physics: tables without the environment.
     """
     motion, state = before.motion, before.state
     dim = motion.dim_of(state)

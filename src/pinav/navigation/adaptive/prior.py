@@ -32,10 +32,6 @@ DISTRUST = 0.05
 def environment_rate(task: Task, model: SteeredSwimmer) -> GivenForce:
     """The environment of a model, as a contribution to the rate of a swimmer at rest.
 
-    Args:
-        task: task with the arena.
-        model: the swimmer.
-
     Raises:
         InputError: the environment changes in time.
     """
@@ -97,9 +93,6 @@ def with_prior_of(
 
 def with_truth(adaptive: AdaptiveController) -> AdaptiveController:
     """The oracle: a controller that knows the true force, and estimates its state.
-
-    Args:
-        adaptive: the controller.
 
     Raises:
         InputError: the true force changes in time.

@@ -55,7 +55,6 @@ class CommandVerdict:
     """The decision of the filter on a command.
 
     Attributes:
-        command: the one to give.
         margin: least distance of the tube from forbidden places [L].
         changed: whether it is another than the controller's.
     """

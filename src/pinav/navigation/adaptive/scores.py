@@ -44,11 +44,6 @@ def score_force(
 ) -> tuple[float, float]:
     """Error and cover of a belief along the true path.
 
-    Args:
-        path: true positions [L].
-        belief: at the end of it.
-        task: which holds the truth.
-
     Returns:
         Root sum of squared errors of the force over that of the force, and the fraction
         of its components within their bands of 95 %.
@@ -65,10 +60,7 @@ class Flight:
 
     Attributes:
         path: true positions at the frames [L].
-        reached: whether the goal was reached.
-        violated: whether a forbidden place was entered.
         arrival_time: [T]; infinite if it was not.
-        clearance: least distance from forbidden places [L].
         consistency: mean of the squared error of the position over its variance.
         changed: commands that the safety filter changed.
         stalls: frames at which no progress was noticed.
@@ -101,13 +93,10 @@ class FlightOutcome:
     """Flights of one controller on one task.
 
     Attributes:
-        runs: number of flights.
         success: proportion that arrived without a violation.
         in_time: proportion that arrived within the task's own time limit.
         violation: proportion that entered a forbidden place.
-        arrival: arrival times of those that arrived [T].
         regret: median over pairs of arrival time / the oracle's; none for the oracle.
-        clearance: least distance from forbidden places [L].
         force_error: median error of the force over the visited path; none for the
             oracle.
         cover: mean fraction of true forces within their bands of 95 %, there.
@@ -183,12 +172,7 @@ def judge_flights(
 def judge_controllers(
     flights: Mapping[str, Sequence[Flight]], own_limit: float
 ) -> dict[str, FlightOutcome]:
-    """The outcome of each controller, in pairs with the oracle.
-
-    Args:
-        flights: flights of the oracle and of others, of the same keys.
-        own_limit: time limit of the task itself [T].
-    """
+    """The outcome of each controller, in pairs with the oracle."""
     oracle = flights[ORACLE]
     return {
         name: judge_flights(some, own_limit, oracle if name != ORACLE else ())

@@ -81,13 +81,9 @@ class ControllerState:
     """The memory of the controller between two frames.
 
     Attributes:
-        belief: state of the swimmer and force, after the last frame.
-        plan: the last one.
         lattice: on which the plan stands.
         planned: time at which it was made [T].
-        leader: filter that led then.
         controls: sequence of thrusts that is improved from step to step.
-        progress: places where the swimmer was, and whether it comes to new ones.
         pending: commands that waited at the last decision, as in `Observation`.
         verdict: of the safety filter on the last command; none where it is not used.
         learn_time: computing time of the last frame [s]; NaN for the first one.
@@ -116,7 +112,6 @@ class AdaptiveController(AbstractController[ControllerState]):
     alone. It decides in Python: its calls can be neither traced nor batched.
 
     Attributes:
-        task: what is to be done; its truth is not used.
         strategy: treatment of what is not known in the plan.
         physics: tables of what is known.
         motion: the same for the belief.
@@ -207,11 +202,7 @@ class AdaptiveController(AbstractController[ControllerState]):
         )
 
     def believe(self, frame: Frame) -> Belief:
-        """The belief after the first frame of a swimmer that rests.
-
-        Args:
-            frame: the first one.
-        """
+        """The belief after the first frame of a swimmer that rests."""
         if self.known is not None:
             return self.known.restart(frame, speed_sd=self.rest_sd(frame))
         return Belief.start(
@@ -228,9 +219,6 @@ class AdaptiveController(AbstractController[ControllerState]):
         """Standard deviation of a component of a resting swimmer's velocity [L T⁻¹].
 
         In a tenth of the time to cross the arena it goes as far as positions err.
-
-        Args:
-            frame: the first one.
         """
         return 10 * frame.sd / self.crossing
 
@@ -252,12 +240,7 @@ class AdaptiveController(AbstractController[ControllerState]):
     def begin(
         self, belief: Belief, pending: Float[Array, "command 2"]
     ) -> ControllerState:
-        """The memory before the first command; the first plan is complete.
-
-        Args:
-            belief: after the first frame.
-            pending: as in `Observation`.
-        """
+        """The memory before the first command; the first plan is complete."""
         tables = self.strategy.tables(belief, self.physics, self.thrust)
         state = belief.state.mean
         return ControllerState(
@@ -280,12 +263,7 @@ class AdaptiveController(AbstractController[ControllerState]):
     def learn(
         self, memory: ControllerState, observation: Observation
     ) -> ControllerState:
-        """The memory after a frame: its belief, and the plan where one is due.
-
-        Args:
-            memory: before it.
-            observation: a control step after the last one.
-        """
+        """The memory after a frame: its belief, and the plan where one is due."""
         began = time.perf_counter()
         queue = jnp.concatenate([memory.pending[:1], observation.pending])
         frame = self._frame(observation, mean_thrust(self.task, queue))

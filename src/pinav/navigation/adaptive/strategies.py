@@ -32,13 +32,7 @@ class AbstractStrategy(eqx.Module):
     def tables(
         self, belief: Belief, physics: TabulatedModel, thrust: float
     ) -> TabulatedModel:
-        """Tables of the mean force, with a price where it is not known.
-
-        Args:
-            belief: belief at the moment.
-            physics: tables without the environment.
-            thrust: greatest rate that the thrust gives.
-        """
+        """Tables of the mean force, with a price where it is not known."""
 
 
 class MeanForce(AbstractStrategy):
@@ -116,12 +110,7 @@ def mean_and_spread(
 def with_force(
     physics: TabulatedModel, force: Float[np.ndarray, "x y 2"]
 ) -> TabulatedModel:
-    """Tables with a force, or a velocity, added to what is known.
-
-    Args:
-        physics: tables without the environment.
-        force: on their grid.
-    """
+    """Tables with a force, or a velocity, added to what is known."""
     values = np.array(physics.table.values)
     values[..., :2] += force
     table = FieldTable(physics.table.grid, jnp.asarray(values))

@@ -33,7 +33,6 @@ class ShownFlight:
         truth: true force along the path.
         mean: learned force along the path, at the end.
         sd: standard deviation of its components.
-        times: moments of the flight [T].
         means: learned force on the arena at these moments.
         sds: standard deviation of its components.
     """

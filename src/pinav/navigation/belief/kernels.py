@@ -44,7 +44,6 @@ class KernelGrid:
     Attributes:
         lower: first centre [L].
         width: b, spacing of the centres and width of the kernels [L].
-        shape: centres along each axis.
     """
 
     lower: Float[np.ndarray, " dim"]
@@ -117,11 +116,7 @@ class KernelGrid:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AbstractKernels(abc.ABC):
-    """A kind of force, as kernels on a grid.
-
-    Attributes:
-        grid: where the kernels stand.
-    """
+    """A kind of force, as kernels on a grid."""
 
     grid: KernelGrid
 
@@ -149,12 +144,7 @@ class AbstractKernels(abc.ABC):
         axes: Sequence[Float[np.ndarray, " _"]],
         weights: Float[np.ndarray, "... weight"],
     ) -> Float[np.ndarray, "... dim"]:
-        """Force at the points of a lattice, axis by axis.
-
-        Args:
-            axes: coordinates of the lattice along each axis [L].
-            weights: of one force or of several.
-        """
+        """Force at the points of a lattice, axis by axis."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -70,11 +70,6 @@ class DelayCompensation(AbstractController[Inner], Generic[Inner]):
     Until then the swimmer does what was commanded before: a model says where it will
     be. Without noise, and with a true model, the delay then costs nothing but its first
     moments.
-
-    Attributes:
-        controller: decides as if there were no delay.
-        predictor: the model.
-        timing: when commands come into force.
     """
 
     controller: AbstractController[Inner]
@@ -96,7 +91,6 @@ class FilterState(eqx.Module, Generic[Inner]):
 
     Attributes:
         mean: mean of the state after the last observation.
-        covariance: its covariance.
         command: the one in force when it was observed.
         time: time of the last observation [T].
         inner: memory of the controller inside.
@@ -113,9 +107,6 @@ class StateEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
     r"""Estimates the state from noisy observations, by an extended Kalman filter.
 
     Attributes:
-        controller: decides by the estimated state.
-        predictor: the model.
-        timing: when commands come into force.
         noise: strength of the white noise, as in `Task`.
         sensor_noise: standard deviation of each observed component.
         dim: components of the velocity, or without inertia of the position.

@@ -51,12 +51,7 @@ class AbstractController(eqx.Module, Generic[Memory]):
 
 
 class StraightLine(AbstractController[tuple[()]]):
-    """Straight to the target with all thrust, whatever is in between.
-
-    Attributes:
-        objective: what is to be done.
-        limits: what may be commanded.
-    """
+    """Straight to the target with all thrust, whatever is in between."""
 
     objective: AbstractObjective
     limits: CommandLimits

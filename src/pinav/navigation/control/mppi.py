@@ -42,8 +42,6 @@ class PathIntegral(AbstractController[Controls]):
     trap.
 
     Attributes:
-        prediction: what follows from a sequence, and the steps it has.
-        cost: cost of a course.
         guide: proposes a further sequence in each step, or None.
         samples: random sequences in each round, at least 2.
         rounds: of improvement in a step, positive.
@@ -156,7 +154,6 @@ class GradientMPC(AbstractController[Controls]):
     met is the answer. Kept sequences are moved on by one from step to step.
 
     Attributes:
-        prediction: what follows from a sequence, and the steps it has.
         cost: of a course; differentiable almost everywhere.
         guide: proposes a further sequence in each step, or None.
         iterations: steps of descent, positive.

@@ -25,8 +25,6 @@ class TrajectoryPrediction(eqx.Module):
     """Predictions of a fixed number of steps.
 
     Attributes:
-        predictor: the model.
-        control_map: what command a control stands for.
         step: how long a command holds [T].
         steps: how many are predicted, positive.
 
@@ -83,11 +81,7 @@ class AbstractGuide(eqx.Module):
 
 
 class GradientGuide(AbstractGuide):
-    """Always to where the time-to-go is least a step of the plan later.
-
-    Attributes:
-        plan: the time-to-go.
-    """
+    """Always to where the time-to-go is least a step of the plan later."""
 
     plan: TimeToGo
 
@@ -123,13 +117,7 @@ class AbstractCost(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, ts: Times, ys: Course, controls: Controls) -> Float[Array, ""]:
-        """Cost of a course.
-
-        Args:
-            ts: times, the first of which is now [T].
-            ys: states then.
-            controls: thrust in each step, in units of the greatest thrust.
-        """
+        """Cost of a course."""
 
 
 class ArrivalCost(AbstractCost):
@@ -137,9 +125,6 @@ class ArrivalCost(AbstractCost):
 
     Each unit of time costs what `TimeCost` says, and each step into a wall the
     time limit of the task.
-
-    Attributes:
-        plan: time-to-go, goal and walls.
     """
 
     plan: TimeToGo

@@ -47,7 +47,6 @@ class Decision:
 
     Attributes:
         way: the planned one [L]; the straight line where no plan arrives.
-        arrives: whether the plan arrives at the goal.
         error: bound of the relative error of the force along the way, which holds with
             a probability of 95 %.
         true_error: the relative error itself, where the truth is known.
@@ -71,7 +70,6 @@ class Campaign:
         accuracy: relative error of the force that was asked for.
         paths: true positions of each trajectory [L].
         decisions: before the first trajectory and after each.
-        belief: belief at the end.
     """
 
     accuracy: float
@@ -139,13 +137,7 @@ def run_campaign(
 
 
 def record_positions(task: Task, region: Rectangle, duration: float) -> Experiment:
-    """The experiment of a task whose positions alone are observed.
-
-    Args:
-        task: which states the error of a position.
-        region: region in which swimmers are released.
-        duration: duration of a trajectory [T].
-    """
+    """The experiment of a task whose positions alone are observed."""
     knot = max(duration / KNOTS, task.step)
     noise = np.full(len(task.start), np.inf)
     noise[:2] = task.sensor_noise
@@ -169,12 +161,6 @@ def record(
     key: PRNGKeyArray,
 ) -> tuple[list[Frame], Float[np.ndarray, "time 2"]]:
     """A trajectory of the true swimmer, until it leaves the arena.
-
-    Args:
-        task: the truth, its noise, and what is forbidden.
-        experiment: its recording.
-        candidate: a single one.
-        key: random key of the noise.
 
     Returns:
         Its frames, and the true positions then [L].
@@ -248,10 +234,6 @@ def decide(adaptive: AdaptiveController, belief: Belief) -> Decision:
 
     The error of a draw F of the belief is $|F - \bar F| / |F|$, root sums of squares
     over the way; the bound is its quantile of 95 %.
-
-    Args:
-        adaptive: the task and its planner.
-        belief: belief on the force.
     """
     task = adaptive.task
     tables = MeanForce().tables(belief, adaptive.physics, adaptive.thrust)

@@ -15,12 +15,7 @@ from pinav.navigation.task.task import Rectangle
 
 
 class CommandedThrust(AbstractForce):
-    """The thrust that an actuator makes of a programme of commands.
-
-    Attributes:
-        programme: frequency and heading over time.
-        actuator: what a command does to the swimmer.
-    """
+    """The thrust that an actuator makes of a programme of commands."""
 
     programme: AbstractProgramme
     actuator: AbstractActuator
@@ -33,7 +28,6 @@ class CandidateTrajectories(eqx.Module):
     """Trajectories that could be recorded, as a batch.
 
     Attributes:
-        starts: first states.
         frequency: commanded at each knot [cycles T⁻¹].
         heading: commanded at each knot [rad].
     """
@@ -57,8 +51,6 @@ class Experiment(eqx.Module):
     follow a random walk; frequencies are uniform up to their limit.
 
     Attributes:
-        actuator: what a command does.
-        limits: what may be commanded.
         region: region in which swimmers are released.
         duration: of a trajectory [T], positive.
         interval: between two samples [T], positive.
@@ -110,12 +102,7 @@ class Experiment(eqx.Module):
 
     @eqx.filter_jit
     def draw(self, count: int, *, key: PRNGKeyArray) -> CandidateTrajectories:
-        """Random candidates: released at rest, uniformly in the region.
-
-        Args:
-            count: how many.
-            key: random key.
-        """
+        """Random candidates: released at rest, uniformly in the region."""
         place_key, first_key, turn_key, frequency_key = jax.random.split(key, 4)
         lower, upper = self.region.lower, self.region.upper
         fraction = jax.random.uniform(place_key, (count, 2))

@@ -31,9 +31,6 @@ class Stage:
     """The state of a campaign.
 
     Attributes:
-        adaptive: the task, and what is known of it.
-        experiment: recording of the trajectories.
-        belief: belief on the force.
         way: along which the force matters [L].
         count: trajectories so far.
     """
@@ -50,12 +47,7 @@ class AbstractDesign(eqx.Module):
 
     @abc.abstractmethod
     def choose(self, stage: Stage, *, key: PRNGKeyArray) -> CandidateTrajectories:
-        """The next trajectory, a single one.
-
-        Args:
-            stage: state of the campaign.
-            key: random key.
-        """
+        """The next trajectory, a single one."""
 
 
 class RandomDesign(AbstractDesign):
@@ -102,11 +94,6 @@ class InformedDesign(AbstractDesign):
     expects, which leaves its mean and lowers its covariance. Half of the candidates are
     released on the way and begin along it, if they may be released there. The best one
     is varied in further rounds.
-
-    Attributes:
-        candidates: in the first round.
-        variations: in each further round.
-        rounds: of variations.
     """
 
     candidates: int = eqx.field(static=True, default=24)
@@ -134,10 +121,6 @@ def expected_sd(stage: Stage, candidate: CandidateTrajectories) -> float:
     """Standard deviation of the force along a way that is expected after a candidate.
 
     Infinite where the candidate should enter something forbidden.
-
-    Args:
-        stage: before the candidate.
-        candidate: a single one.
     """
     adaptive, experiment, task = stage.adaptive, stage.experiment, stage.adaptive.task
     step = COARSE * task.step

@@ -60,13 +60,7 @@ def believe_data(
 def frames_of(
     swimmer: Swimmer | OverdampedSwimmer, piece: Trajectory, position_noise: float
 ) -> Iterator[Frame]:
-    """The observed positions of a trajectory, with the thrust before each.
-
-    Args:
-        swimmer: whose propulsion drove it.
-        piece: one trajectory.
-        position_noise: standard deviation of each coordinate [L].
-    """
+    """The observed positions of a trajectory, with the thrust before each."""
     driven = drive_by_commands(swimmer, piece)
     seen = np.flatnonzero(piece.observed[:, :2].all(axis=1))
     last = None

@@ -81,10 +81,8 @@ class PosteriorInformation(eqx.Module):
 
     Attributes:
         free: swimmer as a function of its parameters; commands replace its propulsion.
-        theta: mean of the parameters.
         root: matrix whose product with its transpose is their covariance.
         way: points along which the force matters [L].
-        experiment: how candidates would be recorded.
         arena: what they should not leave, as far as the model knows.
     """
 

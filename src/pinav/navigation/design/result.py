@@ -145,7 +145,6 @@ class CampaignSummary:
     """Campaigns of one design in a simulation.
 
     Attributes:
-        campaigns: number of them.
         finished: campaigns in which the way became known by the belief.
         trajectories: median number of trajectories until then; infinite where more than
             half did not finish.
@@ -194,10 +193,6 @@ class NextTrajectory:
     Attributes:
         sd_after: standard deviation of the force along the way that is expected after
             it.
-        start: place of release [L].
-        times: times of the commands [T].
-        frequency: commanded frequency then [cycles T⁻¹].
-        heading: commanded heading then [rad].
     """
 
     sd_after: float
@@ -208,12 +203,7 @@ class NextTrajectory:
 
     @classmethod
     def informed(cls, stage: Stage, *, key: PRNGKeyArray) -> "NextTrajectory | None":
-        """The choice of the informed design; none where all leave the arena.
-
-        Args:
-            stage: state of the campaign.
-            key: random key of the candidates.
-        """
+        """The choice of the informed design; none where all leave the arena."""
         chosen = InformedDesign().choose(stage, key=key)
         after = expected_sd(stage, chosen)
         if not np.isfinite(after):
@@ -228,7 +218,6 @@ class Recorded:
     """The knowledge of recordings of a lab.
 
     Attributes:
-        trajectories: number of recorded ones.
         arrives: True where the plan on the learned force reaches the goal.
         error: bound of the relative error of the force along the way (95 %).
         certain: True where nothing further need be recorded.
@@ -247,12 +236,9 @@ class DesignResult:
     """Trajectories until the force along a way is known.
 
     Attributes:
-        system: its name.
         accuracy: relative error of the force along the way that is small enough.
-        course: places of the task.
         maps: learned force after the first campaign, or the recordings.
         way: way that is planned then [L].
-        thrust: greatest thrust [L T⁻²].
         paths: trajectories of the first campaign of each design, or the recordings [L].
         designs: simulated campaigns by the name of their design.
         bounds: bound of the error after each trajectory, by design and campaign.

@@ -32,11 +32,7 @@ class AbstractPredictor(eqx.Module):
 
 
 class SwimmerPredictor(AbstractPredictor):
-    """A model itself, by a Runge-Kutta step.
-
-    Attributes:
-        swimmer: the model.
-    """
+    """A model itself, by a Runge-Kutta step."""
 
     swimmer: SteeredSwimmer
 
@@ -53,7 +49,6 @@ class InertialTable(AbstractPredictor):
 
     Attributes:
         table: acceleration at rest [L T⁻²] and drag [T⁻¹], of `tabulate`.
-        actuator: what a command does.
     """
 
     table: FieldTable
@@ -78,7 +73,6 @@ class OverdampedTable(AbstractPredictor):
 
     Attributes:
         table: velocity without thrust [L T⁻¹] and mobility, of `tabulate`.
-        actuator: what a command does.
     """
 
     table: FieldTable
@@ -105,8 +99,6 @@ class ControlMap(eqx.Module):
 
     Attributes:
         frequency: $f_b$ [cycles T⁻¹].
-        limits: what may be commanded.
-        actuator: what a command does.
         dim: components of a control.
     """
 
@@ -199,8 +191,6 @@ class TimeCost(eqx.Module):
     that the greatest thrust gives.
 
     Attributes:
-        keep_out: what must not be entered.
-        arena: what must not be left.
         margin: m, from a wall, over which time costs more [L], positive.
         steepness: k.
         spread: s / u, dimensionless; zeros where the model is taken for true.
@@ -235,14 +225,7 @@ class TimeCost(eqx.Module):
 def entry_fraction(
     x: Vector, displacement: Vector, goal: Vector, tolerance: Scalar
 ) -> Float[Array, ""]:
-    """Fraction of a straight step after which it enters a ball; infinite if never.
-
-    Args:
-        x: where the step begins [L].
-        displacement: the whole step [L].
-        goal: middle of the ball [L].
-        tolerance: its radius [L].
-    """
+    """Fraction of a straight step after which it enters a ball; infinite if never."""
     offset = x - goal
     beyond = offset @ offset - jnp.asarray(tolerance, x.dtype) ** 2
     square = displacement @ displacement

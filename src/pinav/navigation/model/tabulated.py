@@ -33,14 +33,7 @@ HEADINGS = 24
 
 
 class TabulatedModel(eqx.Module):
-    """A model of the swimmer on a task's arena, as tables.
-
-    Attributes:
-        table: of the model.
-        predictor: of the table.
-        control_map: what command a control stands for.
-        time_cost: walls, and what time costs.
-    """
+    """A model of the swimmer on a task's arena, as tables."""
 
     table: FieldTable
     predictor: InertialTable | OverdampedTable

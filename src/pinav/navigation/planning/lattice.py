@@ -121,12 +121,6 @@ def settled_values(
     What a search for the best steps does not know yet it learns from the next points
     only. The values of a grid with half as many points along each axis tell it at
     once, so that few searches are left.
-
-    Args:
-        table: of the model.
-        arrival: what the plan is about.
-        grid: the positions.
-        region: that it spans.
     """
     begin = None
     if math.prod(grid.shape) > FEW:

@@ -40,8 +40,6 @@ class Replanner(eqx.Module):
 
     Attributes:
         task: what is to be done; its truth is not used.
-        objective: the place to reach.
-        grid: the positions.
         velocities: along either axis, where there is inertia [L T⁻¹]; else None.
     """
 
@@ -61,16 +59,7 @@ class Replanner(eqx.Module):
         speeds: int = 11,
         window: Rectangle,
     ) -> "Replanner":
-        """The lattice of a task.
-
-        Args:
-            task: what is to be done.
-            objective: the place to reach.
-            physics: tables of the model without its environment.
-            points: number of points of the lattice along the longer side.
-            speeds: the same along either axis of the velocity.
-            window: the arena, or a part of it.
-        """
+        """The lattice of a task."""
         grid = Grid.over(window, points)
         if not isinstance(physics.predictor, InertialTable):
             return cls(task, objective, grid, None)

@@ -146,11 +146,6 @@ def training(name: str, key: PRNGKeyArray, *, count: int = 8) -> Trajectories:
     They do not know of the task: starts are those of the scenario, and the standard
     deviation of each observed state is 0.02.
 
-    Args:
-        name: name of the task.
-        key: random key of starts and noise.
-        count: number of trajectories.
-
     Raises:
         InputError: no task has that name.
     """

@@ -19,13 +19,7 @@ class AbstractPath(eqx.Module):
 
 
 class LinePath(AbstractPath):
-    """Along a straight line, from end to end at constant speed; then at rest.
-
-    Attributes:
-        start: position of the start [L].
-        end: [L].
-        duration: from start to end [T], positive.
-    """
+    """Along a straight line, from end to end at constant speed; then at rest."""
 
     start: Vector = eqx.field(converter=point("LinePath.start"))
     end: Vector = eqx.field(converter=point("LinePath.end"))
@@ -125,11 +119,7 @@ class ReachGoal(AbstractObjective):
 
 
 class FollowPath(AbstractObjective):
-    """Stay on a point that moves along a path, until time is up.
-
-    Attributes:
-        path: the moving point.
-    """
+    """Stay on a point that moves along a path, until time is up."""
 
     path: AbstractPath
 

@@ -133,11 +133,7 @@ class HelicalActuator(AbstractActuator):
 
 
 class HeldThrust(AbstractForce):
-    """A thrust that holds: what a command is until the next one.
-
-    Attributes:
-        thrust: [L T⁻²].
-    """
+    """A thrust that holds: what a command is until the next one."""
 
     thrust: Vector
 
@@ -153,7 +149,6 @@ class SteeredSwimmer(eqx.Module):
     Attributes:
         dynamics: drag or mobility, environment and flow; commands replace its
             propulsion.
-        actuator: what a command does.
     """
 
     dynamics: Swimmer | OverdampedSwimmer

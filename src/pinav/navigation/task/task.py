@@ -28,7 +28,6 @@ class Disc(AbstractZone):
     """A disc in the plane, a ball in space.
 
     Attributes:
-        center: [L].
         radius: [L], positive.
 
     Raises:
@@ -72,10 +71,6 @@ class Wall(AbstractZone):
 
 class Rectangle(AbstractZone):
     """A rectangle, or box, along the axes: also the arena, which must not be left.
-
-    Attributes:
-        lower: corner of the least coordinates [L].
-        upper: corner of the greatest coordinates [L].
 
     Raises:
         InputError: a corner is not a point, or `lower` is not below
@@ -139,10 +134,7 @@ class Task(eqx.Module):
     The controller knows all of this but `truth`, of which it has a model.
 
     Attributes:
-        name: what the command line calls it.
-        truth: the swimmer and its surroundings.
         start: its first state.
-        objective: what is to be done.
         limits: what may be commanded.
         arena: what must not be left.
         keep_out: what must not be entered.

@@ -23,8 +23,6 @@ class Way:
     """A way from a place to a place, and the swimmer that goes it.
 
     Attributes:
-        start: place where it begins [L].
-        goal: place where it should end [L].
         tolerance: distance from the goal that counts as there [L].
         thrust: greatest thrust, of a swimmer whose own thrust cannot be steered:
             an acceleration where there is inertia, else a force.
