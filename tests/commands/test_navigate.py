@@ -47,7 +47,7 @@ from pinav.navigation import (
     Way,
     navigate,
 )
-from pinav.navigation.result import ComputingTimes, PlannedWay
+from pinav.navigation.comparison import ComputingTimes, PlannedWay
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System

@@ -10,13 +10,12 @@ from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.forces import LinearDrag, ZeroForce
 from pinav.navigation.control.controller import AbstractController
-from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
     SteeredSwimmer,
 )
-from pinav.navigation.task.task import Rectangle, Task
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task
 
 DRAG = 0.5
 

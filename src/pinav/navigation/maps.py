@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.evaluation import FieldMap
-from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.task import Disc, Task
+from pinav.navigation.task.task import Disc, ReachGoal, Task
 
 Places = Float[np.ndarray, "place 2"]
 """Positions in the plane [L]."""

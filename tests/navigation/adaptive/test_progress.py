@@ -12,9 +12,13 @@ from pinav.forces import GaussianBarrier, ZeroForce
 from pinav.navigation import task
 from pinav.navigation.adaptive.flight import fly
 from pinav.navigation.adaptive.prior import with_truth
-from pinav.navigation.adaptive.progress import Progress
 from pinav.navigation.adaptive.steering import AdaptiveController
-from pinav.navigation.adaptive.strategies import ExplorationBonus, MeanForce, axes_of
+from pinav.navigation.adaptive.strategies import (
+    ExplorationBonus,
+    MeanForce,
+    Progress,
+    axes_of,
+)
 from pinav.navigation.belief.belief import Frame
 from pinav.navigation.belief.given import BeliefPrior, GivenForce
 from pinav.navigation.control.controller import Observation

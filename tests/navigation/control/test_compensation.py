@@ -10,20 +10,19 @@ import pytest
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
-from pinav.navigation.control.compensation import (
+from pinav.navigation.control.controller import AbstractController
+from pinav.navigation.control.default import (
     DelayCompensation,
     StateEstimation,
     Timing,
 )
-from pinav.navigation.control.controller import AbstractController
-from pinav.navigation.model.predictors import SwimmerPredictor
-from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.predictors import SwimmerPredictor
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
     SteeredSwimmer,
 )
-from pinav.navigation.task.task import Rectangle, Task
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task
 from pinav.navigation.trials.situation import advance, begin, observe
 
 pytestmark = pytest.mark.slow

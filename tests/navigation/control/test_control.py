@@ -10,25 +10,30 @@ from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.forces import UniformFlow, ZeroForce
-from pinav.navigation.control.controller import Observation
-from pinav.navigation.control.default import controller
-from pinav.navigation.control.mppi import GradientMPC, PathIntegral
-from pinav.navigation.control.prediction import (
+from pinav.navigation.control.controller import (
     ArrivalCost,
     GradientGuide,
+    Observation,
     TrackingCost,
     TrajectoryPrediction,
 )
-from pinav.navigation.model.predictors import SwimmerPredictor
-from pinav.navigation.model.tabulated import tabulate_model
+from pinav.navigation.control.default import controller
+from pinav.navigation.control.mppi import GradientMPC, PathIntegral
 from pinav.navigation.planning.plan import time_to_go
-from pinav.navigation.task.objectives import CirclePath, FollowPath, ReachGoal
+from pinav.navigation.predictors import SwimmerPredictor, tabulate_model
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
     SteeredSwimmer,
 )
-from pinav.navigation.task.task import Disc, Rectangle, Task
+from pinav.navigation.task.task import (
+    CirclePath,
+    Disc,
+    FollowPath,
+    ReachGoal,
+    Rectangle,
+    Task,
+)
 from pinav.navigation.trials.closed_loop import run, run_many
 
 ROLLING = RollingActuator(jnp.eye(2), LinearResponse())

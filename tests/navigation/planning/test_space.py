@@ -20,10 +20,8 @@ from pinav.forces import (
     ZeroForce,
 )
 from pinav.navigation.control.default import controller
-from pinav.navigation.model.predictors import ControlMap
-from pinav.navigation.model.tabulated import tabulate_model
 from pinav.navigation.planning.plan import time_to_go
-from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.predictors import ControlMap, tabulate_model
 from pinav.navigation.task.steering import (
     CommandLimits,
     HelicalActuator,
@@ -34,7 +32,7 @@ from pinav.navigation.task.steering import (
     direction,
     direction_angles,
 )
-from pinav.navigation.task.task import Behind, Disc, Rectangle, Task, Wall
+from pinav.navigation.task.task import Behind, Disc, ReachGoal, Rectangle, Task, Wall
 from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.metrics import summary
 

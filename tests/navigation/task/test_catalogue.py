@@ -10,9 +10,8 @@ from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.navigation.control.controller import StraightLine
 from pinav.navigation.task import catalogue as tasks
-from pinav.navigation.task.objectives import FollowPath, ReachGoal
 from pinav.navigation.task.steering import greatest_thrust
-from pinav.navigation.task.task import clearance
+from pinav.navigation.task.task import FollowPath, ReachGoal, clearance
 from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.situation import begin
 from pinav.scenarios import scenario

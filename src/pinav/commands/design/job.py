@@ -19,18 +19,18 @@ from pinav.navigation import AdaptiveController, Course, Experiment, Rectangle, 
 from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.design.campaign import (
     Campaign,
+    believe_data,
     decide,
     record_positions,
     run_campaign,
 )
-from pinav.navigation.design.choices import (
+from pinav.navigation.design.candidates import (
     AbstractDesign,
     GridDesign,
     InformedDesign,
     RandomDesign,
     Stage,
 )
-from pinav.navigation.design.frames import believe_data
 from pinav.navigation.design.result import (
     CampaignSummary,
     DesignResult,

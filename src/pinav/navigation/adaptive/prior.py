@@ -16,9 +16,8 @@ from pinav.navigation.adaptive.strategies import axes_of
 from pinav.navigation.belief.belief import Frame
 from pinav.navigation.belief.given import BeliefPrior, GivenForce, take_for_granted
 from pinav.navigation.belief.kernels import Points
-from pinav.navigation.model.predictors import split_rates
-from pinav.navigation.model.tables import FieldTable
-from pinav.navigation.model.tabulated import tabulate_model
+from pinav.navigation.predictors import split_rates, tabulate_model
+from pinav.navigation.tables import FieldTable
 from pinav.navigation.task.steering import SteeredSwimmer, physics_only
 from pinav.navigation.task.task import Task, steered_swimmer
 

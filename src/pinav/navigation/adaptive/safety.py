@@ -23,10 +23,8 @@ from jaxtyping import Array, Float
 from pinav.arguments import Planar, State
 from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.belief.belief import Belief
-from pinav.navigation.control.controller import Observation
-from pinav.navigation.control.prediction import TrajectoryPrediction
-from pinav.navigation.model.predictors import TimeCost
-from pinav.navigation.model.tabulated import TabulatedModel
+from pinav.navigation.control.controller import Observation, TrajectoryPrediction
+from pinav.navigation.predictors import TabulatedModel, TimeCost
 from pinav.navigation.task.steering import AbstractActuator, Command
 
 DEVIATIONS = 3.0

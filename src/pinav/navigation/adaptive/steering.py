@@ -11,35 +11,36 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.navigation.adaptive.known import motion_of, with_known
-from pinav.navigation.adaptive.progress import Progress
 from pinav.navigation.adaptive.safety import CommandVerdict, check_command
-from pinav.navigation.adaptive.strategies import AbstractStrategy, ExplorationBonus
+from pinav.navigation.adaptive.strategies import (
+    AbstractStrategy,
+    ExplorationBonus,
+    Progress,
+    motion_of,
+    with_known,
+)
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.motion import AbstractMotion, Vector
-from pinav.navigation.control.compensation import Timing
 from pinav.navigation.control.controller import (
     AbstractController,
-    Controls,
-    Observation,
-)
-from pinav.navigation.control.mppi import PathIntegral
-from pinav.navigation.control.prediction import (
     ArrivalCost,
+    Controls,
     GradientGuide,
+    Observation,
     TrajectoryPrediction,
 )
-from pinav.navigation.model.predictors import InertialTable
-from pinav.navigation.model.tabulated import (
+from pinav.navigation.control.default import Timing
+from pinav.navigation.control.mppi import PathIntegral
+from pinav.navigation.planning.plan import TimeToGo, check_places
+from pinav.navigation.planning.replanning import HEADROOM, Replanner
+from pinav.navigation.predictors import (
+    InertialTable,
     TabulatedModel,
     greatest_rate,
     tabulate_model,
 )
-from pinav.navigation.planning.plan import TimeToGo, check_places
-from pinav.navigation.planning.replanning import HEADROOM, Replanner
-from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import Command, physics_only
-from pinav.navigation.task.task import Rectangle, Task
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task
 from pinav.navigation.trials.situation import mean_thrust
 
 POINTS, SPEEDS = 25, 11

@@ -19,15 +19,13 @@ from pinav.arguments import Scalar, check_positive
 from pinav.errors import InputError
 from pinav.navigation.control.controller import (
     AbstractController,
-    Controls,
-    Observation,
-)
-from pinav.navigation.control.prediction import (
     AbstractCost,
     AbstractGuide,
+    Controls,
+    Observation,
     TrajectoryPrediction,
 )
-from pinav.navigation.model.predictors import within_ball
+from pinav.navigation.predictors import within_ball
 from pinav.navigation.task.steering import Command, direction
 
 

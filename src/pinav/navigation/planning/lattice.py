@@ -9,9 +9,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from pinav.arguments import Scalar, Vector
-from pinav.navigation.model.predictors import split_rates
-from pinav.navigation.model.tables import FieldTable, Grid
-from pinav.navigation.model.tabulated import TabulatedModel
 from pinav.navigation.planning.value_iteration import (
     CELLS,
     ArrivalTest,
@@ -25,8 +22,9 @@ from pinav.navigation.planning.value_iteration import (
     position_sweep,
     sweep_back,
 )
-from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.task import Rectangle, Task
+from pinav.navigation.predictors import TabulatedModel, split_rates
+from pinav.navigation.tables import FieldTable, Grid
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task
 
 Start = Float[Array, "moment ..."] | None
 """Values of a plan before, from which a steady model is swept on; zeros for None."""

@@ -10,13 +10,6 @@ from jaxtyping import Array, Bool, Float
 
 from pinav.arguments import Scalar, State, Vector
 from pinav.errors import InputError
-from pinav.navigation.model.predictors import (
-    AbstractPredictor,
-    InertialTable,
-    entry_fraction,
-)
-from pinav.navigation.model.tables import Grid, place_words
-from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
 from pinav.navigation.planning.lattice import (
     arrival_test,
     phase_step,
@@ -28,9 +21,16 @@ from pinav.navigation.planning.lattice import (
     top_speed,
 )
 from pinav.navigation.planning.value_iteration import ArrivalTest
-from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.predictors import (
+    AbstractPredictor,
+    InertialTable,
+    TabulatedModel,
+    entry_fraction,
+    tabulate_model,
+)
+from pinav.navigation.tables import Grid, place_words
 from pinav.navigation.task.steering import Command, SteeredSwimmer
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.task import ReachGoal, Task
 
 HEADINGS = {2: 24, 3: 96}
 """Directions of the thrust that are tried at each position, and by the policy, in the

@@ -4,9 +4,6 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.navigation.model.predictors import InertialTable
-from pinav.navigation.model.tables import Grid
-from pinav.navigation.model.tabulated import TabulatedModel
 from pinav.navigation.planning.lattice import (
     arrival_test,
     phase_step,
@@ -22,8 +19,9 @@ from pinav.navigation.planning.plan import (
     assemble_plan,
 )
 from pinav.navigation.planning.value_iteration import ArrivalTest
-from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.task import Rectangle, Task
+from pinav.navigation.predictors import InertialTable, TabulatedModel
+from pinav.navigation.tables import Grid
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task
 
 HEADROOM = 1.25
 """Greatest speed of the lattice over that of the thrust against the drag alone."""

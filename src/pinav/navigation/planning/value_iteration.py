@@ -23,8 +23,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from pinav.arguments import Scalar, Vector
-from pinav.navigation.model.predictors import TimeCost, entry_fraction, split_rates
-from pinav.navigation.model.tables import FieldTable, Grid
+from pinav.navigation.predictors import TimeCost, entry_fraction, split_rates
+from pinav.navigation.tables import FieldTable, Grid
 
 PROBES = 5
 """Places along a step at which walls are looked for, its end included."""

@@ -11,9 +11,8 @@ from jaxtyping import Bool, Float
 from scipy.stats import binom, binomtest
 
 from pinav.errors import InputError
-from pinav.navigation.task.objectives import FollowPath
 from pinav.navigation.task.steering import direction
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.task import FollowPath, Task
 from pinav.navigation.trials.closed_loop import Episodes
 
 

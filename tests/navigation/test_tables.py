@@ -25,8 +25,13 @@ from pinav.forces import (
     ZeroForce,
 )
 from pinav.navigation import task
-from pinav.navigation.model.predictors import ControlMap, InertialTable, OverdampedTable
-from pinav.navigation.model.tables import (
+from pinav.navigation.predictors import (
+    ControlMap,
+    InertialTable,
+    OverdampedTable,
+    tabulate_model,
+)
+from pinav.navigation.tables import (
     FieldTable,
     Grid,
     force_spread,
@@ -34,7 +39,6 @@ from pinav.navigation.model.tables import (
     tabulate,
     tabulate_over_time,
 )
-from pinav.navigation.model.tabulated import tabulate_model
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
