@@ -35,6 +35,7 @@ from pinav.navigation.design.candidates import (
     CandidateTrajectories as CandidateTrajectories,
 )
 from pinav.navigation.design.candidates import Experiment as Experiment
+from pinav.navigation.design.candidates import Suggestion as Suggestion
 from pinav.navigation.design.candidates import best_candidate as best_candidate
 from pinav.navigation.design.information import (
     PosteriorInformation as PosteriorInformation,
@@ -50,9 +51,7 @@ from pinav.navigation.planning.plan import time_to_go as time_to_go
 from pinav.navigation.predictors import TabulatedModel as TabulatedModel
 from pinav.navigation.predictors import TimeCost as TimeCost
 from pinav.navigation.predictors import tabulate_model as tabulate_model
-from pinav.navigation.problem import Evidence as Evidence
 from pinav.navigation.problem import NavigationProblem as NavigationProblem
-from pinav.navigation.problem import Suggestion as Suggestion
 from pinav.navigation.problem import episode_keys as episode_keys
 from pinav.navigation.task.catalogue import TASKS as TASKS
 from pinav.navigation.task.catalogue import Way as Way

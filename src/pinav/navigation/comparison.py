@@ -22,12 +22,12 @@ from pinav.navigation.adaptive.flight import (
 )
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.control.controller import AbstractController
+from pinav.navigation.design.candidates import Suggestion
 from pinav.navigation.maps import ArenaGrid, Course, ForceMaps
 from pinav.navigation.planning.plan import Route, TimeToGo
 from pinav.navigation.problem import (
     LEARNED,
     NavigationProblem,
-    Suggestion,
     episode_keys,
     suggest_trajectory,
 )
@@ -283,7 +283,7 @@ def compare_models(
         regret=_regrets(episodes),
         refused={name: reason for name, reason in tried if isinstance(reason, str)},
         computing=_computing_times(task, steered, seed),
-        units=dict(problem.units),
+        units=dict(problem.fit.units),
         thrust=problem.thrust,
         delay=task.delay,
         step=task.step,
@@ -376,18 +376,15 @@ def _positions(task: Task, route: Route) -> Float[np.ndarray, "time dim"]:
 
 def _maps(problem: NavigationProblem) -> ForceMaps:
     """Learned and true force on the arena, and the posterior's standard deviation."""
-    grid, evidence = (
-        ArenaGrid.over(Course.of(problem.task), MAP_POINTS),
-        problem.evidence,
-    )
+    grid = ArenaGrid.over(Course.of(problem.task), MAP_POINTS)
     learned = grid.field(
-        partial(_forces, problem.model), distances(grid.places, problem.data)
+        partial(_forces, problem.model), distances(grid.places, problem.fit.data)
     )
     truth = sd = None
     if problem.truth is not None:
         truth = grid.field(partial(_forces, problem.task.truth))
-    if evidence is not None:
-        sd = grid.lay(evidence.posterior.force_sd(grid.places))
+    if problem.posterior is not None:
+        sd = grid.lay(problem.posterior.force_sd(grid.places))
     return ForceMaps(learned, truth, sd)
 
 

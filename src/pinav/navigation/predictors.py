@@ -42,15 +42,6 @@ class AbstractPredictor(eqx.Module):
         """State after a command was held for `duration` [T] from time `t` [T]."""
 
 
-class SwimmerPredictor(AbstractPredictor):
-    """A model itself, by a Runge-Kutta step."""
-
-    swimmer: SteeredSwimmer
-
-    def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
-        return self.swimmer.step(t, y, command, duration)
-
-
 class InertialTable(AbstractPredictor):
     r"""A swimmer with inertia, from the table of its model; state (x, v).
 

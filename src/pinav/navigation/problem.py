@@ -1,7 +1,7 @@
 """A navigation problem: a task, what is known of it, and what to record next."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -25,6 +25,7 @@ from pinav.navigation.control.default import controller
 from pinav.navigation.design.candidates import (
     CandidateTrajectories,
     Experiment,
+    Suggestion,
     best_candidate,
 )
 from pinav.navigation.design.information import (
@@ -37,7 +38,6 @@ from pinav.navigation.task.steering import SteeredSwimmer, greatest_thrust, phys
 from pinav.navigation.task.task import ReachGoal, Rectangle, Task, steered_swimmer
 from pinav.navigation.trials.closed_loop import Episodes, concatenate_episodes, run_many
 from pinav.scenarios import source_system
-from pinav.trajectories import Trajectories
 
 LEARNED = "learned"
 """The controller that plans with the learned model."""
@@ -47,38 +47,23 @@ PHYSICS = "physics only"
 
 
 @dataclasses.dataclass(frozen=True)
-class Evidence:
-    """A fit of trajectories with a posterior, which further ones can improve.
-
-    Attributes:
-        states: smoothed states of the data.
-    """
-
-    posterior: Posterior
-    noise: float
-    states: Float[np.ndarray, "trajectory time state"]
-
-
-@dataclasses.dataclass(frozen=True)
 class NavigationProblem:
     """A task and what is known of it.
 
     Attributes:
         task: its truth is that of the system, or the model where there is none.
-        data: what was fitted.
-        units: units of the channels, and the order of the dynamics.
+        fit: the fit of the model.
         samples: draws of the posterior; none where the fit has no posterior.
         truth: name of the system whose environment is the truth, where it is known.
-        evidence: evidence of the fit, where further trajectories can be suggested.
+        posterior: that of the fit, where further trajectories can be suggested.
     """
 
     task: Task
     model: SteeredSwimmer
-    data: Trajectories
-    units: Mapping[str, str]
+    fit: AbstractLearned
     samples: tuple[SteeredSwimmer, ...] = ()
     truth: str | None = None
-    evidence: Evidence | None = None
+    posterior: Posterior | None = None
 
     @classmethod
     def of(
@@ -120,9 +105,8 @@ class NavigationProblem:
                 if isinstance(draw, Swimmer | OverdampedSwimmer)
             ),
             truth=truth,
-            evidence=_evidence(fit, model),
-            data=fit.data,
-            units=dict(fit.units),
+            fit=fit,
+            posterior=_posterior(fit, model),
         )
 
     @property
@@ -198,20 +182,15 @@ def _draws(fit: AbstractLearned, count: int, seed: int) -> list[AbstractDynamics
     return fit.posterior.samples(count, key=key)
 
 
-def _evidence(fit: AbstractLearned, model: AbstractDynamics) -> Evidence | None:
-    """The fit's evidence where the next trajectory can be suggested.
+def _posterior(fit: AbstractLearned, model: AbstractDynamics) -> Posterior | None:
+    """The fit's posterior where the next trajectory can be suggested.
 
     Not of stochastic paths, whose states are not smoothed, nor in space, where
     candidates have no elevation.
     """
-    evidence, posterior = fit.evidence, fit.posterior
-    if evidence is None or posterior is None:
+    if fit.evidence is None or "diffusion" in fit.evidence.constants:
         return None
-    if "diffusion" in evidence.constants or takes_commands(model):
-        return None
-    if fit.data.dim > 2:
-        return None
-    return Evidence(posterior, fit.noise, evidence.states)
+    return None if takes_commands(model) or fit.data.dim > 2 else fit.posterior
 
 
 CANDIDATES = 48
@@ -227,29 +206,6 @@ STRENGTH = 0.5
 """Forces that there may be away from the data, in units of the greatest thrust."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Suggestion:
-    """The trajectory that should be recorded next.
-
-    Attributes:
-        sd: standard deviation of the force along the route now.
-        sd_after: the same, expected after the trajectory.
-        sd_after_random: the same, expected after a random one; none where all of these
-            leave the arena.
-        path: predicted positions [L].
-    """
-
-    sd: float
-    sd_after: float
-    sd_after_random: float | None
-    start: tuple[float, float]
-    duration: float
-    times: Float[np.ndarray, " knot"]
-    frequency: Float[np.ndarray, " knot"]
-    heading: Float[np.ndarray, " knot"]
-    path: Float[np.ndarray, "sample 2"]
-
-
 def suggest_trajectory(
     problem: NavigationProblem, route: Float[np.ndarray, "time 2"], *, seed: int
 ) -> Suggestion | None:
@@ -261,18 +217,17 @@ def suggest_trajectory(
     Raises:
         InputError: every candidate leaves the arena.
     """
-    evidence = problem.evidence
-    if evidence is None:
+    task, fit = problem.task, problem.fit
+    if problem.posterior is None:
         return None
-    task = problem.task
     uncertainty = prior_uncertainty(
         problem.model.dynamics,
-        problem.data,
-        evidence.states,
-        noise=evidence.noise,
+        fit.data,
+        fit.evidence.states,
+        noise=fit.noise,
         prior=PriorField(task.arena, STRENGTH * problem.thrust),
     )
-    design = _experiment(problem, evidence)
+    design = _experiment(problem)
     expected_sd = PosteriorInformation.of(uncertainty, route, design, task.arena)
     key = jax.random.fold_in(jax.random.key(seed), 2)
     drawn = design.draw(CANDIDATES, key=key)
@@ -291,23 +246,19 @@ def suggest_trajectory(
             "stays inside, so make trajectories shorter or the arena larger"
         )
     inside = np.isfinite(random)
-    x, y = np.asarray(best.starts[:2], float).tolist()
-    return Suggestion(
-        sd=expected_sd.sd_now,
-        sd_after=sd_after,
+    return Suggestion.of(
+        design,
+        best,
+        expected_sd.sd_now,
+        sd_after,
         sd_after_random=float(np.median(random[inside])) if inside.any() else None,
-        start=(x, y),
-        duration=design.duration,
-        times=np.asarray(design.knots, float),
-        frequency=np.asarray(best.frequency, float),
-        heading=np.asarray(best.heading, float),
-        path=_path(problem, design, best),
+        path=np.asarray(_states(problem.model, design, best))[:, :2],
     )
 
 
-def _experiment(problem: NavigationProblem, evidence: Evidence) -> Experiment:
+def _experiment(problem: NavigationProblem) -> Experiment:
     """Released near the start, observed as the data were."""
-    task, data = problem.task, problem.data
+    task, data = problem.task, problem.fit.data
     near = np.full(2, problem.goal.tolerance)
     start = np.asarray(task.start[:2])
     spans = [piece.times[-1] - piece.times[0] for piece in data]
@@ -315,7 +266,7 @@ def _experiment(problem: NavigationProblem, evidence: Evidence) -> Experiment:
     duration = min(task.time_limit, float(np.median(spans)), SAMPLES * interval)
     noise = np.full(len(task.start), np.inf)
     channels = np.flatnonzero(data.observed.any(axis=(0, 1)))
-    noise[channels] = evidence.noise
+    noise[channels] = problem.fit.noise
     return Experiment(
         actuator=task.truth.actuator,
         limits=task.limits,
@@ -326,13 +277,6 @@ def _experiment(problem: NavigationProblem, evidence: Evidence) -> Experiment:
         knot=max(duration / 8, interval),
         turning=1.2 / (duration / 8) ** 0.5,
     )
-
-
-def _path(
-    problem: NavigationProblem, design: Experiment, candidate: CandidateTrajectories
-) -> Float[np.ndarray, "time 2"]:
-    """Its path as the model predicts it."""
-    return np.asarray(_states(problem.model, design, candidate))[:, :2]
 
 
 @eqx.filter_jit

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import pytest
+from tests.navigation.steering_worlds import SwimmerPredictor
 
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
@@ -16,7 +17,6 @@ from pinav.navigation.control.default import (
     StateEstimation,
     Timing,
 )
-from pinav.navigation.predictors import SwimmerPredictor
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
@@ -89,7 +89,7 @@ def test_the_predicted_state_is_that_in_which_the_command_comes_into_force(
     whole = math.ceil(delay / task.step - 1e-9)
     for one, command, later in zip(ahead, commands, states[whole:], strict=False):
         held = whole * task.step - delay
-        reached = model.step(one.time, one.state, command, held)
+        reached = SwimmerPredictor(model).step(one.time, one.state, command, held)
         assert jnp.allclose(reached, later, atol=2e-5)
 
 

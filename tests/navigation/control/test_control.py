@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.navigation.steering_worlds import SwimmerPredictor
 
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer
@@ -20,7 +21,7 @@ from pinav.navigation.control.controller import (
 from pinav.navigation.control.default import controller
 from pinav.navigation.control.mppi import GradientMPC, PathIntegral
 from pinav.navigation.planning.plan import time_to_go
-from pinav.navigation.predictors import SwimmerPredictor, tabulate_model
+from pinav.navigation.predictors import tabulate_model
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,

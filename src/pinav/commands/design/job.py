@@ -16,6 +16,7 @@ from pinav.commands.results import fingerprint, keep, start_run
 from pinav.commands.steering import known_task, observe_positions, system_task
 from pinav.errors import InputError
 from pinav.navigation import AdaptiveController, Course, Experiment, Rectangle, Task
+from pinav.navigation.adaptive.flight import map_belief
 from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.design.campaign import (
     Campaign,
@@ -30,14 +31,11 @@ from pinav.navigation.design.candidates import (
     InformedDesign,
     RandomDesign,
     Stage,
+    suggest_next,
 )
 from pinav.navigation.design.result import (
     CampaignSummary,
     DesignResult,
-    NextTrajectory,
-    Recorded,
-    map_belief,
-    relative_bound,
 )
 from pinav.runs import RunFolder
 from pinav.scenarios import find_system
@@ -85,14 +83,14 @@ def _compare(
         system=system.name,
         accuracy=settings.accuracy,
         course=Course.of(task),
-        maps=map_belief(adaptive, first.belief),
-        way=first.decisions[-1].way,
+        maps=map_belief(task, first.belief),
+        decision=first.decisions[-1],
         thrust=adaptive.thrust,
         paths={name: some[0].paths for name, some in campaigns.items()},
         designs={name: CampaignSummary.of(some) for name, some in campaigns.items()},
         bounds={
             name: tuple(
-                np.array([relative_bound(decision) for decision in one.decisions])
+                np.array([min(decision.error, 1.0) for decision in one.decisions])
                 for one in some
             )
             for name, some in campaigns.items()
@@ -115,28 +113,19 @@ def _suggest(
     belief = believe_data(adaptive, system.swimmer, data, settings.position_noise)
     decision = decide(adaptive, belief)
     stage = Stage(adaptive, experiment, belief, decision.way)
-    _, spread = belief.force(decision.way)
-    recorded = Recorded(
-        trajectories=len(data),
-        arrives=decision.arrives,
-        error=decision.error,
-        certain=decision.certain(settings.accuracy),
-        sd=float(np.sqrt(np.mean(spread**2))),
-    )
     return folder, DesignResult(
         system=system.name,
         accuracy=settings.accuracy,
         course=Course.of(task),
-        maps=map_belief(adaptive, belief),
-        way=decision.way,
+        maps=map_belief(task, belief),
+        decision=decision,
         thrust=adaptive.thrust,
         paths={
             "recorded": tuple(
                 piece.states[piece.observed[:, :2].all(axis=1), :2] for piece in data
             )
         },
-        recorded=recorded,
-        next=NextTrajectory.informed(stage, key=jax.random.key(settings.seed)),
+        next=suggest_next(stage, key=jax.random.key(settings.seed)),
     )
 
 

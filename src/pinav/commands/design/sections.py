@@ -6,12 +6,8 @@ import numpy as np
 
 from pinav.figures.images import Picture
 from pinav.figures.navigation import bounds_figure, recordings_figure
-from pinav.navigation.design.result import (
-    CampaignSummary,
-    DesignResult,
-    NextTrajectory,
-    Recorded,
-)
+from pinav.navigation import Suggestion
+from pinav.navigation.design.result import CampaignSummary, DesignResult
 from pinav.report import AbstractBlock, Cell, Paragraph, Section, Table
 
 CAPTION = (
@@ -34,8 +30,8 @@ def sections(result: DesignResult) -> list[Section]:
 
 def sentences(result: DesignResult) -> list[str]:
     """The findings in words."""
-    if result.recorded is not None:
-        return [_next_sentence(result.recorded, result.next, result.accuracy)]
+    if "recorded" in result.paths:
+        return [_next_sentence(result)]
     lines = [
         f"System {result.system} (synthetic): trajectories until the force along the "
         f"planned way is known to {100 * result.accuracy:g} % with a probability of "
@@ -79,19 +75,18 @@ def design_table(result: DesignResult) -> Table:
     return Table.of(result.designs.items(), columns, CAPTION)
 
 
-def _next_sentence(
-    recorded: Recorded, advice: NextTrajectory | None, accuracy: float
-) -> str:
+def _next_sentence(result: DesignResult) -> str:
+    count, decision = len(result.paths["recorded"]), result.decision
+    advice, accuracy = result.next, result.accuracy
     known = (
-        f"After {recorded.trajectories} trajectories the force along the planned way "
-        f"is known to {100 * recorded.error:.2g} % with a probability of 95 %"
+        f"After {count} trajectories the force along the planned way "
+        f"is known to {100 * decision.error:.2g} % with a probability of 95 %"
     )
-    if recorded.certain:
+    if decision.certain(accuracy):
         return f"{known}; nothing further need be recorded for {100 * accuracy:g} %."
-    if not recorded.arrives:
+    if not decision.arrives:
         known = (
-            f"After {recorded.trajectories} trajectories no plan reaches the goal on "
-            "the learned force"
+            f"After {count} trajectories no plan reaches the goal on the learned force"
         )
     if advice is None:
         return f"{known}; no candidate trajectory stays inside of the arena."
@@ -99,11 +94,11 @@ def _next_sentence(
     return (
         f"{known}. Record next the trajectory in next.csv, released at ({x:.4g}, "
         f"{y:.4g}): the standard deviation of the force along the way, now "
-        f"{recorded.sd:.3g}, should then be {advice.sd_after:.3g}."
+        f"{advice.sd:.3g}, should then be {advice.sd_after:.3g}."
     )
 
 
-def _programme(advice: NextTrajectory) -> Table:
+def _programme(advice: Suggestion) -> Table:
     """The commands of the trajectory to record next."""
     series = advice.times, advice.frequency, advice.heading
     rows = list(zip(*(values.tolist() for values in series), strict=True))
@@ -132,7 +127,7 @@ def _map(result: DesignResult) -> Picture:
             result.course,
             result.maps,
             result.paths.get(design, ()),
-            way=result.way,
+            way=result.decision.way,
             thrust=result.thrust,
         ),
         f"Standard deviation of the force after {what}, its trajectories, and the way "

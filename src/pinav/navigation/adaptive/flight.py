@@ -288,6 +288,13 @@ MOMENTS_KEPT = 40
 """Beliefs of the first flight among which those that are shown are chosen."""
 
 
+def map_belief(task: Task, belief: Belief) -> ForceMaps:
+    """The learned force on the arena, and its standard deviation."""
+    grid = ArenaGrid.over(Course.of(task), MAP_POINTS)
+    mean, sd = belief.force(grid.places)
+    return ForceMaps(grid.field(lambda _: mean), sd=grid.lay(sd))
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class ShownFlight:
     """The knowledge of a flight, as figures show it.
@@ -314,12 +321,8 @@ class ShownFlight:
         """The figures' part of a flight with moments."""
         grid, path = ArenaGrid.over(Course.of(task), MAP_POINTS), visit.flight.path
         mean, sd = visit.belief.force(path)
-        learned, spread = visit.belief.force(grid.places)
-        maps = ForceMaps(
-            learned=grid.field(lambda _: learned),
-            truth=grid.field(lambda places: true_force(task, places)),
-            sd=grid.lay(spread),
-        )
+        truth = grid.field(lambda places: true_force(task, places))
+        maps = dataclasses.replace(map_belief(task, visit.belief), truth=truth)
         count = len(visit.moments) - 1
         picked = np.linspace(0, count, MOMENTS).round().astype(int)
         moments = [visit.moments[k] for k in picked]
@@ -329,8 +332,7 @@ class ShownFlight:
             for part in zip(*beliefs, strict=True)
         )
         times = np.array([belief.time for belief in moments])
-        truth = true_force(task, path)
-        return cls(maps, truth, mean, sd, times, means, sds)
+        return cls(maps, true_force(task, path), mean, sd, times, means, sds)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -13,7 +13,6 @@ from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import axes_of
-from pinav.navigation.belief.belief import Frame
 from pinav.navigation.belief.given import BeliefPrior, GivenForce, take_for_granted
 from pinav.navigation.belief.kernels import Points
 from pinav.navigation.predictors import split_rates, tabulate_model
@@ -85,9 +84,8 @@ def with_prior_of(
     covariance = rows @ posterior.covariance @ rows.T
     covariance += (DISTRUST * adaptive.thrust) ** 2 * np.eye(len(rows))
     prior = BeliefPrior(rate, places[chosen], covariance)
-    start = np.asarray(task.start[:2], float)
-    first = Frame(0.0, start, task.position_sd, np.zeros(2))
-    return dataclasses.replace(adaptive, known=prior.lead(adaptive.believe(first)))
+    first = adaptive.believe(adaptive.first_frame)
+    return dataclasses.replace(adaptive, known=prior.lead(first))
 
 
 def with_truth(adaptive: AdaptiveController) -> AdaptiveController:
@@ -97,10 +95,9 @@ def with_truth(adaptive: AdaptiveController) -> AdaptiveController:
         InputError: the true force changes in time.
     """
     task = adaptive.task
-    start = np.asarray(task.start[:2], float)
     belief = take_for_granted(
         environment_rate(task, task.truth),
-        Frame(0.0, start, task.position_sd, np.zeros(2)),
+        adaptive.first_frame,
         motion=adaptive.motion,
         longest=task.step,
     )

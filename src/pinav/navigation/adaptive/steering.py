@@ -202,6 +202,12 @@ class AdaptiveController(AbstractController[ControllerState]):
             safe=safe,
         )
 
+    @property
+    def first_frame(self) -> Frame:
+        """The start of the task, as it would be seen without an error."""
+        start = np.asarray(self.task.start[:2], float)
+        return Frame(0.0, start, self.task.position_sd, np.zeros(2))
+
     def believe(self, frame: Frame) -> Belief:
         """The belief after the first frame of a swimmer that rests."""
         if self.known is not None:

@@ -51,10 +51,6 @@ class GivenForce(AbstractKernels):
     def size(self) -> int:
         return 1
 
-    @property
-    def gain(self) -> float:
-        return 1.0
-
     def at(self, x: Float[np.ndarray, " dim"]) -> Local:
         parts = [(0, 0), (1, 0), (0, 1)]
         rates = np.array(
@@ -108,10 +104,6 @@ class CorrectedForce(AbstractKernels):
     @property
     def size(self) -> int:
         return self.kernels.size + 1
-
-    @property
-    def gain(self) -> float:
-        return self.kernels.gain
 
     def at(self, x: Float[np.ndarray, " dim"]) -> Local:
         near, given = self.kernels.at(x), self.given.at(x)

@@ -125,11 +125,6 @@ class AbstractKernels(abc.ABC):
     def size(self) -> int:
         """Number of weights."""
 
-    @property
-    @abc.abstractmethod
-    def gain(self) -> float:
-        """Standard deviation of each component for weights of the deviation one."""
-
     @abc.abstractmethod
     def at(self, x: Float[np.ndarray, " dim"]) -> Local:
         """The kernels about a position [L]."""
@@ -157,6 +152,7 @@ class PotentialKernels(AbstractKernels):
 
     @property
     def gain(self) -> float:
+        """Standard deviation of each component for weights of the deviation one."""
         steps = np.arange(-8.0, 9.0)
         plain = np.sum(np.exp(-(steps**2)))
         sloped = np.sum(steps**2 * np.exp(-(steps**2)))
@@ -199,6 +195,7 @@ class FreeKernels(AbstractKernels):
 
     @property
     def gain(self) -> float:
+        """Standard deviation of each component for weights of the deviation one."""
         steps = np.arange(-8.0, 9.0)
         return math.sqrt(np.sum(np.exp(-(steps**2))) ** len(self.grid.shape))
 

@@ -126,9 +126,7 @@ def run_campaign(
     if most < 1:
         raise InputError(f"most: expected 1 or more, got {most}")
     task = adaptive.task
-    start = np.asarray(task.start[:2], float)
-    first = Frame(0.0, start, task.position_sd, np.zeros(2))
-    belief = adaptive.believe(first)
+    belief = adaptive.believe(adaptive.first_frame)
     decisions, paths = [decide(adaptive, belief)], []
     for count in range(most):
         choose, noise = jax.random.split(jax.random.fold_in(key, count))

@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -19,7 +20,11 @@ from pinav.forces import AbstractForce
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import known_rate
 from pinav.navigation.belief.belief import SETTLE_EVERY, Belief
-from pinav.navigation.task.steering import AbstractActuator, CommandLimits
+from pinav.navigation.task.steering import (
+    AbstractActuator,
+    CommandLimits,
+    thrusts_of,
+)
 from pinav.navigation.task.task import Rectangle, Task, clearance
 
 
@@ -323,7 +328,7 @@ def expected_sd(stage: Stage, candidate: CandidateTrajectories) -> float:
     series = (candidate.frequency, candidate.heading)
     knots = np.asarray(experiment.knots)
     commands = [np.interp(moments + step / 2, knots, np.asarray(s)) for s in series]
-    thrusts = _thrusts(task.truth.actuator, jnp.asarray(np.stack(commands, axis=1)))
+    thrusts = thrusts_of(task.truth.actuator, jnp.asarray(np.stack(commands, axis=1)))
     sd = task.position_sd / math.sqrt(COARSE)
     place = np.asarray(candidate.starts[:2], float)
     one = stage.belief.best
@@ -340,6 +345,58 @@ def expected_sd(stage: Stage, candidate: CandidateTrajectories) -> float:
         return math.inf
     _, spread = one.force(stage.way)
     return float(np.sqrt(np.mean(spread**2)))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Suggestion:
+    """The trajectory that should be recorded next.
+
+    Attributes:
+        sd: standard deviation of the force along the way now.
+        sd_after: the same, expected after the trajectory.
+        start: place of release [L].
+        times: times of the commands, the last one at the end [T].
+        frequency: commanded frequency then [cycles T⁻¹].
+        heading: commanded heading then [rad].
+        sd_after_random: as `sd_after`, of a random trajectory; none where it was not
+            asked for, or all of these leave the arena.
+        path: predicted positions, where they were asked for [L].
+    """
+
+    sd: float
+    sd_after: float
+    start: tuple[float, float]
+    times: Float[np.ndarray, " knot"]
+    frequency: Float[np.ndarray, " knot"]
+    heading: Float[np.ndarray, " knot"]
+    sd_after_random: float | None = None
+    path: Float[np.ndarray, "sample 2"] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        experiment: Experiment,
+        chosen: CandidateTrajectories,
+        sd: float,
+        sd_after: float,
+        **more: Any,
+    ) -> "Suggestion":
+        """The programme of a candidate, as plain numbers."""
+        x, y = np.asarray(chosen.starts[:2], float).tolist()
+        series = experiment.knots, chosen.frequency, chosen.heading
+        times, frequency, heading = (np.asarray(values, float) for values in series)
+        return cls(sd, sd_after, (x, y), times, frequency, heading, **more)
+
+
+def suggest_next(stage: Stage, *, key: PRNGKeyArray) -> Suggestion | None:
+    """The choice of the informed design; none where all leave the arena."""
+    chosen = InformedDesign().choose(stage, key=key)
+    after = expected_sd(stage, chosen)
+    if not np.isfinite(after):
+        return None
+    _, spread = stage.belief.force(stage.way)
+    now = float(np.sqrt(np.mean(spread**2)))
+    return Suggestion.of(stage.experiment, chosen, now, after)
 
 
 def _along(
@@ -385,13 +442,6 @@ def _keep_allowed(
             f"among {len(room)}; state a larger rectangle"
         )
     return candidates[free]
-
-
-@eqx.filter_jit
-def _thrusts(
-    actuator: AbstractActuator, commands: Float[Array, "time 2"]
-) -> Float[Array, "time 2"]:
-    return jax.vmap(actuator)(commands)
 
 
 @eqx.filter_jit

@@ -4,16 +4,11 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, PRNGKeyArray
+from jaxtyping import Float
 
-from pinav.navigation.adaptive.steering import AdaptiveController
-from pinav.navigation.belief.belief import Belief
 from pinav.navigation.design.campaign import Campaign, Decision
-from pinav.navigation.design.candidates import InformedDesign, Stage, expected_sd
-from pinav.navigation.maps import ArenaGrid, Course, ForceMaps
-
-MAP_POINTS = 41
-"""Points of the maps of the force along each side."""
+from pinav.navigation.design.candidates import Suggestion
+from pinav.navigation.maps import Course, ForceMaps
 
 Path = Float[np.ndarray, "_ 2"]
 
@@ -65,62 +60,16 @@ class CampaignSummary:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class NextTrajectory:
-    """The trajectory that should be recorded next.
-
-    Attributes:
-        sd_after: standard deviation of the force along the way that is expected after
-            it.
-    """
-
-    sd_after: float
-    start: tuple[float, float]
-    times: Float[np.ndarray, " knot"]
-    frequency: Float[np.ndarray, " knot"]
-    heading: Float[np.ndarray, " knot"]
-
-    @classmethod
-    def informed(cls, stage: Stage, *, key: PRNGKeyArray) -> "NextTrajectory | None":
-        """The choice of the informed design; none where all leave the arena."""
-        chosen = InformedDesign().choose(stage, key=key)
-        after = expected_sd(stage, chosen)
-        if not np.isfinite(after):
-            return None
-        x, y = np.asarray(chosen.starts[:2], float).tolist()
-        series = stage.experiment.knots, chosen.frequency, chosen.heading
-        return cls(after, (x, y), *(np.asarray(values, float) for values in series))
-
-
-@dataclasses.dataclass(frozen=True)
-class Recorded:
-    """The knowledge of recordings of a lab.
-
-    Attributes:
-        arrives: True where the plan on the learned force reaches the goal.
-        error: bound of the relative error of the force along the way (95 %).
-        certain: True where nothing further need be recorded.
-        sd: standard deviation of the force along the way now.
-    """
-
-    trajectories: int
-    arrives: bool
-    error: float
-    certain: bool
-    sd: float
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class DesignResult:
     """Trajectories until the force along a way is known.
 
     Attributes:
         accuracy: relative error of the force along the way that is small enough.
         maps: learned force after the first campaign, or the recordings.
-        way: way that is planned then [L].
+        decision: knowledge of the way then.
         paths: trajectories of the first campaign of each design, or the recordings [L].
         designs: simulated campaigns by the name of their design.
         bounds: bound of the error after each trajectory, by design and campaign.
-        recorded: what recordings leave open; none of a simulation.
         next: trajectory to record next; none where no candidate stays in the arena, or
             of a simulation.
     """
@@ -129,27 +78,14 @@ class DesignResult:
     accuracy: float
     course: Course
     maps: ForceMaps
-    way: Path
+    decision: Decision
     thrust: float
     paths: dict[str, tuple[Path, ...]]
     designs: dict[str, CampaignSummary] = dataclasses.field(default_factory=dict)
     bounds: dict[str, tuple[Float[np.ndarray, " _"], ...]] = dataclasses.field(
         default_factory=dict
     )
-    recorded: Recorded | None = None
-    next: NextTrajectory | None = None
-
-
-def map_belief(adaptive: AdaptiveController, belief: Belief) -> ForceMaps:
-    """The learned force on the arena, and its standard deviation."""
-    grid = ArenaGrid.over(Course.of(adaptive.task), MAP_POINTS)
-    mean, sd = belief.force(grid.places)
-    return ForceMaps(grid.field(lambda _: mean), sd=grid.lay(sd))
-
-
-def relative_bound(decision: Decision) -> float:
-    """The bound of an error, at most 1: nothing is known of the force."""
-    return min(decision.error, 1.0)
+    next: Suggestion | None = None
 
 
 def _first_below(campaign: Campaign) -> float:
