@@ -18,7 +18,7 @@ from pinav.thermal.protocols import Piecewise, plan_steps
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import Probes, default_stepper, probes_at, run, solve
 from pinav.thermal.sources import EddySource, PowerSource
-from pinav.thermal.starts import HeatState
+from pinav.thermal.starts import AT_REST, HeatState
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 
@@ -86,7 +86,7 @@ def short_run():
             schedule,
             stepper=Rosenbrock(),
             observe=probes_at(model, [0.004]),
-            start=HeatState.at_rest(own),
+            start=AT_REST.state(own),
         )
         return jnp.stack(
             [
@@ -135,7 +135,7 @@ def test_a_run_is_differentiated_in_blocks_or_whole(monkeypatch, kept, cells):
 
     def outcome(scale):
         own = eqx.tree_at(lambda m: m.blood.arterial, model, 37.0 * scale)
-        begin = HeatState.at_rest(model)
+        begin = AT_REST.state(model)
         found = run(
             own, protocol, schedule, stepper=stepper, observe=jnp.mean, start=begin
         )
@@ -167,7 +167,7 @@ def test_reverse_mode_in_the_plane():
             schedule,
             stepper=stepper,
             observe=jnp.max,
-            start=HeatState.at_rest(own),
+            start=AT_REST.state(own),
         )
         return jnp.log(jnp.sum(found.final.dose)) + found.observed[-1]
 
@@ -198,7 +198,7 @@ def centre_rise(count):
             plan_steps(protocol, 2000.0),
             stepper=Rosenbrock(),
             observe=probe,
-            start=HeatState.at_rest(model),
+            start=AT_REST.state(model),
         )
         return found.observed[-1, 0] - 37.0
 
@@ -237,7 +237,7 @@ def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel(
             schedule,
             stepper=Rosenbrock(),
             observe=probe,
-            start=HeatState.at_rest(model),
+            start=AT_REST.state(model),
         ).observed[-1, 0]
 
     probe = probes_at(model, [0.0])

@@ -18,8 +18,12 @@ from pinav.thermal.perfusion import MixedPerfusion, lang
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import solve
 from pinav.thermal.sources import DistantEddySource, axis_distance
-from pinav.thermal.starts import AtSteadyState, HeatState
-from pinav.thermal.steady import find_steady_state, steady_state
+from pinav.thermal.starts import (
+    AtSteadyState,
+    HeatState,
+    find_steady_state,
+    steady_state,
+)
 from pinav.thermal.tissues import Blood, Tissue
 
 ENDS = (Sides(Insulated(), Robin(10.0, 25.0)),)

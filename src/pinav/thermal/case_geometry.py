@@ -47,14 +47,10 @@ class Sphere(Strict, frozen=True, tag="sphere", tag_field="kind"):
         return RadialGrid.sphere(self.radius, self.cells)
 
 
-class Cylinder(Strict, frozen=True, tag="cylinder", tag_field="kind"):
+class Cylinder(Sphere, frozen=True, tag="cylinder", tag_field="kind"):
     """A long cylinder, everything a function of the radius [m]."""
 
-    radius: Length
-    cells: Cells
-
     def build(self) -> RadialGrid:
-        """The cells."""
         return RadialGrid.cylinder(self.radius, self.cells)
 
 
@@ -132,12 +128,7 @@ class SideTables(Strict, frozen=True):
         return self.x, self.y, self.z
 
     def build(self, wall: AbstractBoundary, axes: int) -> tuple[AbstractEnds, ...]:
-        """Both sides of each axis of a box.
-
-        Args:
-            wall: boundary of the sides that are not stated.
-            axes: number of axes.
-        """
+        """Both sides of each axis of a box."""
         return tuple(
             _ends(f"sides.{name}", ends, wall)
             for name, ends in tuple(zip("xyz", self.along, strict=True))[:axes]
@@ -145,11 +136,7 @@ class SideTables(Strict, frozen=True):
 
 
 def read_boundary(key: str, side: Side) -> AbstractBoundary:
-    """The boundary that a table states.
-
-    Raises:
-        ValueError: it states none.
-    """
+    """The boundary that a table states."""
     return read_module(key, (Dirichlet, Robin, Insulated), side)
 
 

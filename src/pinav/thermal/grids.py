@@ -181,7 +181,6 @@ class CartesianGrid(AbstractGrid):
     """Equal cells of a box, from the origin, along one, two or three axes.
 
     Attributes:
-        cells: number of cells along each axis.
         spacing: size of a cell along each axis [m].
 
     Raises:
@@ -233,10 +232,10 @@ class CartesianGrid(AbstractGrid):
 
     @property
     def _volume(self) -> Array:
-        volume = jnp.asarray(1.0)
-        for size in self.spacing:
-            volume = volume * size
-        return volume
+        return functools.reduce(jnp.multiply, self.spacing, jnp.asarray(1.0))
+
+    def _center(self, center: Numbers | None) -> Array:
+        return 0.5 * self.lengths if center is None else jnp.asarray(center, float)
 
     def faces(self, axis: int) -> Field:
         count = tuple(n + (i == axis) for i, n in enumerate(self.cells))
@@ -253,15 +252,10 @@ class CartesianGrid(AbstractGrid):
         return _ball_shares(self, radius, self._center(center))
 
     def distances(self, center: Numbers | None = None) -> Field:
-        return self._distances(self._center(center))
-
-    def _center(self, center: Numbers | None) -> Array:
-        return 0.5 * self.lengths if center is None else jnp.asarray(center, float)
-
-    def _distances(self, center: Array) -> Array:
+        middle = self._center(center)
         squares = jnp.zeros(self.cells)
         for axis, size in enumerate(self.spacing):
-            offset = (jnp.arange(float(self.cells[axis])) + 0.5) * size - center[axis]
+            offset = (jnp.arange(float(self.cells[axis])) + 0.5) * size - middle[axis]
             shape = [1] * len(self.cells)
             shape[axis] = self.cells[axis]
             squares = squares + jnp.broadcast_to((offset**2).reshape(shape), self.cells)

@@ -53,9 +53,7 @@ class NeuralPerfusion(AbstractLearnedPerfusion):
     """Perfusion by a small network of the temperature; make one by `neural_perfusion`.
 
     Attributes:
-        network: from one number to one; its weights are what trains.
         log_level: logarithm of the perfusion [kg m⁻³ s⁻¹] where the network is zero.
-        range: temperatures [°C] between which it varies.
     """
 
     network: eqx.nn.MLP
@@ -79,12 +77,7 @@ class KernelPerfusion(AbstractLearnedPerfusion):
     of one variance a Gaussian process of length scale $\ell$.
 
     Attributes:
-        values: $v$, what trains.
-        centers: $c$ [°C]; fixed.
-        root: $L$; fixed.
-        length_scale: $\ell$ [K]; fixed.
         log_level: logarithm of the perfusion [kg m⁻³ s⁻¹] where $g$ is zero.
-        range: temperatures [°C] between which it varies.
     """
 
     values: Float[Array, " kernel"]

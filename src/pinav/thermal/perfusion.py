@@ -56,16 +56,7 @@ def mass_perfusion(value: Scalar, *, unit: str, blood: Blood, tissue: Tissue) ->
 
 
 def perfusion_factor(unit: str, *, blood: Blood, tissue: Tissue) -> Property:
-    """What a perfusion in a unit is multiplied by to be in kg m⁻³ s⁻¹.
-
-    Args:
-        unit: one of `UNITS`.
-        blood: its density turns volumes into masses.
-        tissue: its density turns masses of tissue into volumes.
-
-    Raises:
-        InputError: the unit is unknown.
-    """
+    """What a perfusion in a unit is multiplied by to be in kg m⁻³ s⁻¹."""
     per_kilogram = 1e-6 / 60 * tissue.density * blood.density
     factors = {
         "1/s": blood.density,
@@ -155,10 +146,17 @@ class TabulatedPerfusion(AbstractPerfusion):
     values: Float[Array, " temperature"]
 
     def __check_init__(self) -> None:
+        count = len(self.temperatures)
+        if len(self.values) != count or count < 2:
+            raise InputError(
+                "values: expected one for each of two temperatures or more, got "
+                f"{len(self.values)} for {count}"
+            )
         if np.diff(self.temperatures).min() < BLEND * (1 - 1e-9):
             raise InputError(
-                f"TabulatedPerfusion: expected temperatures {BLEND:g} K apart or more, "
-                f"got {list(self.temperatures)}; a jump has no derivative"
+                f"temperatures: expected increasing, {BLEND:g} K apart or more, got "
+                f"{list(self.temperatures)}; a law that jumps has no derivative there: "
+                f"let it rise over {BLEND:g} K"
             )
 
     def __call__(self, temperature: Field) -> Field:
@@ -213,9 +211,6 @@ LANG = {
 def lang(tissue: str) -> AbstractPerfusion:
     """The temperature-dependent perfusion of a tissue.
 
-    Raises:
-        InputError: there is no law for this tissue.
-
     References:
         Lang, Erdmann and Seebass, IEEE Trans. Biomed. Eng. 46, 1129 (1999).
     """
@@ -233,8 +228,6 @@ class MixedPerfusion(AbstractPerfusion):
 
     Attributes:
         fraction: volume fraction of `inside` in each cell; fixed.
-        inside: law where the share is one.
-        outside: law where it is zero.
         box: first cell and end along each axis of a part of the grid outside which the
             share is zero; the whole grid unless given.
     """
@@ -273,7 +266,6 @@ class RegionalPerfusion(AbstractPerfusion):
 
     Attributes:
         fractions: volume fraction of each tissue in each cell; fixed.
-        laws: one for each tissue.
     """
 
     fractions: tuple[Field, ...]

@@ -308,7 +308,6 @@ class _Step(eqx.Module):
     """What the linearised equations of one step need, or of all.
 
     Attributes:
-        length: of the step [s].
         first: slope of what blood takes at the begin, over the capacity [s⁻¹].
         second: the same at the second stage.
         bends: by how much both stages change the first equation's matrix [s⁻¹].

@@ -2,13 +2,7 @@
 
 from collections.abc import Callable
 
-from pinav.figures.identification import (
-    growth_figure,
-    horizons_figure,
-    pixels_figure,
-    rollouts_figure,
-    speed_figure,
-)
+from pinav.figures.identification import horizons_figure, track_figures
 from pinav.fitting import Estimate
 from pinav.identification import Identification, IdentifiedTrack, Row
 from pinav.identification.estimates import QUANTITIES, Quantity
@@ -136,15 +130,7 @@ def _track(
     if track.paths is None:
         return blocks
     blocks += [_estimates(track, units), *_gain(track, units), _rows(track)]
-    if track.paths.rollouts:
-        blocks.append(rollouts_figure(track.paths, f"track-{index}", units))
-    if track.growth is not None and len(track.growth.lengths) > 1:
-        blocks.append(growth_figure(track.growth, f"growth-{index}", units))
-    if track.law is not None:
-        blocks.append(speed_figure(track.law, f"speed-{index}", units))
-    if track.image_paths is not None:
-        blocks.append(pixels_figure(track.image_paths, f"image-{index}"))
-    return blocks
+    return blocks + track_figures(index, track, units)
 
 
 def _estimates(track: IdentifiedTrack, units: dict[str, str]) -> Table:
