@@ -53,10 +53,6 @@ def read_delimited(
         below: lines between the header and the numbers, which are skipped too.
         names: of the columns, where those of the header are not unique.
         faults: where bad rows are noted; the first one is refused where None.
-
-    Raises:
-        InputError: there is no header or no row, a name stands twice, or a row has
-            not as many cells as the header.
     """
     lines = text.splitlines(keepends=True)[skip:]
     if not lines or not lines[0].strip():
@@ -137,10 +133,6 @@ def table_of(
         names: of the columns, where those of the header are not unique.
         decimal: whether commas may be decimal ones.
         faults: where bad rows are noted; the first one is refused where None.
-
-    Raises:
-        InputError: a name stands twice, no row is below the header, or a row has not
-            as many cells as the header.
     """
     number, first = rows[0]
     header = [str(c or "").strip() for c in first] if names is None else list(names)
@@ -327,11 +319,7 @@ _DAMAGED = (
 
 
 def read_sheets(content: bytes) -> dict[str, list[tuple[Any, ...]]]:
-    """The cells of every sheet, by its name.
-
-    Raises:
-        InputError: the workbook is damaged.
-    """
+    """The cells of every sheet, by its name."""
     import openpyxl
     from openpyxl.utils.exceptions import InvalidFileException
 
@@ -355,11 +343,7 @@ def _cells(sheet: Any) -> Iterator[tuple[Any, ...]]:
 def sheet_table(
     content: bytes, name: str | None, skip: int | None, faults: dict[str, str] | None
 ) -> Table:
-    """The table on a sheet of a workbook, or on the only one.
-
-    Raises:
-        InputError: the workbook is damaged, or it is not clear which sheet is meant.
-    """
+    """The table on a sheet of a workbook, or on the only one."""
     sheets = {name: rows for name, rows in read_sheets(content).items() if rows}
     names = ", ".join(map(repr, sheets)) or "none with cells"
     if name is None and len(sheets) != 1:
