@@ -104,9 +104,6 @@ def rows_of_comments(lines: Sequence[str]) -> int:
 
     The last comment is the header where a row of as many numbers follows it:
     `numpy.savetxt` writes it so.
-
-    Args:
-        lines: the first lines of the file.
     """
     rest = (i for i, line in enumerate(lines) if not line.startswith(COMMENTS))
     count = next(rest, len(lines))
@@ -289,9 +286,6 @@ def rows_above_header(rows: Sequence[Sequence[Any]]) -> int:
 
     The header is the first row as wide as most rows are; nothing is skipped where that
     row holds a number, because then the header itself is at fault.
-
-    Args:
-        rows: the first rows of the file.
     """
     widths = [_width(row) for row in rows[:_SAMPLE]]
     common = Counter(w for w in widths if w > 1).most_common(1)

@@ -37,11 +37,7 @@ SYNONYMS: Mapping[str, tuple[str, ...]] = {
 
 
 def likely_columns(names: Sequence[str]) -> dict[str, str]:
-    """The column that each quantity probably has; none where no name says so.
-
-    Args:
-        names: of the columns of a table.
-    """
+    """The column that each quantity probably has; none where no name says so."""
     likely = {}
     for quantity, words in SYNONYMS.items():
         short = {name: _without_qualifiers(name, quantity) for name in names}
@@ -72,11 +68,7 @@ def _plain(name: str) -> str:
 
 
 def example_of_columns(names: Sequence[str]) -> str:
-    """The option `--columns` to start from.
-
-    Args:
-        names: of the columns of a table.
-    """
+    """The option `--columns` to start from."""
     likely = likely_columns(names)
     if "t" in likely:
         likely.pop("frame", None)

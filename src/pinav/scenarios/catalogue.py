@@ -106,9 +106,6 @@ def find_system(
 def source_system(provenance: Mapping[str, Any]) -> System | None:
     """The system that data were simulated from; None where they do not say so.
 
-    Args:
-        provenance: of trajectories.
-
     Raises:
         InputError: the text of the system is damaged, or it names Python code.
     """
