@@ -16,7 +16,7 @@ from pinav.navigation import (
     judge_controllers,
     task,
 )
-from pinav.navigation.adaptive.scores import ORACLE
+from pinav.navigation.adaptive.flight import ORACLE
 from pinav.navigation.adaptive.strategies import (
     AbstractStrategy,
     ExplorationBonus,

@@ -26,7 +26,7 @@ from pinav.navigation import (
     OnlineNavigation,
     Quantiles,
 )
-from pinav.navigation.adaptive.swimmer import ShownFlight
+from pinav.navigation.adaptive.flight import ShownFlight
 from pinav.navigation.belief.belief import Frame
 from pinav.report.text import sections_text
 from pinav.runs import RunFolder

@@ -47,7 +47,7 @@ from pinav.navigation import (
     Way,
     navigate,
 )
-from pinav.navigation.result import ComputingTimes, PlannedWay
+from pinav.navigation.comparison import ComputingTimes, PlannedWay
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System
@@ -114,7 +114,13 @@ FOUND = Navigation(
     course=Course(np.eye(2), np.zeros(2), np.ones(2), 0.3, np.zeros((0, 3))),
     episodes={},
     suggestion=Suggestion(
-        0.3, 0.1, 0.2, (1.0, 2.0), 5.0, *np.zeros((3, 2)), np.zeros((4, 2))
+        0.3,
+        0.1,
+        (1.0, 2.0),
+        np.array([0.0, 5.0]),
+        *np.zeros((2, 2)),
+        sd_after_random=0.2,
+        path=np.zeros((4, 2)),
     ),
 )
 
@@ -221,7 +227,7 @@ def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
     effective = 3.0 / np.sqrt(1 + (3.0 / 4.0) ** 2)
     np.testing.assert_allclose(rate, [0.3 - 0.5 * effective, 2.0 * effective])
     assert problem.task.limits.max_frequency == 10.0
-    assert problem.data.units["x"] == "um"
+    assert problem.fit.data.units["x"] == "um"
     assert problem.task.delay == pytest.approx(0.2)
     assert float(problem.task.keep_out[0].distance(jnp.array([4.0, 6.0]))) == 1.0
 

@@ -16,29 +16,34 @@ from pinav.commands.steering import known_task, observe_positions, system_task
 from pinav.errors import InputError
 from pinav.figures.images import Picture
 from pinav.figures.navigation import bounds_figure, recordings_figure
-from pinav.navigation import AdaptiveController, Course, Experiment, Rectangle, Task
+from pinav.navigation import (
+    AdaptiveController,
+    Course,
+    Experiment,
+    Rectangle,
+    Suggestion,
+    Task,
+)
+from pinav.navigation.adaptive.flight import map_belief
 from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.design.campaign import (
     Campaign,
+    believe_data,
     decide,
     record_positions,
     run_campaign,
 )
-from pinav.navigation.design.choices import (
+from pinav.navigation.design.candidates import (
     AbstractDesign,
     GridDesign,
     InformedDesign,
     RandomDesign,
     Stage,
+    suggest_next,
 )
-from pinav.navigation.design.frames import believe_data
 from pinav.navigation.design.result import (
     CampaignSummary,
     DesignResult,
-    NextTrajectory,
-    Recorded,
-    map_belief,
-    relative_bound,
 )
 from pinav.report import AbstractBlock, Cell, Paragraph, Section, Table
 from pinav.runs import RunFolder
@@ -87,14 +92,14 @@ def _compare(
         system=system.name,
         accuracy=settings.accuracy,
         course=Course.of(task),
-        maps=map_belief(adaptive, first.belief),
-        way=first.decisions[-1].way,
+        maps=map_belief(task, first.belief),
+        decision=first.decisions[-1],
         thrust=adaptive.thrust,
         paths={name: some[0].paths for name, some in campaigns.items()},
         designs={name: CampaignSummary.of(some) for name, some in campaigns.items()},
         bounds={
             name: tuple(
-                np.array([relative_bound(decision) for decision in one.decisions])
+                np.array([min(decision.error, 1.0) for decision in one.decisions])
                 for one in some
             )
             for name, some in campaigns.items()
@@ -117,28 +122,19 @@ def _suggest(
     belief = believe_data(adaptive, system.swimmer, data, settings.position_noise)
     decision = decide(adaptive, belief)
     stage = Stage(adaptive, experiment, belief, decision.way)
-    _, spread = belief.force(decision.way)
-    recorded = Recorded(
-        trajectories=len(data),
-        arrives=decision.arrives,
-        error=decision.error,
-        certain=decision.certain(settings.accuracy),
-        sd=float(np.sqrt(np.mean(spread**2))),
-    )
     return folder, DesignResult(
         system=system.name,
         accuracy=settings.accuracy,
         course=Course.of(task),
-        maps=map_belief(adaptive, belief),
-        way=decision.way,
+        maps=map_belief(task, belief),
+        decision=decision,
         thrust=adaptive.thrust,
         paths={
             "recorded": tuple(
                 piece.states[piece.observed[:, :2].all(axis=1), :2] for piece in data
             )
         },
-        recorded=recorded,
-        next=NextTrajectory.informed(stage, key=jax.random.key(settings.seed)),
+        next=suggest_next(stage, key=jax.random.key(settings.seed)),
     )
 
 
@@ -190,8 +186,8 @@ def sections(result: DesignResult) -> list[Section]:
 
 def sentences(result: DesignResult) -> list[str]:
     """The findings in words."""
-    if result.recorded is not None:
-        return [_next_sentence(result.recorded, result.next, result.accuracy)]
+    if "recorded" in result.paths:
+        return [_next_sentence(result)]
     lines = [
         f"System {result.system} (synthetic): trajectories until the force along the "
         f"planned way is known to {100 * result.accuracy:g} % with a probability of "
@@ -235,19 +231,18 @@ def design_table(result: DesignResult) -> Table:
     return Table.of(result.designs.items(), columns, CAPTION)
 
 
-def _next_sentence(
-    recorded: Recorded, advice: NextTrajectory | None, accuracy: float
-) -> str:
+def _next_sentence(result: DesignResult) -> str:
+    count, decision = len(result.paths["recorded"]), result.decision
+    advice, accuracy = result.next, result.accuracy
     known = (
-        f"After {recorded.trajectories} trajectories the force along the planned way "
-        f"is known to {100 * recorded.error:.2g} % with a probability of 95 %"
+        f"After {count} trajectories the force along the planned way "
+        f"is known to {100 * decision.error:.2g} % with a probability of 95 %"
     )
-    if recorded.certain:
+    if decision.certain(accuracy):
         return f"{known}; nothing further need be recorded for {100 * accuracy:g} %."
-    if not recorded.arrives:
+    if not decision.arrives:
         known = (
-            f"After {recorded.trajectories} trajectories no plan reaches the goal on "
-            "the learned force"
+            f"After {count} trajectories no plan reaches the goal on the learned force"
         )
     if advice is None:
         return f"{known}; no candidate trajectory stays inside of the arena."
@@ -255,11 +250,11 @@ def _next_sentence(
     return (
         f"{known}. Record next the trajectory in next.csv, released at ({x:.4g}, "
         f"{y:.4g}): the standard deviation of the force along the way, now "
-        f"{recorded.sd:.3g}, should then be {advice.sd_after:.3g}."
+        f"{advice.sd:.3g}, should then be {advice.sd_after:.3g}."
     )
 
 
-def _programme(advice: NextTrajectory) -> Table:
+def _programme(advice: Suggestion) -> Table:
     """The commands of the trajectory to record next."""
     series = advice.times, advice.frequency, advice.heading
     rows = list(zip(*(values.tolist() for values in series), strict=True))
@@ -288,7 +283,7 @@ def _map(result: DesignResult) -> Picture:
             result.course,
             result.maps,
             result.paths.get(design, ()),
-            way=result.way,
+            way=result.decision.way,
             thrust=result.thrust,
         ),
         f"Standard deviation of the force after {what}, its trajectories, and the way "

@@ -140,7 +140,7 @@ def _programme(suggestion: Suggestion, unit: str) -> Table:
     x, y = suggestion.start
     caption = (
         f"Commands of the trajectory to record next, released at ({x:.4g}, {y:.4g}) "
-        f"for {quantity(suggestion.duration, unit)}; linear between the times."
+        f"for {quantity(suggestion.times[-1], unit)}; linear between the times."
     )
     return Table(("t", "frequency", "heading"), rows, caption, "suggestion")
 
