@@ -165,3 +165,19 @@ def fitted_run(fitted_runs, tmp_path_factory):
 def tiny_fit(fitted_runs, tmp_path_factory):
     """The run `network` and its data, to be read alone."""
     return fitted_runs.copy("network", tmp_path_factory.mktemp("fit"))
+
+
+@pytest.fixture
+def refused(capsys):
+    """Check that a command is refused with one line that holds some words."""
+
+    def check(argv, words):
+        from pinav import cli
+
+        capsys.readouterr()
+        assert cli.run([*map(str, argv)]) == cli.USAGE_ERROR
+        *_, line = capsys.readouterr().err.splitlines()
+        assert line.startswith("pinav: ")
+        assert words in line
+
+    return check

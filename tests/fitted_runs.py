@@ -69,26 +69,34 @@ def langevin(folder: Path) -> list[str]:
     return ["fit", str(folder / DATA), "--recipe", "langevin"]
 
 
-def identified(folder: Path) -> list[str]:
-    """A robot that circles under commands, 40 s at 8 Hz: which response it has."""
-    from pinav.trajectories import Trajectories, save
+def robot(*, commanded: bool = True):
+    """A robot that circles under commands, 40 s at 8 Hz; or its drift alone."""
+    from pinav.trajectories import Trajectories
 
     random = np.random.default_rng(3)
     times = np.arange(0, 40, 0.125)
     heading = np.cumsum(random.normal(0, 0.2, len(times)))
     frequency = np.where(times < 20, 1.0, 2.0)
     velocity = 4 * frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], 1)
+    if not commanded:
+        velocity = np.full_like(velocity, 0.7)
     path = np.concatenate([np.zeros((1, 2)), np.cumsum(0.125 * velocity[:-1], axis=0)])
     path += np.cumsum(0.02 * random.normal(size=path.shape), axis=0)
     path += 0.05 * random.normal(size=path.shape)
-    recording = Trajectories.from_arrays(
+    return Trajectories.from_arrays(
         [times],
         [path],
         channels=("x", "y"),
-        commands={"frequency": [frequency], "heading": [heading]},
+        commands={"frequency": [frequency], "heading": [heading]} if commanded else {},
         units={"x": "um", "y": "um", "t": "s"},
     )
-    save(recording, folder / DATA)
+
+
+def identified(folder: Path) -> list[str]:
+    """Which response the robot has."""
+    from pinav.trajectories import save
+
+    save(robot(), folder / DATA)
     return ["identify", str(folder / DATA)]
 
 
@@ -152,6 +160,16 @@ def crossings(samples: int):
 
 
 @contextlib.contextmanager
+def standard_promotion():
+    """Promotion of types as users have it, in all threads."""
+    jax.config.update("jax_numpy_dtype_promotion", "standard")
+    try:
+        yield
+    finally:
+        jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+@contextlib.contextmanager
 def cheap_residual_fields():
     """Leave kernels out of an identification: tests/identification has them."""
     from pinav.identification.selection import RESIDUALS
@@ -196,11 +214,7 @@ class FittedRuns:
 
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        jax.config.update("jax_numpy_dtype_promotion", "standard")  # in all threads
-        try:
+        with standard_promotion(), cheap_residual_fields(), blank_figures():
             words = RUNS[name](folder)
-            with cheap_residual_fields(), blank_figures():
-                assert cli.run([*words, "--out", str(folder / RUN)]) == 0
-        finally:
-            jax.config.update("jax_numpy_dtype_promotion", "strict")
+            assert cli.run([*words, "--out", str(folder / RUN)]) == 0
         (folder / "done").touch()

@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-import re
 import tomllib
 from pathlib import Path
 
@@ -10,8 +9,18 @@ import jax
 import numpy as np
 import pytest
 import tomli_w
+from tests.commands.heat_cases import (
+    GONE,
+    LABELS,
+    SHAPE,
+    change,
+    frames,
+    refuse,
+    run,
+    voxels,
+    write_voxels,
+)
 
-from pinav import cli
 from pinav.runs import RunFolder
 from pinav.thermal.case import read_case
 from pinav.thermal.images import read_image
@@ -44,23 +53,9 @@ def folder(phantom, tmp_path_factory):
     return made
 
 
-def run(*argv):
-    with jax.numpy_dtype_promotion("standard"):
-        return cli.run(["heat", *map(str, argv)])
-
-
 def edit(folder, name, changes, to="changed.toml"):
     content = tomllib.loads((folder / name).read_text())
-    for path, value in changes.items():
-        *tables, last = path.split(".")
-        table = content
-        for key in tables:
-            table = table[key]
-        if value is None:
-            del table[last]
-        else:
-            table[last] = value
-    (folder / to).write_text(tomli_w.dumps(content))
+    (folder / to).write_text(tomli_w.dumps(change(content, changes)))
     return folder / to
 
 
@@ -128,7 +123,7 @@ REFUSED = [
     ("learn", {"learn.thermometry.readings": "labels.npy"}, "frames along a last axis"),
     ("learn", {"learn.thermometry.readings": "flat.npy"}, "expected the shape"),
     ("learn", {"learn.thermometry.readings": "inf.npy"}, "or NaN where a voxel is"),
-    ("learn", {"learn.thermometry.every": None}, "a time between frames with a unit"),
+    ("learn", {"learn.thermometry.every": GONE}, "a time between frames with a unit"),
     ("learn", {"learn.thermometry.every": 6e3}, "saved time .* up to 720 s"),
     ("learn", {"learn.thermometry.noise": 0.0}, "noise: expected a number > 0"),
     ("learn", {"learn.thermometry.noise": "bad.npy"}, "standard deviation of each"),
@@ -150,14 +145,14 @@ REFUSED = [
     ("learn", {"learn.until": 30.0}, "a time after the first reading at 60 s"),
     ("learn", {"learn.laws": ["bone"]}, "learn.laws: expected names of tissues"),
     ("learn", {"learn.truth": "no.toml"}, "no.toml: cannot be read"),
-    ("learn", {"learn.thermometry": None}, "truth, until: expected with data"),
+    ("learn", {"learn.thermometry": GONE}, "truth, until: expected with data"),
     (
         "learn",
-        {"learn.thermometry.turn": None, "learn.thermometry.readings": "kelvin.npy"},
+        {"learn.thermometry.turn": GONE, "learn.thermometry.readings": "kelvin.npy"},
         "subtract 273.15",
     ),
     ("optimise", {"optimise.after": 100.0}, "a time at which constant amplitudes"),
-    ("optimise", {"learn.thermometry": None, "learn.truth": None}, "from which a plan"),
+    ("optimise", {"learn.thermometry": GONE, "learn.truth": GONE}, "from which a plan"),
     (
         "optimise",
         {"learn.laws": [], "learn.power_scale": False, "learn.spot": False},
@@ -167,19 +162,85 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("task", "changes", "message"), REFUSED)
-def test_bad_frames(folder, tmp_path, capsys, task, changes, message):
+def test_bad_frames(folder, capsys, task, changes, message):
     frames = np.load(folder / "temperature.npy")
     np.save(folder / "flat.npy", frames[:, :, 0])
     np.save(folder / "inf.npy", np.where(np.isnan(frames), np.inf, frames))
     np.save(folder / "bad.npy", np.zeros(frames.shape[:-1]))
     np.save(folder / "kelvin.npy", frames + 273.15)
-    path = edit(
-        folder, "plan.toml" if task == "optimise" else "case.toml", changes, "bad.toml"
-    )
-    assert run(task, path, "--out", tmp_path / "run") == cli.USAGE_ERROR
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert re.search(message, line), line
-    assert not (tmp_path / "run").exists()
+    name = "plan.toml" if task == "optimise" else "case.toml"
+    refuse(capsys, message, task, edit(folder, name, changes, "bad.toml"))
+
+
+FRAME, AT = np.full((*SHAPE, 1), 37.5), np.full(SHAPE, 37.0)
+
+
+def phase(**table):
+    return frames(**({"quantity": "phase", "magnet": 3.0, "echo": 0.02} | table))
+
+
+FRAMES = {
+    "a rise in kelvins": (frames(quantity="rise"), FRAME + 273.15, "expected a rise"),
+    "kelvins with a turn": (
+        frames(turn=16.0, drift="none"),
+        FRAME + 273.15,
+        "frames.npy: .*subtract 273.15 from kelvins",
+    ),
+    "degrees": (phase(), FRAME * 0 + 170.0, "multiply degrees by pi/180"),
+    "an echo in ms": (phase(echo=20.0), FRAME, "thermometry.echo: .*give seconds"),
+    "a magnet in gauss": (phase(magnet=3e4), FRAME, "magnet: .*give tesla"),
+    "a shift in ppm": (phase(coefficient=-0.01), FRAME, "coefficient: .*about -1e-8"),
+    "a noise map of temperatures": (
+        frames(noise="noise.npy"),
+        {"frames.npy": FRAME, "noise.npy": AT + 273.15},
+        "noise.npy: .* <= 100 K",
+    ),
+    "no noise anywhere": (
+        frames(noise="noise.npy"),
+        {"frames.npy": FRAME, "noise.npy": AT * np.nan},
+        "noise.npy: expected the standard deviation",
+    ),
+    "lost voxels alone": (frames(), FRAME * np.nan, "expected a reading, got none"),
+    "a lost frame": (
+        frames(every=20.0),
+        np.concatenate([FRAME, FRAME * np.nan, FRAME], axis=-1),
+        "a frame without them",
+    ),
+    "frames first": (frames(), np.moveaxis(FRAME, -1, 0), "frames.npy: expected the"),
+    "a table": (frames(readings="frames.csv"), FRAME, "frames.csv: expected a file"),
+    "tissue without voxels": (
+        frames({"laws": ["fat"]}),
+        np.where((LABELS == 9)[..., None], np.nan, FRAME),
+        "learn.laws: .* got fat, of which no voxel is read",
+    ),
+    "a truth of smaller voxels": (
+        frames({"truth": "truth.toml"}),
+        {
+            "frames.npy": FRAME,
+            "truth.toml": voxels() | {"grid": voxels()["grid"] | {"size": [1e-3] * 3}},
+        },
+        "learn.truth: expected a case on the cells",
+    ),
+    "a truth of other tissues": (
+        frames({"truth": "truth.toml"}),
+        {
+            "frames.npy": FRAME,
+            "other.npy": np.where(LABELS == 4, 1, LABELS),
+            "truth.toml": voxels()
+            | {"grid": voxels()["grid"] | {"labels": "other.npy"}, "target": ["fat"]}
+            | {
+                "tissues": {k: v for k, v in voxels()["tissues"].items() if k[0] != "t"}
+            },
+        },
+        "learn.truth: expected a case with the tissue tumour",
+    ),
+}
+
+
+@pytest.mark.parametrize(("changes", "given", "message"), FRAMES.values(), ids=FRAMES)
+def test_other_bad_frames(tmp_path, capsys, changes, given, message):
+    files = given if isinstance(given, dict) else {"frames.npy": given}
+    refuse(capsys, message, "learn", write_voxels(tmp_path, changes, files))
 
 
 LAW = {"temperatures": [37.0, 45.0], "values": [0.8, 4.0], "unit": "kg/m3/s"}

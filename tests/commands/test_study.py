@@ -154,10 +154,9 @@ def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
         (["noise", "--cell-timeout", "0"], "--cell-timeout: expected a number > 0"),
     ],
 )
-def test_mistakes_get_one_line_and_no_folder(words, message, tmp_path, capsys):
+def test_mistakes_get_one_line_and_no_folder(words, message, tmp_path, refused):
     out = tmp_path / "run"
-    assert cli.run(["study", *words, "--out", str(out)]) == cli.USAGE_ERROR
-    assert message in capsys.readouterr().err
+    refused(["study", *words, "--out", str(out)], message)
     assert not out.exists()
 
 

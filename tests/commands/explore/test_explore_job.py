@@ -167,15 +167,13 @@ def planned(folder, fitted):
     return folder
 
 
-def test_a_plan_without_its_fit_is_refused(tmp_path, run, capsys):
+def test_a_plan_without_its_fit_is_refused(tmp_path, run, refused):
     folder = planned(tmp_path / "there", "absent")
-    assert cli.run(["explore", str(folder)]) == 2
-    assert "'absent' that it was planned with beside it" in capsys.readouterr().err
-    assert cli.run(["explore", str(run), "--fit", str(run)]) == 2
-    assert "--fit: " in capsys.readouterr().err
+    refused(["explore", str(folder)], "'absent' that it was planned with beside it")
+    refused(["explore", str(run), "--fit", str(run)], "--fit: ")
 
 
-def test_a_plan_that_was_not_kept_is_refused(tmp_path, run, capsys):
+def test_a_plan_that_was_not_kept_is_refused(tmp_path, run):
     folder = planned(tmp_path / "there", "")
     with pytest.raises(InputError, match=r"metrics.json is missing"):
         plan_of(RunFolder.open(folder))
