@@ -23,7 +23,7 @@ from pinav.fitting.environments.summary import (
 )
 from pinav.forces import tensor_matrix
 from pinav.learning.learned import Learned, ModelHeader, build_model
-from pinav.report.text import sections_text
+from pinav.report import sections_text
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.trajectories import Trajectories

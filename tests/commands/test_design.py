@@ -22,7 +22,7 @@ from pinav.navigation.design.result import (
     NextTrajectory,
     Recorded,
 )
-from pinav.report.text import sections_text
+from pinav.report import sections_text
 
 PLACES = ("--from=1,1", "--to=9,9")
 

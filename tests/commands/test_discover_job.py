@@ -29,7 +29,7 @@ from pinav.commands.discover.sections import central_sentence, sections, sentenc
 from pinav.commands.results import sections_of
 from pinav.figures.images import Figures
 from pinav.fitting import Outcome
-from pinav.report.text import sections_text
+from pinav.report import sections_text
 from pinav.runs import RunFolder
 
 

@@ -13,8 +13,7 @@ from pinav.errors import InputError
 from pinav.evaluation import Evaluation, Regions, evaluate, held_out
 from pinav.evaluation.setting import true_system
 from pinav.learning.learned import Learned
-from pinav.report import Table
-from pinav.report.text import as_text, sections_text
+from pinav.report import Table, as_text, sections_text
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings, scenario
 from pinav.trajectories import Trajectories, load, save, simulate

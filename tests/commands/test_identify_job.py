@@ -21,7 +21,7 @@ from pinav.identification import (
 )
 from pinav.identification.estimates import QUANTITIES
 from pinav.identification.identify import pooled_coverage
-from pinav.report.text import sections_text
+from pinav.report import sections_text
 from pinav.runs import RunFolder
 from pinav.trajectories import is_trajectories, save
 

@@ -28,7 +28,7 @@ from pinav.navigation import (
 )
 from pinav.navigation.adaptive.swimmer import ShownFlight
 from pinav.navigation.belief.belief import Frame
-from pinav.report.text import sections_text
+from pinav.report import sections_text
 from pinav.runs import RunFolder
 from pinav.systems import Units
 

@@ -48,7 +48,7 @@ from pinav.navigation import (
     navigate,
 )
 from pinav.navigation.result import ComputingTimes, PlannedWay
-from pinav.report.text import as_text
+from pinav.report import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories

@@ -14,8 +14,7 @@ from pinav.commands.report_page import TABLE, write_report
 from pinav.commands.sweep import Sweep, start_sweep
 from pinav.commands.worker_settings import FilesOptions
 from pinav.errors import InputError
-from pinav.report import Table
-from pinav.report.text import as_text
+from pinav.report import Table, as_text
 from pinav.runs import METRICS_FILE
 from pinav.sweeps import Cell, CellOutcome
 

@@ -10,8 +10,7 @@ from pinav.codec import encode
 from pinav.commands.command import Command, CommandResult, resolve
 from pinav.commands.settings import ResumableOptions, RunOptions
 from pinav.errors import InputError
-from pinav.report import Section, Table
-from pinav.report.text import sections_text
+from pinav.report import Section, Table, sections_text
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
 

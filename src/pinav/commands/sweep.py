@@ -11,8 +11,7 @@ from pinav.commands.command import Command
 from pinav.commands.results import start_run
 from pinav.commands.settings import RunOptions
 from pinav.commands.worker_settings import WorkerSettings
-from pinav.report import Table
-from pinav.report.text import as_text
+from pinav.report import Table, as_text
 from pinav.runs import RunFolder
 from pinav.sweeps import (
     Cell,

@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 
 import pinav.commands.explore
 from pinav import cli
-from pinav.commands.explore import document, payload, posterior
+from pinav.commands.explore import document, payload
 from pinav.commands.explore.job import explorer
-from pinav.commands.explore.plan import plan_of
+from pinav.commands.explore.payload import plan_of
 from pinav.commands.explore.printing import pack_array
 from pinav.commands.explore.warmth import heat_payload
 from pinav.errors import InputError
@@ -120,7 +120,7 @@ def test_packed_numbers_are_those_of_the_array():
 
 def test_a_factor_of_few_directions_keeps_the_field(run):
     fit = Learned.open(run)
-    factor, kept = posterior.directions(fit.posterior, (0.0, 10.0, 0.0, 10.0))
+    factor, kept = payload.directions(fit.posterior, (0.0, 10.0, 0.0, 10.0))
     assert factor.shape[1] < len(fit.posterior.mean)
     assert kept > 0.9999
     points = np.random.default_rng(0).uniform(0, 10, (20, 2))
@@ -133,8 +133,8 @@ def test_a_factor_of_few_directions_keeps_the_field(run):
 
 def test_a_factor_has_no_more_numbers_than_a_page_may_hold(run, monkeypatch):
     fit = Learned.open(run)
-    monkeypatch.setattr(posterior, "NUMBERS", 3 * len(fit.posterior.mean))
-    factor, kept = posterior.directions(fit.posterior, (0.0, 10.0, 0.0, 10.0))
+    monkeypatch.setattr(payload, "NUMBERS", 3 * len(fit.posterior.mean))
+    factor, kept = payload.directions(fit.posterior, (0.0, 10.0, 0.0, 10.0))
     assert factor.shape == (len(fit.posterior.mean), 3)
     assert kept < 1
 

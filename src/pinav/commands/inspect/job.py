@@ -20,8 +20,16 @@ from pinav.fitting import judge_increments
 from pinav.recordings.conventions import in_words
 from pinav.recordings.quality.commands import Drive
 from pinav.recordings.quality.report import Quality, Run, Track, quality
-from pinav.report import Cell, Code, Paragraph, Section, Table, number, render
-from pinav.report.text import sections_text
+from pinav.report import (
+    Cell,
+    Code,
+    Paragraph,
+    Section,
+    Table,
+    number,
+    render,
+    sections_text,
+)
 from pinav.trajectories import Trajectories
 
 JSON_FILE, PAGE_FILE = "inspection.json", "inspection.html"
