@@ -155,9 +155,7 @@ def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
     ],
 )
 def test_mistakes_get_one_line_and_no_folder(words, message, tmp_path, refused):
-    out = tmp_path / "run"
-    refused(["study", *words, "--out", str(out)], message)
-    assert not out.exists()
+    refused(["study", *words, "--out", tmp_path / "run"], message)
 
 
 def test_no_noise_stands_left_of_all_noise():

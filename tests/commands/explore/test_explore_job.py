@@ -230,15 +230,6 @@ def test_a_large_box_of_bioheat_keeps_the_size_of_a_page(tmp_path):
     assert len(document.document(content)) < document.MAX_BYTES
 
 
-def test_a_damaged_run_of_bioheat_gives_one_line(tmp_path, capsys):
-    folder = boxed(tmp_path / "heat", (6, 5), 9)
-    (folder / "metrics.npz").write_bytes(b"PK damaged")
-    assert cli.run(["explore", str(folder)]) == 2
-    message = capsys.readouterr().err.strip()
-    assert "\n" not in message
-    assert "metrics.npz" in message
-
-
 def test_a_notebook_shows_the_page_in_a_frame(run):
     shown = explorer(run)._repr_html_()
     assert shown.startswith("<iframe srcdoc=")
@@ -262,19 +253,6 @@ def test_the_map_holds_the_arena_of_a_plan(content):
     box = payload._union((0.0, 4.0, 0.0, 4.0), [[1.0, 1.0], [10.0, 3.0]])
     assert box == (0.0, 10.0, -3.0, 7.0)
     assert content["plan"] is None
-
-
-@pytest.mark.parametrize(
-    "file", ["model.eqx", "posterior.npz", "data.npz", "config.toml"]
-)
-def test_a_damaged_run_gives_one_line(file, fitted_run, capsys):
-    folder, _ = fitted_run("kernel")
-    (folder / file).write_bytes(b"damaged")
-    capsys.readouterr()
-    assert cli.run(["explore", str(folder)]) == 2
-    message = capsys.readouterr().err.strip()
-    assert "\n" not in message
-    assert file in message
 
 
 def test_without_an_environment_the_title_is_the_system_alone(run, content):
