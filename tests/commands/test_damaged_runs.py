@@ -17,7 +17,7 @@ import pytest
 from benchmarks.fit import compare
 from benchmarks.fit.contestants import Effort
 from benchmarks.fit.table import Measurement
-from tests.commands.heat_cases import small
+from tests.commands.test_heat import small
 from tests.commands.test_interruptions import one_line
 from tests.damage import damage
 from tests.fitted_runs import SHORT, STUDY, blank_figures

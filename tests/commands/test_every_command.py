@@ -6,7 +6,7 @@ from pathlib import Path
 
 import jax
 import pytest
-from tests.commands.heat_cases import small
+from tests.commands.test_heat import small
 from tests.fitted_runs import blank_figures
 
 from pinav import analysis, cli

@@ -2,11 +2,13 @@
 
 import csv
 import json
+import tomllib
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.commands.heat_cases import EXAMPLES, run, small
+import tomli_w
+from tests.heat_cases import EXAMPLES, ball, run, write
 
 from pinav import cli
 from pinav.runs import RunFolder
@@ -14,6 +16,18 @@ from pinav.thermal.case import read_case
 from pinav.thermal.design import Run
 from pinav.thermal.planned_run import PlanTask
 from pinav.thermal.setup import Setup
+
+
+def small(name, folder, **changes):
+    """An example on a coarse grid, with tables changed: its file."""
+    content = ball(name) | {"step": 20.0}
+    for table, values in changes.items():
+        if isinstance(values, dict):
+            content.setdefault(table, {}).update(values)
+            content[table] = {k: v for k, v in content[table].items() if v is not None}
+        else:
+            content[table] = values
+    return write(folder, content, name=f"{name}.toml")
 
 
 @pytest.mark.slow
@@ -79,6 +93,15 @@ def test_learn_compares_with_constant_perfusion(tmp_path, capsys):
     assert (out / "figures" / "heat-perfusion.svg").exists()
 
 
+def test_learn_reads_probes_beside_the_case(tmp_path, capsys):
+    with open(tmp_path / "probes.csv", "w", newline="") as file:
+        rows = [(60.0 * k, 0.0, 37.0 + 0.1 * k) for k in range(1, 9)]
+        csv.writer(file).writerows([("t", "r", "T"), *rows])
+    case = small("learn", tmp_path, learn={"data": "absent.csv", "held_out": []})
+    assert run("learn", case, "--out", tmp_path / "run") == cli.USAGE_ERROR
+    assert "absent.csv: cannot be read" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_optimise_names_what_binds(tmp_path, capsys):
     times = [0, 450, 900, 1350, 1800]
@@ -103,10 +126,23 @@ def test_a_ramp_stays_a_ramp_in_a_plan(tmp_path):
     assert np.allclose(plan.protocol.ends, [2e4, 1e4])
 
 
+def test_tasks_say_what_they_need(tmp_path, capsys):
+    case = small("tumour", tmp_path)
+    assert run("optimise", case, "--out", tmp_path / "b") == cli.USAGE_ERROR
+    assert "expected a table [optimise]" in capsys.readouterr().err
+    bare = tomllib.loads(case.read_text())
+    del bare["probes"]
+    case.write_text(tomli_w.dumps(bare))
+    assert run("learn", case, "--out", tmp_path / "c") == cli.USAGE_ERROR
+    assert "learn: expected data, a CSV file, or probes" in capsys.readouterr().err
+    assert run("simulate", tmp_path / "no.toml", "--out", tmp_path / "d") == 2
+    assert "cannot be read" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda p: p.name)
 def test_the_examples_are_cases(path):
     own = Setup.read(path)
-    assert own.model.grid.shape == own.target.shape
+    assert own.model.grid.shape == own.body.target.shape
 
 
 @pytest.mark.slow

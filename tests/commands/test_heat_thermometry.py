@@ -3,33 +3,21 @@
 import importlib.util
 import json
 import tomllib
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 import tomli_w
-from tests.commands.heat_cases import (
-    GONE,
-    LABELS,
-    SHAPE,
-    change,
-    frames,
-    refuse,
-    run,
-    voxels,
-    write_voxels,
-)
+from tests.heat_cases import EXAMPLES, GONE, change, refuse, run, write
 
 from pinav.runs import RunFolder
 from pinav.thermal.case import read_case
-from pinav.thermal.images import read_image
+from pinav.thermal.images import read_frames, read_image
 from pinav.thermal.learned_tissue import LearnedTissue
-from pinav.thermal.readings import read_data
 from pinav.thermal.setup import Setup
 from pinav.thermal.solve import solve
 
-PHANTOM = Path(__file__).parents[2] / "examples" / "heat" / "phantom.py"
+PHANTOM = EXAMPLES / "phantom.py"
 SMALL = {"cells": (12, 12, 8), "size": (12e-3, 12e-3, 12e-3), "frames": 12}
 
 
@@ -54,9 +42,9 @@ def folder(phantom, tmp_path_factory):
 
 
 def edit(folder, name, changes, to="changed.toml"):
-    content = tomllib.loads((folder / name).read_text())
-    (folder / to).write_text(tomli_w.dumps(change(content, changes)))
-    return folder / to
+    return write(
+        folder, change(tomllib.loads((folder / name).read_text()), changes), name=to
+    )
 
 
 @pytest.mark.slow
@@ -111,7 +99,7 @@ def test_a_phase_is_a_temperature(folder):
     path = edit(folder, "case.toml", {"learn.thermometry": table}, "phase.toml")
     case, _ = read_case(path)
     setup = Setup.of(case, folder)
-    data = read_data(case.learn, setup, folder)
+    data = read_frames(case.learn.thermometry, setup.body.image, setup.arterial, folder)
     assert data.turn == pytest.approx(39.1443, abs=1e-3)
     expected = np.moveaxis(frames, -1, 0)
     assert np.allclose(data.values, expected, atol=1e-3, equal_nan=True)
@@ -168,79 +156,10 @@ def test_bad_frames(folder, capsys, task, changes, message):
     np.save(folder / "inf.npy", np.where(np.isnan(frames), np.inf, frames))
     np.save(folder / "bad.npy", np.zeros(frames.shape[:-1]))
     np.save(folder / "kelvin.npy", frames + 273.15)
-    name = "plan.toml" if task == "optimise" else "case.toml"
-    refuse(capsys, message, task, edit(folder, name, changes, "bad.toml"))
-
-
-FRAME, AT = np.full((*SHAPE, 1), 37.5), np.full(SHAPE, 37.0)
-
-
-def phase(**table):
-    return frames(**({"quantity": "phase", "magnet": 3.0, "echo": 0.02} | table))
-
-
-FRAMES = {
-    "a rise in kelvins": (frames(quantity="rise"), FRAME + 273.15, "expected a rise"),
-    "kelvins with a turn": (
-        frames(turn=16.0, drift="none"),
-        FRAME + 273.15,
-        "frames.npy: .*subtract 273.15 from kelvins",
-    ),
-    "degrees": (phase(), FRAME * 0 + 170.0, "multiply degrees by pi/180"),
-    "an echo in ms": (phase(echo=20.0), FRAME, "thermometry.echo: .*give seconds"),
-    "a magnet in gauss": (phase(magnet=3e4), FRAME, "magnet: .*give tesla"),
-    "a shift in ppm": (phase(coefficient=-0.01), FRAME, "coefficient: .*about -1e-8"),
-    "a noise map of temperatures": (
-        frames(noise="noise.npy"),
-        {"frames.npy": FRAME, "noise.npy": AT + 273.15},
-        "noise.npy: .* <= 100 K",
-    ),
-    "no noise anywhere": (
-        frames(noise="noise.npy"),
-        {"frames.npy": FRAME, "noise.npy": AT * np.nan},
-        "noise.npy: expected the standard deviation",
-    ),
-    "lost voxels alone": (frames(), FRAME * np.nan, "expected a reading, got none"),
-    "a lost frame": (
-        frames(every=20.0),
-        np.concatenate([FRAME, FRAME * np.nan, FRAME], axis=-1),
-        "a frame without them",
-    ),
-    "frames first": (frames(), np.moveaxis(FRAME, -1, 0), "frames.npy: expected the"),
-    "a table": (frames(readings="frames.csv"), FRAME, "frames.csv: expected a file"),
-    "tissue without voxels": (
-        frames({"laws": ["fat"]}),
-        np.where((LABELS == 9)[..., None], np.nan, FRAME),
-        "learn.laws: .* got fat, of which no voxel is read",
-    ),
-    "a truth of smaller voxels": (
-        frames({"truth": "truth.toml"}),
-        {
-            "frames.npy": FRAME,
-            "truth.toml": voxels() | {"grid": voxels()["grid"] | {"size": [1e-3] * 3}},
-        },
-        "learn.truth: expected a case on the cells",
-    ),
-    "a truth of other tissues": (
-        frames({"truth": "truth.toml"}),
-        {
-            "frames.npy": FRAME,
-            "other.npy": np.where(LABELS == 4, 1, LABELS),
-            "truth.toml": voxels()
-            | {"grid": voxels()["grid"] | {"labels": "other.npy"}, "target": ["fat"]}
-            | {
-                "tissues": {k: v for k, v in voxels()["tissues"].items() if k[0] != "t"}
-            },
-        },
-        "learn.truth: expected a case with the tissue tumour",
-    ),
-}
-
-
-@pytest.mark.parametrize(("changes", "given", "message"), FRAMES.values(), ids=FRAMES)
-def test_other_bad_frames(tmp_path, capsys, changes, given, message):
-    files = given if isinstance(given, dict) else {"frames.npy": given}
-    refuse(capsys, message, "learn", write_voxels(tmp_path, changes, files))
+    path = edit(
+        folder, "plan.toml" if task == "optimise" else "case.toml", changes, "bad.toml"
+    )
+    refuse(capsys, task, path, message)
 
 
 LAW = {"temperatures": [37.0, 45.0], "values": [0.8, 4.0], "unit": "kg/m3/s"}

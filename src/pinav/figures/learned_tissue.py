@@ -32,9 +32,13 @@ from pinav.figures.style import (
     new_figure,
     prepare_axes,
 )
-from pinav.thermal.forecast import Forecast
 from pinav.thermal.heated_run import FOLLOWED
-from pinav.thermal.learned_tissue import FittedFrames, FittedProbes, LearnedTissue
+from pinav.thermal.learned_tissue import (
+    FittedFrames,
+    FittedProbes,
+    Forecast,
+    LearnedTissue,
+)
 from pinav.thermal.learning import PerfusionCurve
 
 
@@ -43,6 +47,7 @@ def fitted_probes_figure(title: str, fitted: FittedProbes) -> Picture:
 
     def draw() -> Figure:
         data = fitted.data
+        assert data.points is not None
         names, readings = place_names(data.points), (data.times, data.values)
         curves = probe_curves(data.times, fitted.predicted, names, readings=readings)
         return figure_of(curves)

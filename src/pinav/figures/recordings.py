@@ -41,8 +41,8 @@ from pinav.figures.style import (
     with_unit,
 )
 from pinav.recordings import image_positions, labels
-from pinav.recordings.quality.commands import vector
-from pinav.recordings.quality.report import Quality, positions
+from pinav.recordings.drive import vector
+from pinav.recordings.quality import Quality, positions
 from pinav.trajectories import Trajectories
 
 

@@ -11,7 +11,8 @@ import jax.flatten_util
 import numpy as np
 import pytest
 from tests.commands.explore.chromium import Chromium, find_chromium
-from tests.commands.heat_cases import small, write_voxels
+from tests.commands.test_heat import small
+from tests.commands.test_heat_voxels import write as write_voxels
 
 from pinav import cli
 from pinav.commands.explore.document import document
