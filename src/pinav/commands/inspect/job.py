@@ -62,10 +62,10 @@ def inspect(
     recording = _with_labels(read_data(path, settings, doubtful=True), path)
     report = _with_verdict(quality(recording), recording)
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
         text = json.dumps(encode(report).document, indent=2, allow_nan=False)
+        html = page(recording, report, out, image)  # makes the folder
         write_text(out / JSON_FILE, text, overwrite=True)
-        write_text(out / PAGE_FILE, page(recording, report, out, image), overwrite=True)
+        write_text(out / PAGE_FILE, html, overwrite=True)
     return report
 
 
