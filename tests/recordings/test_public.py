@@ -139,4 +139,4 @@ def test_the_list_has_origin_licence_and_checksum(capsys, refused):
     rows = json.loads(capsys.readouterr().out)
     assert {row["name"] for row in rows} == set(BUILT_IN)
     assert all(len(row["sha256"]) == 64 and row["licence"] for row in rows)
-    refused(["data", "fetch"], "expected the name of a recording after fetch")
+    refused(["data", "fetch"], "recording '' is unknown; choose one of")
