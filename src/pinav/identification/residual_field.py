@@ -21,7 +21,7 @@ from pinav.fitting.engine.problem import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
 from pinav.identification.drive import fitted_coordinates
-from pinav.identification.forecast import Displacement, path_of
+from pinav.identification.forecast import Displacement, integrate_held, path_of
 from pinav.identification.likelihood import (
     Design,
     Drive,
@@ -176,11 +176,8 @@ def path_along(fit: ResidualFit) -> Displacement:
 
     def displacement(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
         at = jax.vmap(lambda x: fit.swimmer.environment(0.0, x, 0 * x))
-        velocity = np.asarray(at(jnp.asarray(piece.states)))[:-1]
-        steps = velocity * np.diff(piece.times)[:, None]
-        return path(piece) + np.concatenate(
-            [np.zeros((1, 2)), np.cumsum(steps, axis=0)]
-        )
+        velocity = np.asarray(at(jnp.asarray(piece.states)))
+        return path(piece) + integrate_held(velocity, piece.times)
 
     return displacement
 
