@@ -45,7 +45,7 @@ class Range:
         low = -math.inf if self.least is None else self.least
         above = -math.inf if self.above is None else self.above
         most = math.inf if self.most is None else self.most
-        return low <= number <= most and above < number < self.below
+        return bool(low <= number <= most and above < number < self.below)
 
     def check(self, name: str, value: Number | tuple[Number, ...] | None) -> None:
         """Require that the value, or each of several, lies within; none always does.

@@ -10,9 +10,8 @@ from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, outer
 from pinav.thermal.grids import RadialGrid
-from pinav.thermal.learned_perfusion import kernel_perfusion, neural_perfusion
 from pinav.thermal.learning import learn, perfusion_curve, visited_range
-from pinav.thermal.perfusion import lang
+from pinav.thermal.perfusion import kernel_perfusion, lang, neural_perfusion
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.readings import (
     Readings,

@@ -6,6 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from validation.heat import exact
+from validation.heat.checks import powers as switched
+from validation.heat.checks import reference_model as medium
 from validation.heat.exact import SET_S
 
 from pinav.errors import InputError
@@ -86,7 +88,6 @@ def short_run():
             schedule,
             stepper=Rosenbrock(),
             observe=probes_at(model, [0.004]),
-            start=AT_REST.state(own),
         )
         return jnp.stack(
             [
@@ -167,7 +168,6 @@ def test_reverse_mode_in_the_plane():
             schedule,
             stepper=stepper,
             observe=jnp.max,
-            start=AT_REST.state(own),
         )
         return jnp.log(jnp.sum(found.final.dose)) + found.observed[-1]
 
@@ -198,7 +198,6 @@ def centre_rise(count):
             plan_steps(protocol, 2000.0),
             stepper=Rosenbrock(),
             observe=probe,
-            start=AT_REST.state(model),
         )
         return found.observed[-1, 0] - 37.0
 
@@ -222,9 +221,7 @@ def test_exact_sensitivities_at_second_order():
 
 
 @pytest.mark.slow
-def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel(
-    medium, switched
-):
+def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel():
     grid = RadialGrid.sphere(0.05, 400)
     model = medium(grid, 4e5 * grid.ball(0.005))
     edges = (0.0, 120.0, 300.0)
@@ -237,7 +234,6 @@ def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel(
             schedule,
             stepper=Rosenbrock(),
             observe=probe,
-            start=AT_REST.state(model),
         ).observed[-1, 0]
 
     probe = probes_at(model, [0.0])

@@ -77,7 +77,7 @@ def _found_law(
 
     names = ("height", *law.constants())
     estimates = derive(posterior, constants)
-    return FoundLaw(law.kind, law.latex, dict(zip(names, estimates, strict=True)))
+    return FoundLaw(law.name, law.latex, dict(zip(names, estimates, strict=True)))
 
 
 def _profile(

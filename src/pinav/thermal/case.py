@@ -113,7 +113,6 @@ class Case(Strict, frozen=True):
 
     @property
     def blood(self) -> Blood:
-        """Blood of the tissues."""
         return read_module("blood", (Blood,), self.blood_table)
 
     @property

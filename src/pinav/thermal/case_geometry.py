@@ -43,7 +43,6 @@ class Sphere(Strict, frozen=True, tag="sphere", tag_field="kind"):
     cells: Cells
 
     def build(self) -> RadialGrid:
-        """The cells."""
         return RadialGrid.sphere(self.radius, self.cells)
 
 
@@ -74,13 +73,11 @@ class Box(Strict, frozen=True, tag="box", tag_field="kind"):
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """Edges of a cell [m]."""
         if isinstance(self.size, tuple):
             return self.size
         return (self.size,) * len(self.cells)
 
     def build(self) -> CartesianGrid:
-        """The cells."""
         return CartesianGrid(self.cells, self.sizes)
 
 
@@ -124,11 +121,9 @@ class SideTables(Strict, frozen=True):
 
     @property
     def along(self) -> tuple[Across, Across, Across]:
-        """Those of each axis."""
         return self.x, self.y, self.z
 
     def build(self, wall: AbstractBoundary, axes: int) -> tuple[AbstractEnds, ...]:
-        """Both sides of each axis of a box."""
         return tuple(
             _ends(f"sides.{name}", ends, wall)
             for name, ends in tuple(zip("xyz", self.along, strict=True))[:axes]

@@ -198,7 +198,6 @@ class Particles(Strict, frozen=True, tag="particles", tag_field="kind"):
             )
 
     def heating(self) -> AbstractHeating:
-        """SLP of the particles."""
         viscosity = 1e-3 if self.viscosity is None else self.viscosity
         response = LinearResponse(
             1e-9 * self.diameter,
@@ -243,7 +242,6 @@ class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
             )
 
     def heating(self) -> AbstractHeating:
-        """SLP of the particles."""
         return TabulatedHeating(
             np.array(self.amplitudes),
             np.array(self.frequencies),
@@ -343,7 +341,6 @@ class FieldTable(Strict, frozen=True):
             )
 
     def build(self) -> Piecewise:
-        """The protocol."""
         if self.ramp:
             return Piecewise.ramp(self.times, self.ramp, self.frequency)
         if self.on is None or self.off is None:
@@ -358,7 +355,6 @@ class FieldTable(Strict, frozen=True):
 
     @property
     def duration(self) -> float:
-        """Duration of the whole protocol [s]."""
         return self.times[-1]
 
     @property

@@ -129,7 +129,6 @@ class RadialGrid(AbstractGrid):
 
     @property
     def centers(self) -> Float[Array, " cell"]:
-        """Middles of the cells [m]."""
         return 0.5 * (self.edges[1:] + self.edges[:-1])
 
     @property
@@ -222,7 +221,6 @@ class CartesianGrid(AbstractGrid):
 
     @property
     def lengths(self) -> Float[Array, " axis"]:
-        """Extent along each axis [m]."""
         pairs = zip(self.cells, self.spacing, strict=True)
         return jnp.stack([count * jnp.asarray(size, float) for count, size in pairs])
 
@@ -394,7 +392,6 @@ class ResistanceScale(eqx.Module):
         edges: Float[np.ndarray, " face"],
         conductivity: Float[np.ndarray, " cell"],
     ) -> "ResistanceScale":
-        """That of cells between edges [m], of a conductivity each [W m⁻¹ K⁻¹]."""
         resistivity, sizes = 1 / np.asarray(conductivity, float), np.diff(edges)
         faces = np.append(0.0, np.cumsum(resistivity * sizes))
         before, after = resistivity[:-2], resistivity[2:]
@@ -416,7 +413,6 @@ class ResistanceScale(eqx.Module):
         return float(np.interp(place, self.places, self.resistances))
 
     def weights(self, place: Number) -> Float[np.ndarray, " cell"]:
-        """Weights of the cells in the value at a place [m]."""
         return linear_weights(self.at(place), self.values)
 
 

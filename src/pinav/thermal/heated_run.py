@@ -311,7 +311,6 @@ class Cut(NamedTuple):
     place: int | None
 
     def of(self, field: Float[Array, "..."]) -> Float[Array, "row column"]:
-        """The cells of a field that lie in the plane."""
         if self.place is None:
             return field
         return jnp.take(field, self.place, axis=self.axis)
@@ -373,7 +372,6 @@ class Watched(eqx.Module):
         return observed | {f"plane {c.axis}": c.of(temperature) for c in self.cuts}
 
     def doses(self, dose: Float[Array, "..."]) -> dict[str, Array]:
-        """Doses of one time [CEM43 min]."""
         flat = dose.reshape(-1)
         beyond = jnp.where(self.outside, flat, 0.0)
         return {

@@ -9,7 +9,6 @@ import importlib
 from pathlib import Path
 from types import ModuleType
 from typing import BinaryIO
-from zipfile import BadZipFile
 
 import equinox as eqx
 import numpy as np
@@ -18,7 +17,7 @@ from jaxtyping import Float
 from pinav.errors import InputError
 from pinav.files import atomic_write
 from pinav.thermal.case_geometry import Frames
-from pinav.thermal.quantities import NOISIEST, Number
+from pinav.thermal.quantities import NOISIEST, Number, read_arrays
 from pinav.thermal.readings import HOTTEST_READING, Readings
 
 SPATIAL_UNITS = {"meter": 1.0, "mm": 1e-3, "micron": 1e-6}
@@ -63,7 +62,12 @@ def read_image(path: Path) -> Image:
             on perpendicular axes of plausible voxels.
     """
     if path.name.endswith(".npy"):
-        return Image(path, _numbers(path, _read_array(path)))
+        arrays = read_arrays(path)
+        if "" not in arrays:
+            raise InputError(
+                f"{path}: expected one array of NumPy, got several; use np.save"
+            )
+        return Image(path, _numbers(path, arrays[""]))
     if not path.name.endswith((".nii", ".nii.gz")):
         raise InputError(
             f"{path}: expected a file that ends in {', '.join(SUFFIXES)}, got another; "
@@ -106,19 +110,6 @@ def check_place(image: Image, reference: Image) -> None:
             f"{image.path}: expected the affine of {reference.path.name}, got another "
             f"(up to {1e3 * apart:.3g} mm apart); resample it, or correct its units"
         )
-
-
-def _read_array(path: Path) -> np.ndarray:
-    try:
-        with open(path, "rb") as file:
-            values = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError, MemoryError, BadZipFile) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    if not isinstance(values, np.ndarray):
-        raise InputError(
-            f"{path}: expected one array of NumPy, got several; use np.save"
-        )
-    return values
 
 
 def _numbers(path: Path, values: np.ndarray) -> np.ndarray:

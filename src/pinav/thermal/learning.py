@@ -22,7 +22,7 @@ from pinav.fitting.engine.problem import ShortenedStep
 from pinav.fitting.least_squares import fit_regression
 from pinav.forces import IsotropicPrior
 from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.learned_perfusion import AbstractLearnedPerfusion
+from pinav.thermal.perfusion import AbstractLearnedPerfusion
 from pinav.thermal.protocols import AbstractProtocol, Schedule, plan_steps
 from pinav.thermal.quantities import Field, Number, Numbers
 from pinav.thermal.readings import Readings
@@ -41,7 +41,6 @@ class Voxels(eqx.Module):
     cells: Int[Array, " voxel"]
 
     def __call__(self, temperature: Field) -> Float[Array, " voxel"]:
-        """Temperatures of the voxels [°C]."""
         return temperature.reshape(-1)[self.cells]
 
 
@@ -88,7 +87,6 @@ class Residuals(eqx.Module):
     start: AbstractStart
 
     def __call__(self, model: Bioheat) -> Float[Array, " reading"]:
-        """The residuals of a model."""
         scaled = self.offsets(self.predict(model)) * self.weights
         return (scaled - self.weights * self.drift(scaled)).reshape(-1)[self.index]
 

@@ -37,7 +37,6 @@ class AbstractProtocol(eqx.Module):
 
     @property
     def duration(self) -> float:
-        """Of the whole protocol [s]."""
         return self.edges[-1]
 
 
@@ -131,7 +130,6 @@ class Piecewise(AbstractProtocol):
 
     @property
     def largest(self) -> float:
-        """Largest amplitude [A m⁻¹]."""
         return float(jnp.maximum(self.starts.max(), self.ends.max()))
 
     def amplitude(

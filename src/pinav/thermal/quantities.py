@@ -2,7 +2,10 @@
 
 import dataclasses
 import re
+import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import jax
@@ -202,3 +205,27 @@ def _value_at(content: Any, place: str) -> Any:
             return None
         content = content[name] if name else content[int(index)]
     return content
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Arrays of an npz file by their names; that of an npy file has an empty one.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    try:
+        with open(path, "rb") as file:
+            content = np.load(file, allow_pickle=False)
+            if isinstance(content, np.ndarray):
+                return {"": content}
+            with content:
+                return dict(content)
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        MemoryError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error

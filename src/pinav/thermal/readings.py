@@ -85,7 +85,6 @@ class Readings(eqx.Module):
 
     @property
     def observed(self) -> Bool[np.ndarray, "..."]:
-        """Marks the readings that there are."""
         return np.isfinite(self.values) & np.isfinite(self.sd)
 
     @property

@@ -119,7 +119,6 @@ class Setup(eqx.Module):
 
     @property
     def arterial(self) -> float:
-        """Arterial temperature [°C]."""
         return float(self.model.blood.arterial)
 
 

@@ -227,6 +227,5 @@ class Probes(eqx.Module):
     weights: Float[Array, "point ..."]
 
     def __call__(self, temperature: Field) -> Float[Array, " point"]:
-        """Temperatures of the points [°C]."""
         flat = self.weights.reshape(self.weights.shape[0], -1)
         return flat @ temperature.reshape(-1)

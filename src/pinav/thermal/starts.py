@@ -1,8 +1,6 @@
 """Where a run begins: at rest, in a steady state, or in a state of another run."""
 
 import abc
-import zipfile
-import zlib
 from pathlib import Path
 
 import equinox as eqx
@@ -14,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat, HeatBalance
-from pinav.thermal.quantities import Field
+from pinav.thermal.quantities import Field, read_arrays
 
 
 class AbstractStart(eqx.Module):
@@ -89,7 +87,9 @@ def read_state(path: Path, shape: tuple[int, ...]) -> HeatState:
     Raises:
         InputError: the file cannot be read, or is of another grid.
     """
-    arrays = _read_arrays(path)
+    content = read_arrays(path)
+    named = {"temperature": content[""]} if "" in content else content
+    arrays = {name: named[name] for name in ("temperature", "dose") if name in named}
     for name, values in arrays.items():
         if values.dtype.kind not in "biuf":
             raise InputError(
@@ -121,27 +121,6 @@ def read_state(path: Path, shape: tuple[int, ...]) -> HeatState:
     return HeatState(
         jnp.asarray(0.0), jnp.asarray(temperature, float), jnp.asarray(dose, float)
     )
-
-
-def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Arrays of an npz file by their names, or of an npy file as temperatures."""
-    try:
-        with open(path, "rb") as file:
-            content = np.load(file, allow_pickle=False)
-            if isinstance(content, np.ndarray):
-                return {"temperature": content}
-            with content:
-                names = [n for n in ("temperature", "dose") if n in content]
-                return {name: content[name] for name in names}
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        MemoryError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
 
 
 FIRST_STEP, GROWTH, LAST_STEP = 100.0, 10.0, 1e9

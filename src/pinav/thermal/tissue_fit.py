@@ -19,9 +19,13 @@ from pinav.thermal.case import Case
 from pinav.thermal.case_geometry import Learn
 from pinav.thermal.grids import CartesianGrid
 from pinav.thermal.images import read_frames
-from pinav.thermal.learned_perfusion import kernel_perfusion, neural_perfusion
 from pinav.thermal.learning import Residuals, learn, read_residuals, visited_range
-from pinav.thermal.perfusion import AbstractPerfusion, ConstantPerfusion
+from pinav.thermal.perfusion import (
+    AbstractPerfusion,
+    ConstantPerfusion,
+    kernel_perfusion,
+    neural_perfusion,
+)
 from pinav.thermal.readings import Readings, load_probes
 from pinav.thermal.setup import Setup
 from pinav.thermal.sources import ShiftedSource
@@ -182,7 +186,6 @@ class TissueFit:
         return eqx.tree_at(lambda m: m.sources, model, (moved, *others))
 
     def _numbers(self, model: Any) -> tuple:
-        """The numbers of the first source that are learned too."""
         source: Any = model.sources[0]
         plain: Any = source.source if isinstance(source, ShiftedSource) else source
         numbers = (plain.scale,) if self.settings.power_scale else ()

@@ -221,7 +221,7 @@ def _place(term: FoundTerm) -> str:
         degrees = float(np.degrees(values[0]) % 360)
         spread = number(float(np.degrees(deviations[0])), 2)
         return f"{term.name} with its normal at {number(degrees, 5)} ± {spread} degrees"
-    if term.name == HillsTerm.KIND:
+    if term.name == HillsTerm.kinds[0]:
         count = HillsTerm.count(len(values))
         centers = np.reshape(values[: 2 * count], (count, 2))
         places = ", ".join(f"({number(x, 4)}, {number(y, 4)})" for x, y in centers)
