@@ -40,7 +40,7 @@ def standard_promotion():
 
 def identify_file(recording, folder, *more):
     """Run the command on a recording, compared with all candidates; its folder."""
-    save(recording, folder / "robot.npz")
+    save(recording, folder / "robot.npz", overwrite=True)
     words = ["identify", str(folder / "robot.npz"), "--candidates", "all", *more]
     with standard_promotion():
         assert cli.run([*words, "--out", str(folder / "run")]) == 0
