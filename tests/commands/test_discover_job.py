@@ -23,7 +23,7 @@ from pinav.analysis.discovery.potentials import (
     POTENTIALS,
     SADDLE,
 )
-from pinav.commands.discover import DISCOVER
+from pinav.commands import DISCOVER
 from pinav.commands.discover.sections import central_sentence, sections, sentences
 from pinav.commands.results import sections_of
 from pinav.figures.images import Figures

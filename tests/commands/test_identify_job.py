@@ -8,8 +8,8 @@ import pytest
 from tests.fitted_runs import circling
 
 from pinav import cli
+from pinav.commands.identify import IdentifySettings
 from pinav.commands.identify.sections import estimate_row, gain_text, sections
-from pinav.commands.identify.settings import IdentifySettings
 from pinav.errors import InputError
 from pinav.fitting import Estimate
 from pinav.identification import (

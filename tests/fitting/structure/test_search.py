@@ -28,7 +28,7 @@ from pinav.forces import (
     forces_at,
 )
 from pinav.scenarios import fibres, many_barriers
-from pinav.scenarios.spaces import box
+from pinav.scenarios.vessels import box
 from pinav.systems.files import parse_system
 from pinav.trajectories import simulate, with_velocities
 
