@@ -69,8 +69,8 @@ def langevin(folder: Path) -> list[str]:
     return ["fit", str(folder / DATA), "--recipe", "langevin"]
 
 
-def robot(*, commanded: bool = True):
-    """A robot that circles under commands, 40 s at 8 Hz; or its drift alone."""
+def circling(*, commanded=True):
+    """A robot that circles under commands, 40 s at 8 Hz; or its drift."""
     from pinav.trajectories import Trajectories
 
     random = np.random.default_rng(3)
@@ -82,21 +82,21 @@ def robot(*, commanded: bool = True):
         velocity = np.full_like(velocity, 0.7)
     path = np.concatenate([np.zeros((1, 2)), np.cumsum(0.125 * velocity[:-1], axis=0)])
     path += np.cumsum(0.02 * random.normal(size=path.shape), axis=0)
-    path += 0.05 * random.normal(size=path.shape)
+    commands = {"frequency": [frequency], "heading": [heading]} if commanded else {}
     return Trajectories.from_arrays(
         [times],
-        [path],
+        [path + 0.05 * random.normal(size=path.shape)],
         channels=("x", "y"),
-        commands={"frequency": [frequency], "heading": [heading]} if commanded else {},
+        commands=commands,
         units={"x": "um", "y": "um", "t": "s"},
     )
 
 
 def identified(folder: Path) -> list[str]:
-    """Which response the robot has."""
+    """Which response a robot has that circles under commands."""
     from pinav.trajectories import save
 
-    save(robot(), folder / DATA)
+    save(circling(), folder / DATA)
     return ["identify", str(folder / DATA)]
 
 
@@ -160,16 +160,6 @@ def crossings(samples: int):
 
 
 @contextlib.contextmanager
-def standard_promotion():
-    """Promotion of types as users have it, in all threads."""
-    jax.config.update("jax_numpy_dtype_promotion", "standard")
-    try:
-        yield
-    finally:
-        jax.config.update("jax_numpy_dtype_promotion", "strict")
-
-
-@contextlib.contextmanager
 def cheap_residual_fields():
     """Leave kernels out of an identification: tests/identification has them."""
     from pinav.identification.selection import RESIDUALS
@@ -214,7 +204,11 @@ class FittedRuns:
 
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        with standard_promotion(), cheap_residual_fields(), blank_figures():
+        jax.config.update("jax_numpy_dtype_promotion", "standard")  # in all threads
+        try:
             words = RUNS[name](folder)
-            assert cli.run([*words, "--out", str(folder / RUN)]) == 0
+            with cheap_residual_fields(), blank_figures():
+                assert cli.run([*words, "--out", str(folder / RUN)]) == 0
+        finally:
+            jax.config.update("jax_numpy_dtype_promotion", "strict")
         (folder / "done").touch()

@@ -1,10 +1,11 @@
 """`pinav fit RECORDING`: from a file to a table, a verdict and a page."""
 
-import dataclasses
+import contextlib
 
+import jax
 import numpy as np
 import pytest
-from tests.fitted_runs import cheap_residual_fields, robot, standard_promotion
+from tests.fitted_runs import circling
 
 from pinav import cli
 from pinav.commands.identify import IdentifySettings
@@ -21,26 +22,38 @@ from pinav.identification import (
 )
 from pinav.identification.identify import pooled_coverage
 from pinav.identification.parameters import ESTIMATED
+from pinav.identification.selection import RESIDUALS
 from pinav.report import sections_text
 from pinav.runs import RunFolder
-from pinav.trajectories import is_trajectories, save
-
-ALL = ("--candidates", "all")
+from pinav.trajectories import Trajectories, is_trajectories, save
 
 
-def identify_all(data, out, *more):
-    """Run the command on a file with all candidates."""
+@contextlib.contextmanager
+def standard_promotion():
+    """As users have it, in all threads."""
+    jax.config.update("jax_numpy_dtype_promotion", "standard")
+    try:
+        yield
+    finally:
+        jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+def identify_file(recording, folder, *more):
+    """Run the command on a recording, compared with all candidates; its folder."""
+    save(recording, folder / "robot.npz", overwrite=True)
+    words = ["identify", str(folder / "robot.npz"), "--candidates", "all", *more]
     with standard_promotion():
-        return cli.run(["identify", str(data), *ALL, "--out", str(out), *more])
+        assert cli.run([*words, "--out", str(folder / "run")]) == 0
+    return folder / "run"
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("selection")
-    save(robot(), folder / "robot.csv")
-    with cheap_residual_fields():
-        assert identify_all(folder / "robot.csv", folder / "run") == 0
-    return folder / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("Gaussian process", "potential"):  # tests/selection has kernels
+            patch.delitem(RESIDUALS, name)
+        return identify_file(circling(), folder)
 
 
 @pytest.mark.slow
@@ -76,18 +89,26 @@ def test_the_page_says_what_it_is_about(run):
 @pytest.mark.slow
 def test_resuming_a_finished_run_changes_nothing(run, capsys):
     before = (run / "metrics.json").read_text()
-    assert identify_all(run.parent / "robot.csv", run, "--resume") == 0
+    identify_file(circling(), run.parent, "--resume")
     assert (run / "metrics.json").read_text() == before
     assert "gain (um per turn)" in capsys.readouterr().out
 
 
+def idle():
+    """As `circling`, with commands recorded that never asked for motion."""
+    drift = circling(commanded=False)
+    nothing = [np.zeros_like(drift.times[0])]
+    return Trajectories.from_arrays(
+        [drift.times[0]],
+        [drift.states[0]],
+        channels=drift.channels,
+        commands={"frequency": nothing, "heading": nothing},
+        units=drift.units,
+    )
+
+
 def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys):
-    drift = robot(commanded=False)
-    nothing = np.zeros_like(drift.times)
-    commands = {"frequency": nothing, "heading": nothing}
-    save(dataclasses.replace(drift, commands=commands), tmp_path / "idle.csv")
-    out = tmp_path / "run"
-    assert identify_all(tmp_path / "idle.csv", out, "--max-tracks", "0") == 0
+    out = identify_file(idle(), tmp_path, "--max-tracks", "0")
     assert "The commands ask for no motion: gain" in capsys.readouterr().out
     (track,) = RunFolder.open(out).load("metrics", Identification).tracks
     assert track.gain is None
@@ -96,14 +117,12 @@ def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys
 
 
 def test_a_recording_without_commands(tmp_path, capsys):
-    save(robot(commanded=False), tmp_path / "cell.npz")
-    out = tmp_path / "run"
-    assert identify_all(tmp_path / "cell.npz", out, "--max-tracks", "0") == 0
+    identify_file(circling(commanded=False), tmp_path, "--max-tracks", "0")
     assert "No commands recorded: gain" in capsys.readouterr().out
 
 
 def test_tracks_that_are_done_are_not_fitted_again():
-    recording, fitted = robot(commanded=False), []
+    recording, fitted = circling(commanded=False), []
     with standard_promotion():
         first = identify(recording, on_track=lambda *done: fitted.append(done))
         again = identify(recording, done={0: first.tracks[0]}, on_track=pytest.fail)
