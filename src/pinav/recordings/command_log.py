@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from pinav.errors import InputError
+from pinav.reading import PLAIN, Reading
 from pinav.recordings import units
 from pinav.recordings.conventions import rotations
 from pinav.recordings.particles import acting
-from pinav.recordings.rows import COMMAND_UNITS, FRAMES, PLAIN, Reading
+from pinav.recordings.rows import COMMAND_UNITS, FRAMES
 from pinav.recordings.source import Source
 from pinav.recordings.table import example_of_columns, likely_columns
 from pinav.trajectories import Trajectories, Trajectory
