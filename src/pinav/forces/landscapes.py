@@ -68,7 +68,6 @@ class GaussianBarrier(AbstractCentralForce):
 
     Attributes:
         height: $U_0$ [L² T⁻²]; negative makes a trap.
-        center: $c$ [L].
         width: $\sigma$ [L], positive.
 
     Raises:
@@ -94,7 +93,6 @@ class HarmonicTrap(AbstractCentralForce):
 
     Attributes:
         stiffness: $k$ [T⁻²]; negative pushes away.
-        center: $c$ [L].
 
     Raises:
         InputError: `center` is not a point.
@@ -118,7 +116,6 @@ class PowerHill(AbstractCentralForce):
 
     Attributes:
         height: $U_0$ [L² T⁻²]; negative makes a trap.
-        center: $c$ [L].
         core: $s$ [L], positive.
         exponent: $p$, positive.
 
@@ -149,7 +146,6 @@ class CompactHill(AbstractCentralForce):
 
     Attributes:
         height: $U_0$ [L² T⁻²]; negative makes a trap.
-        center: $c$ [L].
         radius: $R$ [L], positive.
 
     Raises:
@@ -178,7 +174,6 @@ class RingBarrier(AbstractCentralForce):
 
     Attributes:
         height: $U_0$ [L² T⁻²]; negative makes a moat.
-        center: $c$ [L].
         radius: $\rho$ [L], positive.
         width: $w$ [L], positive.
 
@@ -204,7 +199,6 @@ class ProfileBarrier(AbstractPotentialForce):
     Attributes:
         law: name of the profile, such as "Yukawa".
         height: $U_0$, or the other amplitude of the profile.
-        center: $c$ [L].
         shapes: the other constants of the profile, in its order.
 
     Raises:

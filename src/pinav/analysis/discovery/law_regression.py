@@ -32,11 +32,7 @@ Bounds = tuple[Float[np.ndarray, " constant"], Float[np.ndarray, " constant"]]
 
 
 class FieldFit(eqx.Module):
-    """A law fitted to a sampled force.
-
-    Attributes:
-        bic: the squares, plus log of the effective sample size for each constant.
-    """
+    """A law fitted to a sampled force; its BIC counts effective samples."""
 
     law: AbstractLaw = eqx.field(static=True)
     constants: Float[np.ndarray, " constant"]
@@ -52,8 +48,6 @@ def fit_law(
     """Weighted nonlinear least squares from the best of several starts.
 
     Args:
-        law: the formula.
-        sample: the force, with the covariance of its errors.
         starts: constants to start from, whatever their amplitudes; those that the
             force itself suggests unless given.
     """
@@ -166,7 +160,7 @@ class _Regression(eqx.Module):
 
 
 def _bounds(law: AbstractLaw, sample: ForceSample) -> Bounds:
-    """Between which each constant is sought: wide, but finite numbers throughout."""
+    """Bounds of each constant: wide, but with finite numbers throughout."""
     low, high = sample.positions.min(axis=0), sample.positions.max(axis=0)
     reach, middle = 5 * sample.extent, (low + high) / 2
     corner = float(np.abs(middle).max())
@@ -222,9 +216,6 @@ def exchange_terms(
     Laws that are added one after the other begin with a compromise between terms, whose
     formula need not be that of any of them. Once the others are there, the right one
     explains as much with fewer constants.
-
-    Returns:
-        The sums that were tried.
     """
     made: list[FieldFit] = []
     count = len(fit.law.terms) if isinstance(fit.law, SumLaw) else 0
@@ -265,6 +256,6 @@ def screen_terms(terms: Sequence[TermLaws], sample: ForceSample) -> list[FieldFi
 
 
 def is_explained(fit: FieldFit, sample: ForceSample) -> bool:
-    """Whether a law leaves no more of a force than its errors are."""
+    """True if a law leaves no more of a force than its errors are."""
     free = max(sample.force.size - len(fit.constants), 1)
     return bool(scipy.special.chdtrc(free, fit.squares) > MISFIT_PROBABILITY)

@@ -268,17 +268,17 @@ class Candidates(eqx.Module):
         return np.concatenate([self.region.places(), self.summits])
 
     def is_enough(self, proposals: Sequence[Proposal]) -> bool:
-        """Whether one of them leaves so little that nothing else is sought."""
+        """True if one of them leaves so little that nothing else is sought."""
         return any(one.noise < self.enough * self.noise for one in proposals)
 
     def is_hopeless(self, proposals: Sequence[Proposal]) -> bool:
-        """Whether each of them leaves so much that none like them is sought."""
+        """True if each of them leaves so much that none like them is sought."""
         return all(one.noise > HOPELESS * self.noise for one in proposals)
 
     def _polish_each(
         self, structures: Sequence[Terms], again: int = 1
     ) -> list[Proposal]:
-        """Each polished, and again where that may explain more of what is left."""
+        """Proposals, polished, and again where that may explain more."""
         between = ENOUGH * self.noise, HOPELESS * self.noise
         made = [
             polish(terms, self.response, again=again, between=between)
@@ -329,7 +329,6 @@ class Candidates(eqx.Module):
         return term
 
     def _best(self, starts: Sequence[AbstractTerm], terms: Terms) -> "_Scanned":
-        """The term that explains most beside those that there are."""
         values = quick_evidences(starts, terms, self.response)
         index = int(np.argmax(values))
         return _Scanned((*terms, starts[index]), values[index])

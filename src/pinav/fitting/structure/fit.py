@@ -66,16 +66,9 @@ def fit_structured(
     Args:
         model: dynamics whose environment is a `KernelPotential`, a `KernelForce` or a
             `KernelMixture`, or a network.
-        trajectories: what was observed.
-        learn: constants to learn too.
-        noise: standard deviation of the observations; estimated unless given.
-        solver: steps between samples; `FixedStep()` unless given.
-        max_iterations: after which a fit counts as stalled.
-        on_step: called after each step.
         weigh_rotation: fit a `KernelMixture` in place of a `KernelPotential` where the
             evidence of planar data, however few, prefers a rotational part, or the
             potential alone diverges. Of a network its kind decides.
-        throw: raise where the fit did not converge.
 
     Raises:
         FitError: as `fit_bayes` does.
@@ -180,7 +173,7 @@ def survey_first_steps(search: Search) -> tuple[Search, Survey, bool]:
 
 
 def _explains(free: EvidenceFit, survey: Survey) -> bool:
-    """Whether the fit of free kernels explains the data nearly to the noise."""
+    """True if the fit of free kernels explains the data nearly to the noise."""
     is_good = free.outcome in (Outcome.CONVERGED, Outcome.UNDER_RESOLVED)
     return is_good and free.hyperparameters.noise <= EXPLAINED * survey.noise
 

@@ -95,7 +95,7 @@ def propose(
 def is_hopeless(
     response: ForceResponse, region: Region, noise: float, *, rotational: bool
 ) -> bool:
-    """Whether no centre, wall or linear force explains much of the data on its own."""
+    """True if no centre, wall or linear force explains much of the data on its own."""
     candidates = Candidates.of(response, region, noise, HOPELESS)
     return candidates.is_hopeless(candidates.add_term((), rotational=rotational))
 
