@@ -199,7 +199,7 @@ def trajectory_effects(
 def constant_effects(
     subject: Subject, effects: Influence
 ) -> tuple[ConstantEffect, ...]:
-    """Effect of one percent of each constant; InputError if the physics has none."""
+    """Effect of a change of each constant by 1 %; InputError if there is none."""
     if not effects.constants:
         raise InputError("the physics has none")
     values = {

@@ -162,8 +162,8 @@ class AbstractLearnedForce(AbstractForce):
     ) -> Float[np.ndarray, "point dim"]:
         """Variance of the force that kernels beyond those that there are would make.
 
-        Kernels are laid about the data alone. Where there are none the force is no
-        better known than its prior, though no weight says so.
+        Kernels are laid about the data only; elsewhere the force is as uncertain as its
+        prior, which no weight states.
 
         Returns:
             Of each component; none where the force is not made of kernels on a grid.

@@ -49,7 +49,7 @@ class AbstractFeatures(eqx.Module):
 
 
 class PositionFeatures(AbstractFeatures):
-    """Position alone, less a fixed center [L] over a fixed scale [L]."""
+    """Position alone, as (x - center) / scale with fixed numbers [L]."""
 
     center: tuple[float, ...] = eqx.field(static=True)
     scale: tuple[float, ...] = eqx.field(static=True)
@@ -67,7 +67,7 @@ class PositionFeatures(AbstractFeatures):
 
 
 class PositionTimeFeatures(AbstractFeatures):
-    """Position and time, less a fixed center over a fixed scale [L, T]."""
+    """Position and time, (y - center) / scale with y = (x, t), both fixed [L, T]."""
 
     center: tuple[float, ...] = eqx.field(static=True)
     scale: tuple[float, ...] = eqx.field(static=True)

@@ -100,8 +100,8 @@ class AbstractTerm(AbstractForce):
     def geometry_scales(self) -> tuple[float, ...]:
         """Prior standard deviation of each leaf of the geometry.
 
-        Without a bound a term that is next to nothing would have any geometry, and the
-        integral over it would count for it.
+        Unbounded, a negligible term could have any geometry, and the integral over all
+        of them would count in its favour.
         """
 
     @property

@@ -32,7 +32,11 @@ Bounds = tuple[Float[np.ndarray, " constant"], Float[np.ndarray, " constant"]]
 
 
 class FieldFit(eqx.Module):
-    """A law fitted to a sampled force; its BIC counts effective samples."""
+    """A law fitted to a sampled force.
+
+    Attributes:
+        bic: the squares, plus log of the effective sample size for each constant.
+    """
 
     law: AbstractLaw = eqx.field(static=True)
     constants: Float[np.ndarray, " constant"]
@@ -213,9 +217,8 @@ def exchange_terms(
 ) -> list[FieldFit]:
     """Sums in which each term in turn is left out or exchanged for any law.
 
-    Laws that are added one after the other begin with a compromise between terms, whose
-    formula need not be that of any of them. Once the others are there, the right one
-    explains as much with fewer constants.
+    Laws that are added one by one begin as a compromise between terms. Once the others
+    are there, the right law explains as much with fewer constants.
     """
     made: list[FieldFit] = []
     count = len(fit.law.terms) if isinstance(fit.law, SumLaw) else 0

@@ -73,7 +73,7 @@ class TermLaws(eqx.Module):
 def term_laws(
     terms: Sequence[AbstractTerm], sampling: Sampling
 ) -> tuple[TermLaws, ...] | None:
-    """The laws of each term; None without terms, with too many, or with other kinds."""
+    """The laws of each term; None without terms, or with too many or other ones."""
     kinds = [laws_of(term) for term in terms]
     if not 0 < len(terms) <= MOST_TERMS or not all(kinds):
         return None

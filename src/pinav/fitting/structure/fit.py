@@ -138,8 +138,8 @@ def kernels_of_teacher(
 ) -> tuple[AbstractLearnedForce, bool]:
     """Untrained kernels for a network to learn from; whether to weigh a rotation.
 
-    Components of a force that are independent of each other have no structure to be
-    found, so that where a rotation can be weighed a potential is the first choice.
+    A potential comes first where a rotation can be weighed, since a force of
+    independent components has no structure to find.
     """
     kernels: Any = specification.kernels()
     if kernels.is_conservative or kernels.dim != PLANE:
@@ -155,9 +155,9 @@ PLANE = 2
 def survey_first_steps(search: Search) -> tuple[Search, Survey, bool]:
     """A survey about the first steps of the free fit, and the search from there.
 
-    Smoothed states miss the path of quick swimmers, and the data linearised about them
-    ask for forces that are not there. They stay where free kernels do not explain the
-    data, as a potential does not those of a swirl.
+    Smoothed states miss the path of quick swimmers, so that data linearised about them
+    suggest spurious forces. They are kept where free kernels do not explain the data,
+    as a potential cannot those of a swirl.
     """
     specification, smooth = search.specification, search.free()
     survey = Survey.of(specification, smooth)
@@ -265,7 +265,7 @@ def _potential(
 
 
 def _weigh_few(search: Search) -> StructuredFit:
-    """The fit of a potential or that of a mixture, of data too few for a search.
+    """The fit of a potential or of a mixture, to data too few for a search.
 
     A potential that is refined may follow a few trajectories whatever the force is, so
     that nothing linearised about it asks for more. A mixture on the kernels with which

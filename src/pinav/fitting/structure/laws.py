@@ -99,9 +99,8 @@ def _with_law_of(
 ) -> Proposal | None:
     """The structure in which a profile follows the most likely law.
 
-    A law is polished alone, and keeps those numbers: beside kernels they would not move
-    where kernels carry what is wrong with them, and where the states are wrong they
-    would move to explain that.
+    A law is polished alone and keeps those numbers. Beside kernels it would not move
+    where these carry its misfit, and it would follow errors of the states.
     """
     terms, noise = structure.terms, structure.noise
     before, (term, *after) = terms[:index], terms[index:]

@@ -197,10 +197,9 @@ class Search(eqx.Module):
     def fit_free(self) -> StructuredFit:
         """The fit of kernels as fine as the evidence asks for, or of hills.
 
-        Where kernels must be finer than those with which fits begin, the detail may be
-        in a few places: hills and wells beside coarse kernels are then the simpler
-        model, and the quicker one. They must be clearly better, because the evidence of
-        their fit is not charged for their places, which the data chose before.
+        Detail finer than the first kernels may be in a few places: hills and wells
+        beside coarse kernels are then simpler and quicker. They must win clearly, since
+        their evidence is not charged for places that the data chose.
         """
         quiet = dataclasses.replace(self, throw=False)
         rough = quiet.fit(self.free(), AS_FINE_AS_HILLS_NEED)
@@ -339,10 +338,10 @@ class Search(eqx.Module):
         return fit if is_good and is_whole else None
 
     def _without_absent(self, fit: EvidenceFit) -> EvidenceFit:
-        """The fit without terms that it left next to nothing to do.
+        """The fit without terms whose force is negligible.
 
-        About the first steps, which are rough, they may have seemed needed. Where the
-        free remainder does something it may have taken their place, and they stay.
+        They may have seemed needed about the rough first steps. They stay if the free
+        remainder is not negligible, since it may have taken their place.
         """
         if fit.outcome is Outcome.DIVERGED:
             return fit
@@ -381,10 +380,10 @@ class Search(eqx.Module):
 
 
 def needs_no_search(force: AbstractForce) -> bool:
-    """True if a rugged force is known so well that no other structure is sought.
+    """True if a rugged force is so well known that no other structure is sought.
 
-    By obstacles of one kind, or many hills. A few may be a sum of other terms, and
-    those that overlap parts of a ring or of a wall.
+    Namely obstacles of one kind or many separate hills. A few hills may be a sum of
+    other terms, and overlapping ones parts of a ring or of a wall.
     """
     terms, _ = split_structure(force)
     return any(

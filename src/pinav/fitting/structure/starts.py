@@ -236,7 +236,7 @@ def turned_shears() -> Float[np.ndarray, "shear 2"]:
 
 
 def segments(region: Region, wall: WallTerm) -> list[EllipticTerm]:
-    """Long ellipses along the layers of a wall, over the ground of most of the data.
+    """Long ellipses along the layers of a wall, over most of the data.
 
     A wall that is fitted to a segment has its direction. Its crests need not be where
     the segment is: what is beyond the ends moves them.

@@ -229,9 +229,9 @@ def survey_rotation(
 ) -> SurveyedRotation:
     """The evidence of a rotational part in the linearised data.
 
-    It is compared beside conservative terms, if there are any. On kernels that are too
-    coarse a rotational part explains what they miss. The search for its own shape is
-    short, so that the gain is at least this.
+    It is compared beside conservative terms, if any. On too coarse kernels a rotational
+    part explains what they miss. The search for its shape is short: the gain is a lower
+    bound.
     """
     mixture = mixture_on(kernels)
     potential = mixture.gradient

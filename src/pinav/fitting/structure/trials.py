@@ -127,8 +127,8 @@ def quick_evidences(
 ) -> list[float]:
     """Log evidence of each of several terms beside others, at a few smoothnesses.
 
-    The noise is estimated: far from the right geometry nothing explains the data, and
-    with the noise fixed wild profiles would.
+    The noise is estimated: with a fixed one, wild profiles would explain the data far
+    from the right geometry.
     """
     terms = (*beside, starts[0])
     prior = prior_of(terms)
@@ -218,8 +218,7 @@ def polish(
 ) -> Proposal | None:
     """Profiles and geometry of the highest evidence; None where there is no best.
 
-    A geometry has no derivative while its profile is zero, so that the profiles come
-    first.
+    Profiles come first: a geometry has no derivative while its profile is zero.
 
     Args:
         again: times that it begins anew from where it ended, at most; see `GAIN`.
@@ -307,7 +306,7 @@ data leave it open."""
 def _is_in_reach(term: AbstractTerm, response: ForceResponse) -> bool:
     """True if the kernels of a profile reach most of the data.
 
-    Of a term that left them nothing is determined, and the integral over its geometry
+    Otherwise no parameter of the term is determined, and the integral over its geometry
     is no evidence.
     """
     if not isinstance(term, AbstractProfileTerm) or term.law is not None:
