@@ -1,4 +1,7 @@
-"""Doubt, influence, sensitivity and entropy production of one fit."""
+"""Doubt, influence, sensitivity and entropy production of one fit.
+
+Each function raises `InputError` or `FitError` where its result does not exist.
+"""
 
 import dataclasses
 from operator import attrgetter
