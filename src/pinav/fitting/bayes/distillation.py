@@ -85,13 +85,9 @@ def distillation_targets(
     """Values of a force at the samples, and on a grid around them.
 
     Args:
-        force: the force.
-        trajectories: when it was sampled.
-        states: at those times, smoothed.
         dim: how many of the states are positions.
         width: over which the force varies [L]; the grid is finer, and reaches
             `MARGIN` of them beyond the samples.
-        grid: how fine that is.
     """
     real = np.arange(states.shape[1]) < trajectories.lengths[:, None]
     times, samples = trajectories.times[real], states[real][:, :dim]

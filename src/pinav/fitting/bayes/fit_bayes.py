@@ -74,7 +74,6 @@ def fit_bayes(
         refine: when kernels turn out too coarse, and the fit begins anew on finer
             ones; None keeps them.
         max_iterations: after which the fit counts as stalled.
-        on_step: called after each step.
         teacher: of a network: a fit of the same data, of kernels with structured terms
             or without. Kernels of the same kind are fitted first unless given.
         throw: raise where the fit did not converge.

@@ -41,11 +41,7 @@ class FitSpecification(eqx.Module):
     """What is asked of a fit.
 
     Attributes:
-        model: dynamics with an environment.
-        trajectories: the data.
-        learn: the constants to learn; None where all is known.
         noise: standard deviation of the observations, where it is known.
-        solver: steps between samples.
     """
 
     model: Any
@@ -121,12 +117,7 @@ def _grid_of(force: AbstractForce) -> DistillationGrid:
 
 
 class Distilled(eqx.Module):
-    """A network that was taught a force, and what it was taught.
-
-    Attributes:
-        network: the neural force.
-        targets: the force of its teacher.
-    """
+    """A network that was taught a force, and what it was taught."""
 
     network: Any
     targets: DistillationTargets
@@ -136,10 +127,7 @@ class Teacher(eqx.Module):
     """A fit of kernels, with terms beside them or alone, that a network learns from.
 
     Attributes:
-        model: the fitted model.
         states: the smoothed states.
-        chosen: hyperparameters of the fit.
-        linear: the linear problem in which it ended.
     """
 
     model: Any
@@ -174,9 +162,7 @@ def function_prior(
     """The prior with which a static network was fitted, but for its shape's changes.
 
     Args:
-        request: the fit, with the fitted model.
         states: the smoothed states.
-        chosen: hyperparameters of the fit.
         kernels: of the process (`Process.kernels`); those with which every fit begins
             unless given.
     """

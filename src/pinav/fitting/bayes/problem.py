@@ -54,14 +54,7 @@ class LocalTrajectories(AbstractLocalModel):
     """Trajectories about states that need not fulfil the dynamics.
 
     Attributes:
-        theta: the parameters.
         quadratic: the sum of squares, the starts eliminated.
-        parametric: the model as a function of its parameters.
-        observations: the data.
-        solver: steps between samples.
-        states: about which the dynamics are linearised.
-        linear: the linearisation.
-        scale: spread of each channel.
     """
 
     theta: Parameters
@@ -92,21 +85,7 @@ class BayesProblem(AbstractProblem):
     """The start of a fit of trajectories, and what does not change while it runs.
 
     Attributes:
-        parametric: the model as a function of its parameters.
-        theta: the parameters at the start.
-        states: about which the dynamics are linearised first.
-        weights: what is known of the weights before the data.
-        priors: what is known of the constants.
-        step_rule: how to step.
-        tolerance: change of the log evidence at which the fit ends.
-        names: of all parameters.
-        flat: which of them are no weights.
-        noise: standard deviation of the data, where it is known.
-        first_noise: a guess of it.
-        observations: the data.
         scale: spread of each channel.
-        solver: steps between samples.
-        teacher: the fit that chose the prior of the weights, where it was another.
         least_noise: none: an honest fit of exact data ends at rounding.
     """
 

@@ -33,9 +33,7 @@ class GoodnessOfFit(eqx.Module):
     Attributes:
         reduced_chi2: sum of squares per degree of freedom.
         lag1: correlation of neighbours in time.
-        num_free: degrees of freedom.
         num_fitted: p, residuals less degrees of freedom.
-        noise_known: whether the noise was given.
     """
 
     reduced_chi2: float
@@ -87,9 +85,7 @@ def goodness_of_fit(
     Args:
         series: residuals of each trajectory, in the order of time; NaN where nothing
             was observed.
-        noise: their standard deviation.
         num_free: their number less the parameters that the data determine.
-        noise_known: whether `noise` was given.
     """
     scale = max(noise, np.finfo(float).tiny)
     scaled = [np.asarray(residuals) / scale for residuals in series]
@@ -110,7 +106,6 @@ class EvidenceFit(eqx.Module):
     """A fitted model, and how well it is known.
 
     Attributes:
-        model: the model with its best parameters.
         outcome: how the fit ended; unless it converged, the rest is what was reached
             last.
         iterations: Gauss-Newton steps taken, on the last kernels.
@@ -148,9 +143,6 @@ def evidence_fit(
     """The result of an iteration.
 
     Args:
-        problem: in which it ended.
-        outcome: how.
-        steps: those taken.
         not_finite: what to say where there was no step at all.
         advice: what to raise for outcomes that do not count.
 

@@ -31,7 +31,6 @@ class AbstractLocalModel(eqx.Module):
     """Residuals as a function of the parameters, linearised about one point.
 
     Attributes:
-        theta: the parameters there.
         quadratic: the sum of their squares.
     """
 
@@ -56,7 +55,6 @@ class AbstractLocalModel(eqx.Module):
 
         Args:
             mean: parameters that the linear model asks for.
-            noise: standard deviation of the residuals.
         """
 
 
@@ -64,7 +62,6 @@ class PenalisedSquares(eqx.Module):
     r"""The cost near a point: $|r|^2/\sigma^2 + \sum_i p_i \theta_i^2 + E(\theta)$.
 
     Attributes:
-        local: the residuals.
         precision: $p$, of the prior; zero for a flat one.
         noise: $\sigma$.
         energy: what the prior of the weights says beyond the precision.

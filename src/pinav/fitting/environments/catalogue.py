@@ -73,7 +73,6 @@ def mean_drag(swimmer: KnownSwimmer, summary: DataSummary | None = None) -> floa
     """Drag averaged over all directions, in the middle of the data [T⁻¹].
 
     Args:
-        swimmer: the known physics.
         summary: of the data; their middle is the origin unless given.
 
     Raises:
@@ -99,11 +98,6 @@ def build(
     choice: ModelChoice, swimmer: KnownSwimmer, summary: DataSummary
 ) -> AbstractDynamics:
     """The untrained model.
-
-    Args:
-        choice: its kind, size and seed.
-        swimmer: the known physics.
-        summary: what the model takes from the data.
 
     Raises:
         InputError: there is no model of that name, or it does not suit the swimmer.

@@ -79,10 +79,6 @@ class Cause(enum.Enum):
 def diagnose(model: Swimmer, trajectories: Trajectories) -> Cause | None:
     """Why a fit to exact data failed.
 
-    Args:
-        model: as it was fitted.
-        trajectories: the data.
-
     Returns:
         The cause; None where samples are too few or too noisy to tell one.
     """
@@ -131,10 +127,6 @@ def largest_growth(model: Swimmer, trajectories: Trajectories) -> float:
 
     The largest singular value of $A_k \cdots A_0$, for positions [L] and velocities
     [L T⁻¹] alike, where $A_k$ is the derivative of a step of the model from sample k.
-
-    Args:
-        model: whose rollouts are meant.
-        trajectories: where they are linearised.
     """
     growth = 1.0
     for one in trajectories:
@@ -165,8 +157,6 @@ class _Fields(NamedTuple):
     """Evidence of the best grid of each kind of field, for each number [nats].
 
     Attributes:
-        potential: of a potential.
-        free: of a force without one.
         beside_drag: of the better one beside a force along and across the velocity.
     """
 

@@ -56,7 +56,6 @@ def regression_evidence(
     $-\ln e - 1.4$ less what its freedom costs.
 
     Args:
-        columns: force of each weight at each position.
         forces: to be explained, not all zero.
 
     References:

@@ -68,7 +68,6 @@ def match_kernels(swimmer: Swimmer, rates: Rates) -> KernelPotential | KernelFor
 
     Args:
         swimmer: the known physics; its environment is left out.
-        rates: at observed states.
     """
     samples = _ForceSamples.of(swimmer, rates)
     best = _choose(_try_grids((KernelPotential, KernelForce), samples))
@@ -79,11 +78,6 @@ def lay_kernels_of(
     kind: KernelKind, swimmer: Swimmer, rates: Rates
 ) -> KernelPotential | KernelForce | None:
     """Untrained kernels with a prior that suits what the known physics leave.
-
-    Args:
-        kind: of the kernels.
-        swimmer: the known physics; its environment is left out.
-        rates: at observed states.
 
     Returns:
         The kernels; None where no grid of one width suits the force.
@@ -121,10 +115,6 @@ def match_potential(swimmer: Swimmer, rates: Rates) -> tuple[Layer, ...]:
 
     A grid of one width where one explains the force; a hill with a long tail asks for
     layers (`lay_layers`).
-
-    Args:
-        swimmer: the known physics; its environment is left out.
-        rates: at observed states.
     """
     samples = _ForceSamples.of(swimmer, rates)
     prior = lay_smooth_kernels(KernelPotential, *samples)
@@ -143,7 +133,6 @@ class _ForceSamples(NamedTuple):
     Attributes:
         places: all positions at which a force acts [L].
         positions: of the samples that enter the regression [L].
-        forces: there.
     """
 
     places: Float[np.ndarray, "place dim"]
@@ -234,8 +223,6 @@ class _Trial(NamedTuple):
     Attributes:
         held_out: error at samples that were left out.
         within: error at the others.
-        kind: of the kernels.
-        grid: the grid.
     """
 
     held_out: float
@@ -301,12 +288,7 @@ width do not explain them; the errors of splines are mostly below."""
 def simpler_models(
     swimmer: AbstractDynamics, trajectories: Trajectories
 ) -> dict[str, Swimmer]:
-    """Models without a network by their names: matched kernels, and physics alone.
-
-    Args:
-        swimmer: the known physics.
-        trajectories: what they are to explain.
-    """
+    """Models without a network by their names: matched kernels, and physics alone."""
     rates = observed_rates(trajectories)
     if rates is None or not isinstance(swimmer, Swimmer):
         return {}
@@ -322,10 +304,6 @@ def rates_to_match(model: Any, trajectories: Trajectories) -> Rates | None:
     Those of a swimmer are of its velocity alone: the rates of its position are known. A
     model without known physics is asked for the same rates beside the states, too, so
     that its rollouts do not depart from each other.
-
-    Args:
-        model: whose unknown part is to be learned.
-        trajectories: what was observed.
 
     Returns:
         The rates, or None where samples are too few to tell them.

@@ -28,12 +28,7 @@ Others may miss because these do."""
 
 
 class Layer(NamedTuple):
-    """Kernels of one width.
-
-    Attributes:
-        centers: of the kernels [L].
-        width: of the kernels [L].
-    """
+    """Kernels of one width."""
 
     centers: Float[np.ndarray, "kernel dim"]
     width: float
@@ -48,7 +43,6 @@ def lay_layers(
 
     Args:
         positions: where the force is known, not all the same.
-        forces: there.
     """
     levels = np.zeros(len(positions), int)
     layers = _layers_around(positions, levels)

@@ -83,7 +83,6 @@ def kernel_environment(
     begins; it lays finer ones where the evidence asks for them (`Refinement`).
 
     Args:
-        kind: `KernelForce`, `KernelPotential`, `KernelStream` or `KernelMixture`.
         trajectories: their channels are positions, then as many velocities.
         grid: its fineness; `KernelGrid()` unless given.
         dim: how many of their channels are positions; those called x, y and z unless
@@ -116,9 +115,7 @@ def finest_kernels(
 
     Args:
         make: the environment of centres and width of kernels.
-        trajectories: around which they are laid.
         most: weights; there may be more on a grid of one interval.
-        dim: see `kernel_environment`.
     """
     for across in range(FINEST, 1, -1):
         grid = KernelGrid(across, margin=IN_TIME.margin)
@@ -171,11 +168,8 @@ def timed_kernel_environment(
     many, the grid in space is made coarser: a step costs the square of their number.
 
     Args:
-        trajectories: their channels are positions, then as many velocities.
         grid: its fineness at most; `IN_TIME` unless given.
         intervals: of the splines in time, positive.
-        max_weights: weights at most.
-        dim: see `kernel_environment`.
 
     Raises:
         InputError: `intervals` is not positive, `max_weights` is less than 100 for
@@ -207,9 +201,7 @@ def changing_environment(
     """An untrained potential with a static part, and a part that changes with time.
 
     Args:
-        trajectories: their channels are positions, then as many velocities.
         intervals: of the splines in time, positive.
-        dim: see `kernel_environment`.
 
     Raises:
         InputError: see `timed_kernel_environment`.
@@ -259,7 +251,6 @@ def warp_at_slow_end(trajectories: Trajectories, axis: int) -> Warp:
 
     Args:
         trajectories: their channels are the positions alone.
-        axis: the coordinate.
 
     Raises:
         InputError: fewer than a hundred samples follow one another.
@@ -350,8 +341,6 @@ class BasisSummary(msgspec.Struct, frozen=True):
     """A basis of kernels.
 
     Attributes:
-        axes: its coordinates.
-        spacings: of the kernels along each.
         centers: of the kernels, in spacings.
     """
 
@@ -381,8 +370,6 @@ class ProfileSummary(msgspec.Struct, frozen=True):
     """A force along some axes.
 
     Attributes:
-        basis: of its kernels.
-        along: the components that are learned.
         edition: what its weights mean, see `EDITION`.
     """
 
@@ -415,7 +402,6 @@ class MobilitySummary(msgspec.Struct, frozen=True):
     """A learned mobility.
 
     Attributes:
-        basis: of its kernels.
         groups: axes that share a process.
     """
 

@@ -34,11 +34,8 @@ def neural_environment(
     is the position, the speed.
 
     Args:
-        kind: `NeuralForce` or `NeuralPotential`.
         trajectories: their channels are positions, then as many velocities.
-        key: random key of the weights.
         width: neurons of each hidden layer, positive.
-        depth: number of hidden layers, positive.
         dim: how many of the channels are positions, where that is not half of them.
 
     Raises:

@@ -36,9 +36,7 @@ class PathSpline(NamedTuple):
     """A trajectory between its samples.
 
     Attributes:
-        times: of the samples [T].
         states: at any times between the first and the last.
-        rates: of change of the states there.
         doubts: lengths of the difference of these rates from those of a spline of a
             degree less by two.
     """
@@ -169,10 +167,6 @@ def thin_rates(rates: Rates, most: int) -> Rates:
     """The rates of the most informative samples: of states that differ, or their rates.
 
     Where a narrow force acts, rates change although states hardly do.
-
-    Args:
-        rates: at observed states.
-        most: samples that are kept.
     """
     rows = informative_rows(np.hstack([rates.states, rates.rates]), most)
     return jax.tree.map(lambda array: array[rows], rates)
@@ -188,13 +182,7 @@ def residual_forces(swimmer: Swimmer, rates: Rates) -> Float[np.ndarray, "point 
 def rates_of(
     model: Any, times: Float[np.ndarray, " point"], states: Float[np.ndarray, "point n"]
 ) -> Float[np.ndarray, "point n"]:
-    """Rates of change by a model.
-
-    Args:
-        model: swimmer or black box.
-        times: of the states [T].
-        states: where it is asked.
-    """
+    """Rates of change by a model."""
     with jax.enable_x64(new_val=True):
         return np.asarray(_all_rates(model, on_device(times), on_device(states)))
 
@@ -227,7 +215,6 @@ def force_region(
     varies over the right distance, however far the swimmer coasts beyond it.
 
     Args:
-        rates: at observed states.
         forces: there, that nothing known explains.
 
     Returns:
@@ -253,7 +240,6 @@ def forces_beside_drag(
     that acts in few places must not bend them.
 
     Args:
-        velocities: at which the forces are known [L T⁻¹].
         forces: all of them, or those that known physics leave [L T⁻²].
     """
     columns = np.insert(velocities, 0, 1.0, axis=1)
@@ -280,11 +266,7 @@ LEAST_RADIUS = 0.02
 
 
 def substeps_for(trajectories: Trajectories) -> int:
-    """Steps between two samples whose derivatives a fit can trust, a power of two.
-
-    Args:
-        trajectories: without noise.
-    """
+    """Steps between two samples whose derivatives a fit can trust, a power of two."""
     errors = [quadrature_error(path) for path in path_splines(trajectories)]
     finer = np.log2(max([*errors, STEP_ERROR]) / STEP_ERROR) / ORDER
     return min(2 ** int(np.ceil(finer)), MOST_SUBSTEPS)

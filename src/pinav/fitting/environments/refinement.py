@@ -60,7 +60,6 @@ class Refinement(eqx.Module):
         """Whether the kernels are too coarse; never without a grid of kernels to learn.
 
         Args:
-            environment: what was fitted.
             shape: of its prior, as the evidence chose it; empty where its weights were
                 known.
         """
@@ -81,10 +80,6 @@ class Refinement(eqx.Module):
         as those of `KernelGrid()`; where these are too many in space, less far, and
         there are `MOST_IN_SPACE` at most. The part that changes with time stays as it
         is.
-
-        Args:
-            environment: one whose kernels are too coarse.
-            trajectories: what it is fitted to.
         """
         dim, kernels = environment.dim, environment.kernels
         if kernels is None:
@@ -131,12 +126,8 @@ def iterate_refined(
     kernels diverge the coarser ones are fitted to their end.
 
     Args:
-        problem: the fit on the first kernels.
         begin: the problem of another model, linearised about given `states`.
-        refine: when and how far kernels are refined; None keeps them.
-        trajectories: what they are laid around.
         max_iterations: steps at most on each grid.
-        on_step: called after each step.
     """
     environment = problem.parametric.static.environment
 

@@ -34,7 +34,6 @@ class ShapeMixture(eqx.Module):
     """A mixture of normal distributions of the weights, one for each shape drawn.
 
     Attributes:
-        mean: of the mixture.
         covariance: within the distributions and between their means.
         num_effective: how many equally likely draws would know the mixture as well.
     """
@@ -58,7 +57,6 @@ def mix_shapes(
     Amplitude and noise are the best ones of each shape.
 
     Args:
-        data: what the weights are to explain.
         prior: of the weights; without a shape there is nothing to mix.
         chosen: hyperparameters of highest evidence, about which shapes are drawn first.
         noise: standard deviation of the residuals; that of each shape unless given.

@@ -37,13 +37,8 @@ class WhitenedIncrements(eqx.Module):
     """Innovations as residuals of a model of the drift.
 
     Attributes:
-        times: at the start of each increment [T].
         positions: there, from the reference [L].
         targets: increments less all of their mean that is not the model's [L].
-        intervals: duration [T].
-        factor: of their covariance.
-        padding: the layout.
-        counts: increments of each trajectory.
     """
 
     times: Float[Array, " increment"]
@@ -121,9 +116,7 @@ def second_order(
 
     Args:
         swimmer: its force, and its mobility where Einstein's relation does not hold.
-        tensor: the diffusion [L² T⁻¹].
         increments: positions from the reference.
-        relation: how drift and diffusion hang together.
     """
 
     def at(row: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -230,11 +223,7 @@ def fit_euler(
     """Fit the force, and one diffusion coefficient unless it is known.
 
     Args:
-        swimmer: its environment is made of kernels.
-        trajectories: around which kernels are laid.
-        increments: of the paths.
         diffusion: D [L² T⁻¹] where it is known.
-        refine: when kernels turn out too coarse.
     """
     noise = None if diffusion is None else float(np.sqrt(2 * diffusion))
 

@@ -51,9 +51,6 @@ class RoundResult(eqx.Module):
     """What is known after a round.
 
     Attributes:
-        swimmer: with the best force so far.
-        motion: diffusion and observation.
-        second: corrections for steps that are not short.
         means: of the increments [L].
         increments: with positions from the reference.
     """
@@ -127,9 +124,6 @@ def fit_motion(
     """Diffusion and observation given the drift; unchanged where both are known.
 
     Args:
-        belief: where the steps begin.
-        relation: what is learned.
-        padding: the layout.
         max_steps: of Fisher's scoring at most.
 
     Raises:
@@ -252,15 +246,7 @@ def diffusion_share(
     fit: EvidenceFit,
     field: DiffusionField,
 ) -> EvidenceFit:
-    """The fit whose posterior counts the uncertainty of D, by refits of draws.
-
-    Args:
-        belief: the last one.
-        relation: how drift and diffusion hang together.
-        padding: the layout.
-        fit: the force given the diffusion.
-        field: the diffusion with its covariance.
-    """
+    """The fit whose posterior counts the uncertainty of D, by refits of draws."""
     if not (relation.einstein and relation.learn_diffusion):
         return fit
     weights, chosen = fit.linear.weights, fit.hyperparameters
@@ -293,14 +279,7 @@ def langevin_checks(
     padding: Padding,
     observation: tuple[ObservedAxes, ...],
 ) -> LangevinChecks:
-    """What the innovations say of a belief.
-
-    Args:
-        belief: the last one.
-        relation: how it was learned.
-        padding: the layout.
-        observation: exposure and error of each group of axes.
-    """
+    """What the innovations say of a belief."""
     increments = belief.increments
     white = whiten_increments(belief, relation, padding)
     innovations = white.in_time(np.asarray(innovations_of(white, belief.swimmer)))

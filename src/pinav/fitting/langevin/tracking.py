@@ -40,7 +40,6 @@ class SlowReference(eqx.Module):
     fields are learned with it.
 
     Attributes:
-        axis: which coordinate.
         knots: number of them, over all the time of the data.
         scale: standard deviation of w [L]; chosen by the evidence unless given.
         start: w at the knots where the fit begins [L]; at rest unless given.
@@ -84,7 +83,6 @@ def slow_reference(trajectories: Trajectories, axis: int) -> SlowReference:
 
     Args:
         trajectories: their channels are the positions, their times those of one clock.
-        axis: the coordinate that drifts.
 
     Raises:
         InputError: there are no increments, or the coordinate never changes.
@@ -109,10 +107,8 @@ class ReferencePath(eqx.Module):
     """The path of a frame of reference.
 
     Attributes:
-        axis: which coordinate.
         times: of the knots [T].
         values: there [L], of mean zero.
-        covariance: of the values.
     """
 
     axis: int = eqx.field(static=True)
@@ -150,7 +146,6 @@ def from_reference(increments: Increments, path: ReferencePath) -> Increments:
 
     Args:
         increments: as recorded.
-        path: of the reference.
     """
     positions = increments.positions.copy()
     positions[:, path.axis] -= path(increments.times)
@@ -169,11 +164,7 @@ def track_reference(
 
     Args:
         belief: about which the likelihood is expanded.
-        relation: how drift and diffusion hang together.
-        padding: the layout.
         recorded: increments with their positions as recorded.
-        reference: what is known of the path.
-        path: where it is so far.
     """
     slope, information = _by_height(belief, relation, padding, reference.axis)
     columns = _hats(path.times, recorded.times)

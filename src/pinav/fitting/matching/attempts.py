@@ -44,14 +44,8 @@ def fit_in_turns(
     of all models are those of all attempts, one after the other.
 
     Args:
-        models: starts of the fit.
-        trajectories: what is observed.
         recipes: in the order in which they are tried, one or more.
-        trainable: see `fit_many`, as the other arguments.
-        objective: what is minimised.
-        dtype: precision of the fit.
         checkpoint: of the first recipe; later ones begin anew after an interruption.
-        on_chunk: called after each chunk of steps.
     """
     options = {"trainable": trainable, "objective": objective, "dtype": dtype}
     fits = fit_many(
@@ -99,12 +93,7 @@ def fit_with_finer_steps(
 
     Args:
         fits: those that converged are looked at.
-        trajectories: what they were fitted to.
-        recipe: of the further fit.
-        trainable: see `fit_many`, as the other arguments.
         objective: the loss by finer steps than those of the fits.
-        dtype: precision of the fit.
-        on_chunk: called after each chunk of steps.
     """
     with jax.enable_x64(jnp.dtype(dtype) == jnp.float64):
         observations = Observations.of(trajectories, dtype)
@@ -184,10 +173,8 @@ def _join(before: Fit, after: Fit | None, example: Fit, *, keep: bool) -> Fit:
     A model that was fitted already keeps its last loss over the steps of the others.
 
     Args:
-        before: the first attempt.
         after: the second; None where there was none.
         example: a second attempt, of any model.
-        keep: the first one.
     """
     taken = len(before.losses)
     phases = tuple((name, taken + start) for name, start in example.phases)

@@ -136,12 +136,6 @@ def full_step(
     A projection loses what it does not hold: with the same few directions in each step
     the residual outside them stays. The normal matrix is that of the rows where they
     are fewer than the parameters.
-
-    Args:
-        residuals: as a function of the parameters.
-        theta: the parameters.
-        linear: the residuals there, and their Jacobian.
-        damping: of the last step.
     """
     residual, jacobian = linear
     # The smaller of both normal matrices gives the same step.
@@ -198,8 +192,6 @@ class Rates(eqx.Module):
     """Rates of change of states.
 
     Attributes:
-        times: of each state [T].
-        states: the states.
         rates: of change of the last channels; of a swimmer's velocity alone.
         doubts: estimated error of all rates of a state, where it is known.
     """
@@ -222,8 +214,6 @@ class RateMatching(AbstractDampedPhase):
     steps with the whole Jacobian learn them to some millionths.
 
     Attributes:
-        targets: the rates.
-        steps: number of steps at most.
         patience: steps in a row that gain less than a tenth, after which it ends.
 
     Raises:

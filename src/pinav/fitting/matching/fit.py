@@ -90,7 +90,6 @@ def fit_many(
         models: starts of the fit, such as one network per seed.
         trajectories: what is observed; one for each model, such as draws of the noise
             or resamples (`pinav.trajectories.bootstrap`), or one that all share.
-        recipe: phases, run one after the other.
         trainable: picks the leaves that train, such as
             `lambda m: (m.environment.network, m.drag.damping)`.
         objective: what is minimised; `TrajectoryLoss()` unless given.
@@ -99,7 +98,6 @@ def fit_many(
             given, all of them, but on a CPU one after the other where the phase says so
             (`GaussNewton`): a fit that is done then costs nothing more.
         checkpoint: where the state is kept after each chunk, and found again.
-        on_chunk: called after each chunk of steps.
 
     Returns:
         One `Fit` per model; a diverged one says so in its `outcome`.

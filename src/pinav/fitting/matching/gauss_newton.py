@@ -45,13 +45,10 @@ class DampedState(eqx.Module):
     """Where a phase of damped steps stands.
 
     Attributes:
-        damping: of the step taken last.
         slow: steps in a row that gained little.
         value: the loss that the phase reports.
-        promised: share of the squares that the linear model promised to save.
         coloured: whether neighbouring residuals of the full rollout are alike.
         exact: whether the full rollout is good enough.
-        done: whether the phase has ended.
     """
 
     damping: Float[Array, ""]
@@ -77,13 +74,7 @@ class AbstractDampedPhase(AbstractPhase):
     def take_step(
         self, problem: Any, params: PyTree, state: DampedState
     ) -> tuple[PyTree, DampedState]:
-        """Parameters and state after a step of a phase that has not ended.
-
-        Args:
-            problem: the `Problem` of the fit.
-            params: the parameters that train.
-            state: of the phase.
-        """
+        """Parameters and state after a step of a phase that has not ended."""
 
     @property
     def side_by_side(self) -> bool:
@@ -119,7 +110,6 @@ class AbstractRolloutPhase(AbstractDampedPhase):
         patience: slow steps in a row after which it ends.
         converged: residual of the full rollout below which a fit that ended counts as
             converged, whatever ended it.
-        steps: number of steps at most.
         linearisation: solver of the Jacobian and of the trial points. It may be
             cruder than that of the objective, which decides where the solution is.
     """
@@ -259,13 +249,9 @@ def damped_step(
     """The best of several damped Gauss-Newton steps with chord iterations.
 
     Args:
-        residuals: as a function of the parameters.
-        theta: the parameters.
         linear: the residuals there, and their Jacobian.
-        damping: of the last step.
         rank: of the random projection.
         num_dampings: tried at once, a factor of ten apart.
-        chord_steps: iterations with the Jacobian held.
     """
     residual, jacobian = linear
     left, scale, right = low_rank(jacobian, rank)
@@ -367,11 +353,9 @@ def chord(
     """Best of several steps with the Jacobian held, and its sum of squares.
 
     Args:
-        residuals: as a function of the coordinates of the step.
         residual: their values at no step.
         zero: the coordinates of no step.
         newton: the next coordinates, from the residuals and the coordinates.
-        num_steps: number of steps.
     """
 
     def iterate(state: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], None]:

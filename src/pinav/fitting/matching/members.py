@@ -17,8 +17,6 @@ class Problem(eqx.Module):
 
     Attributes:
         static: the model without the leaves that train.
-        observations: what the model is to explain.
-        objective: how badly it does.
     """
 
     static: PyTree
@@ -70,8 +68,6 @@ def begin_phase(
     """States of the minimiser at the start of a phase.
 
     Args:
-        problem: of all members.
-        phase: that begins.
         members: parameters and losses of each.
         at_once: members that are computed side by side; None for all of them.
     """
@@ -114,13 +110,7 @@ def run_chunk(
     share the compiled function too.
 
     Args:
-        problem: of all members.
-        phase: whose steps are taken.
-        params: of each member.
-        minimiser: state of each.
-        losses: of each at all steps of the fit; those of the chunk are entered.
         position: `offset` and `count`.
-        at_once: members that are computed side by side; None for all of them.
 
     Returns:
         The three of them after the chunk, and whether all members are done.

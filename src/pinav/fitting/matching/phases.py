@@ -70,11 +70,7 @@ class AbstractPhase(eqx.Module):
 
 
 class AbstractGradientPhase(AbstractPhase):
-    """Many small steps along gradients, all of which are taken.
-
-    Attributes:
-        steps: number of steps.
-    """
+    """Many small steps along gradients, all of which are taken."""
 
     steps: eqx.AbstractVar[int]
 
@@ -98,10 +94,6 @@ class AbstractGradientPhase(AbstractPhase):
 
 class Adam(AbstractGradientPhase):
     """Adam at a constant learning rate.
-
-    Attributes:
-        learning_rate: step size, positive.
-        steps: number of steps.
 
     Raises:
         InputError: `learning_rate` or `steps` is not positive.
@@ -143,7 +135,6 @@ class LBFGS(AbstractGradientPhase):
     program: optax's zoom search does so at five, and each would be compiled.
 
     Attributes:
-        steps: number of steps.
         memory: number of past steps that shape the curvature.
         max_evaluations: loss gradients per step at most.
 

@@ -41,8 +41,6 @@ def curriculum(
     one-step matching it can still be off by more than the data extend.
 
     Args:
-        trajectories: their length and spread set windows and tolerances.
-        max_steps: steps of each phase at most.
         precision: root-mean-square residual at which the fit ends, in units of the
             spread of the data (rounding and the solver's error set the floor).
 
@@ -78,13 +76,11 @@ def defect_recipe(
     needs no more.
 
     Args:
-        trajectories: every state observed, without noise.
         rates: of change that the model learns first, such as `rates_to_match`
             makes.
         prior_root: of a model that is linear in its parameters, such as `ForcePrior`
             tells: see `DefectMatching`.
         substeps: of the linearisation, between two samples.
-        max_steps: steps of each phase on trajectories at most.
         precision: as that of `curriculum`.
         patience: slow steps in a row after which a phase ends.
 

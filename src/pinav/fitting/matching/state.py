@@ -22,10 +22,8 @@ class Fit(eqx.Module):
 
     Attributes:
         model: the model with its trained leaves, in the precision of the fit.
-        initial_model: the model before the first step.
         losses: loss before each step and after the last one.
         phases: name of each phase and the step at which it began.
-        outcome: how the last phase ended.
     """
 
     model: AbstractDynamics
@@ -44,7 +42,6 @@ class FitState(eqx.Module):
         losses: loss of each member before each step taken so far; NaN beyond.
         starts: number of steps taken before each phase that has begun; the last one
             is in progress, unless there is one more than phases: then all are done.
-        taken: steps taken, over all phases.
     """
 
     params: PyTree
@@ -63,9 +60,7 @@ class FitProgress(eqx.Module):
     """What a progress bar shows after each chunk.
 
     Attributes:
-        phase: name of the phase.
         done: steps done, over all phases.
-        total: steps of the whole recipe.
         losses: loss of each member before each step of the chunk.
     """
 
@@ -97,10 +92,8 @@ def split_trainable(
     """The model as (leaves that train, everything else), to be recombined.
 
     Args:
-        model: the model.
         trainable: picks a subtree or a tuple of subtrees; their inexact arrays and
             Python floats train.
-        dtype: floating-point type of the leaves that train.
 
     Raises:
         InputError: the selection holds no number that could train.
