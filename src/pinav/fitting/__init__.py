@@ -48,12 +48,12 @@ from pinav.fitting.langevin import ConstantDiffusion as ConstantDiffusion
 from pinav.fitting.langevin import DiffusionField as DiffusionField
 from pinav.fitting.langevin import KernelDiffusion as KernelDiffusion
 from pinav.fitting.langevin import LangevinChecks as LangevinChecks
-from pinav.fitting.langevin import LangevinFit as LangevinFit
 from pinav.fitting.langevin import LearnedObservation as LearnedObservation
 from pinav.fitting.langevin import Observation as Observation
 from pinav.fitting.langevin import ObservedAxes as ObservedAxes
 from pinav.fitting.langevin import ReferencePath as ReferencePath
 from pinav.fitting.langevin import SlowReference as SlowReference
+from pinav.fitting.langevin import ThermalResult as ThermalResult
 from pinav.fitting.langevin import fit_langevin as fit_langevin
 from pinav.fitting.langevin import judge_increments as judge_increments
 from pinav.fitting.langevin import slow_reference as slow_reference

@@ -18,11 +18,11 @@ from pinav.fitting import (
     EvidenceFit,
     KernelDiffusion,
     LangevinChecks,
-    LangevinFit,
     LearnedObservation,
     Observation,
     ReferencePath,
     SlowReference,
+    ThermalResult,
     fit_langevin,
     judge_increments,
     profile_environment,
@@ -265,7 +265,7 @@ class ThermalFindings:
 
     @classmethod
     def of(
-        cls, fit: LangevinFit, chosen: ThermalChoice, data: Trajectories
+        cls, fit: ThermalResult, chosen: ThermalChoice, data: Trajectories
     ) -> "ThermalFindings | None":
         """Those of a fit; None where nothing was checked.
 
@@ -296,7 +296,7 @@ class ThermalFindings:
 
 
 def observed_diffusion(
-    fit: LangevinFit, data: Trajectories
+    fit: ThermalResult, data: Trajectories
 ) -> tuple[ObservedDiffusion, ...]:
     """Diffusion and camera along each group of channels."""
     places = diffusion_places(fit, data)
@@ -335,7 +335,7 @@ MOST_PLACES = 1000
 
 
 def diffusion_places(
-    fit: LangevinFit, data: Trajectories
+    fit: ThermalResult, data: Trajectories
 ) -> Float[np.ndarray, "place dim"]:
     """Observed positions, from the reference where it drifts; some of many."""
     parts = []
@@ -377,10 +377,10 @@ def fit_thermal(
         data: the trajectories.
     """
     if chosen.is_plain:
-        return fit_langevin(model, data).regression, None
+        return fit_langevin(model, data), None
     if chosen.einstein:
         model = system.with_noise_of(model)
-    thermal = fit_langevin(
+    fit = fit_langevin(
         model,
         data,
         diffusion=chosen.diffusion,
@@ -388,18 +388,14 @@ def fit_thermal(
         einstein=chosen.einstein,
         reference=chosen.reference,
     )
-    findings = ThermalFindings.of(thermal, chosen, data)
+    findings = ThermalFindings.of(fit.thermal, chosen, data)
     assert findings is not None  # made wherever positions are not exact
-    regression = thermal.regression
     mean = _mean_diffusion(findings)
     numbers = dataclasses.replace(
-        regression.hyperparameters, noise=float(np.sqrt(2 * mean.value))
+        fit.hyperparameters, noise=float(np.sqrt(2 * mean.value))
     )
-    fit = dataclasses.replace(
-        regression,
-        hyperparameters=numbers,
-        constants=regression.constants | {"diffusion": mean},
-    )
+    constants = fit.constants | {"diffusion": mean}
+    fit = dataclasses.replace(fit, hyperparameters=numbers, constants=constants)
     return fit, findings
 
 
@@ -413,7 +409,7 @@ def _mean_diffusion(findings: ThermalFindings) -> Estimate:
 
 
 def _diffusion_lines(
-    fit: LangevinFit, chosen: ThermalChoice, data: Trajectories
+    fit: ThermalResult, chosen: ThermalChoice, data: Trajectories
 ) -> dict[str, DiffusionLine]:
     if not isinstance(fit.diffusion, DiffusionField):
         return {}

@@ -119,6 +119,7 @@ class EvidenceFit(eqx.Module):
         linear: the linear problem in which the fit ended; see `model_evidence`.
         goodness: whether the residuals look like noise; None where they have no order
             in time.
+        thermal: the `ThermalResult` of thermal motion; None of other fits.
     """
 
     model: Any
@@ -130,6 +131,7 @@ class EvidenceFit(eqx.Module):
     states: Float[np.ndarray, "trajectory time state"] | None
     linear: LinearFit
     goodness: GoodnessOfFit | None = None
+    thermal: Any = None
 
 
 def evidence_fit(

@@ -21,13 +21,9 @@ from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.langevin.drift import divergence
-from pinav.fitting.langevin.increments import Increments, Padding, Relation
+from pinav.fitting.langevin.increments import Increments
 from pinav.fitting.langevin.likelihood import local_terms
-from pinav.fitting.langevin.rounds import (
-    RoundResult,
-    fluctuations,
-    follow,
-)
+from pinav.fitting.langevin.rounds import RoundResult, fluctuations
 from pinav.forces import KernelTensor
 from pinav.forces.priors import StationaryPrior
 from pinav.trajectories import Trajectories
@@ -154,8 +150,6 @@ def from_reference(increments: Increments, path: ReferencePath) -> Increments:
 
 def track_reference(
     belief: RoundResult,
-    relation: Relation,
-    padding: Padding,
     recorded: Increments,
     reference: SlowReference,
     path: ReferencePath,
@@ -166,7 +160,7 @@ def track_reference(
         belief: about which the likelihood is expanded.
         recorded: increments with their positions as recorded.
     """
-    slope, information = _by_height(belief, relation, padding, reference.axis)
+    slope, information = _by_height(belief, reference.axis)
     columns = _hats(path.times, recorded.times)
     quadratic = Quadratic(
         point=path.values,
@@ -189,23 +183,21 @@ def track_reference(
         reference.axis, path.times, values - values.mean(), covariance
     )
     there = eqx.tree_at(lambda b: b.increments, belief, from_reference(recorded, moved))
-    return follow(there, relation, belief.swimmer), moved
+    return there.follow(belief.swimmer), moved
 
 
-def _by_height(
-    belief: RoundResult, relation: Relation, padding: Padding, axis: int
-) -> tuple[np.ndarray, np.ndarray]:
+def _by_height(belief: RoundResult, axis: int) -> tuple[np.ndarray, np.ndarray]:
     """Slope of the log likelihood by the coordinate of each increment; information."""
     motion, increments = belief.motion, belief.increments
     positions = jnp.asarray(increments.positions)
-    data = fluctuations(belief, padding)
+    data = fluctuations(belief)
     by_logs, by_drift = _slopes(
         belief.swimmer,
         motion.diffusion,
         jnp.asarray(increments.times),
         positions,
         axis,
-        einstein=relation.einstein,
+        einstein=belief.relation.einstein,
     )
     by_means = np.asarray(by_drift) * increments.intervals[:, None]
     spread = 2 * belief.local_diffusion * increments.intervals[:, None]
