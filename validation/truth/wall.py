@@ -261,11 +261,11 @@ def _far(gaps: Float[np.ndarray, " frame"]) -> Float[np.ndarray, " far"]:
 
 
 def _notes(fit: EvidenceFit, free: list[WallScore]) -> tuple[str, ...]:
-    assert fit.thermal.reference is not None
+    path = fit.thermal.reference
+    assert path is not None
     notes = [
-        f"The wall wanders by {1e3 * fit.thermal.reference.values.std():.0f} nm (sd over "
-        f"{len(fit.thermal.reference.values)} knots; mean own sd "
-        f"{1e3 * fit.thermal.reference.sd.mean():.0f} nm).",
+        f"The wall wanders by {1e3 * path.values.std():.0f} nm (sd over "
+        f"{len(path.values)} knots; mean own sd {1e3 * path.sd.mean():.0f} nm).",
         f"D0 along the wall {free[0].bulk:.4f}, normal to it {free[1].bulk:.4f} um²/s.",
         *(
             f"Exposure along axes {', '.join(map(str, one.axes))}: "
