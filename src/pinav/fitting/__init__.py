@@ -59,12 +59,12 @@ from pinav.fitting.langevin import judge_increments as judge_increments
 from pinav.fitting.langevin import slow_reference as slow_reference
 from pinav.fitting.matching.attempts import fit_in_turns as fit_in_turns
 from pinav.fitting.matching.attempts import fit_with_finer_steps as fit_with_finer_steps
-from pinav.fitting.matching.defects import DefectMatching as DefectMatching
-from pinav.fitting.matching.defects import RateMatching as RateMatching
-from pinav.fitting.matching.defects import Rates as Rates
 from pinav.fitting.matching.fit import fit as fit
 from pinav.fitting.matching.fit import fit_many as fit_many
+from pinav.fitting.matching.gauss_newton import DefectMatching as DefectMatching
 from pinav.fitting.matching.gauss_newton import GaussNewton as GaussNewton
+from pinav.fitting.matching.gauss_newton import RateMatching as RateMatching
+from pinav.fitting.matching.gauss_newton import Rates as Rates
 from pinav.fitting.matching.members import Problem as Problem
 from pinav.fitting.matching.phases import LBFGS as LBFGS
 from pinav.fitting.matching.phases import AbstractPhase as AbstractPhase

@@ -37,7 +37,7 @@ from pinav.fitting.engine.constant_priors import (
 from pinav.fitting.evidence.evidence import Hyperparameters, root
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, Inference, WeightPosterior
-from pinav.fitting.matching.gauss_newton import low_rank
+from pinav.fitting.matching.damped_steps import low_rank
 from pinav.forces import AbstractLearnedForce
 from pinav.forces.priors import AbstractPrior, Matrix, Shape
 

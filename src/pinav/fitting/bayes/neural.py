@@ -21,7 +21,6 @@ from pinav.fitting.bayes.distillation import (
     DistillationGrid,
     DistillationTargets,
     distil,
-    distil_closely,
     distillation_targets,
 )
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
@@ -82,8 +81,8 @@ class FitSpecification(eqx.Module):
             width=float(force.kernels.width),
             grid=_grid_of(force),
         )
-        teach = distil_closely if split_structure(force)[0] else distil
-        return Distilled(teach(self.model.environment, targets), targets)
+        network, closely = self.model.environment, bool(split_structure(force)[0])
+        return Distilled(distil(network, targets, closely=closely), targets)
 
     def by_process(self, teacher: "Teacher", distilled: "Distilled") -> BayesProblem:
         """The fit of a network whose forces have the process of its teacher."""

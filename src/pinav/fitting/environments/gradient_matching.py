@@ -39,7 +39,7 @@ from pinav.fitting.environments.rates import (
     residual_forces,
     thin_rates,
 )
-from pinav.fitting.matching.defects import Rates
+from pinav.fitting.matching.gauss_newton import Rates
 from pinav.forces import (
     KernelForce,
     KernelPotential,

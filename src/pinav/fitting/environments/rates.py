@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
 from pinav.dynamics import Swimmer
-from pinav.fitting.matching.defects import Rates
+from pinav.fitting.matching.gauss_newton import Rates
 from pinav.forces import ZeroForce
 from pinav.trajectories import Trajectories, Trajectory, informative_rows
 

@@ -6,8 +6,12 @@ from jaxtyping import Float, Int
 
 from pinav.dynamics import RK4, FixedStep
 from pinav.errors import InputError
-from pinav.fitting.matching.defects import DefectMatching, RateMatching, Rates
-from pinav.fitting.matching.gauss_newton import GaussNewton
+from pinav.fitting.matching.gauss_newton import (
+    DefectMatching,
+    GaussNewton,
+    RateMatching,
+    Rates,
+)
 from pinav.fitting.matching.phases import LBFGS, AbstractPhase, Adam
 from pinav.trajectories import Trajectories, informative_samples
 
