@@ -18,16 +18,13 @@ from jaxtyping import Array, Bool, Float
 from pinav.dynamics import RK4, FixedStep, Swimmer
 from pinav.fitting.environments.force_regression import (
     KernelKind,
-    force_columns,
+    force_grids,
     regression_evidence,
 )
 from pinav.fitting.environments.gradient_matching import (
-    ACROSS,
-    MOST_KERNELS,
     RELIABLE,
     match_kernels,
 )
-from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.environments.rates import (
     MOST_SAMPLES,
     forces_beside_drag,
@@ -209,11 +206,7 @@ def _best_evidence(
 ) -> float:
     """Evidence of the forces by the best grid of kernels around places."""
     evidence = [-np.inf]
-    for across in ACROSS:
-        centers, width = surround_with_kernels(places, KernelGrid(across, 1.5, 2.0))
-        columns = force_columns(kind, positions, centers, width)
-        if columns.shape[2] > MOST_KERNELS:
-            break
+    for _, columns in force_grids(kind, places, positions):
         size = BROAD * np.sqrt(np.sum(columns**2, axis=(0, 1)).max())
         beside = size * extra / np.sqrt(np.sum(extra**2, axis=(0, 1)))
         columns = np.concatenate([columns, beside], axis=2)

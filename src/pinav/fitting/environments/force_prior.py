@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from pinav.arguments import on_device
 from pinav.fitting.environments.force_regression import KernelKind, regress
 from pinav.fitting.environments.kernels import (
+    MOST_MATCHED,
     KernelGrid,
     num_weights,
     surround_with_kernels,
@@ -163,7 +164,7 @@ def _root_mean_square(values: Float[np.ndarray, "..."]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-AS_FINE_AS_FORCES = Refinement(max_weights=900, envelope=True)
+AS_FINE_AS_FORCES = Refinement(max_weights=MOST_MATCHED, envelope=True)
 """Asks for finer kernels where length scale or envelope end at a width."""
 
 

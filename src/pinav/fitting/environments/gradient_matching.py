@@ -27,10 +27,13 @@ from pinav.fitting.environments.force_prior import (
 )
 from pinav.fitting.environments.force_regression import (
     KernelKind,
+    Layer,
     force_columns,
+    force_grids,
+    lay_layers,
+    match_grid,
     regress,
 )
-from pinav.fitting.environments.kernel_layers import Layer, lay_layers
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.environments.rates import (
     DEGREE,
@@ -49,11 +52,8 @@ from pinav.forces import (
 )
 from pinav.trajectories import Trajectories, informative_rows
 
-ACROSS = (6, 8, 11, 15, 20, 27, 36, 48)
-"""Intervals of the grids of kernels that are tried, along the extent of the data."""
-
-MOST_KERNELS, MOST_MATCHED = 900, 300
-"""Kernels of a grid, and samples whose rates a network learns, at most."""
+MOST_RATES = 300
+"""Samples whose rates a network learns, at most."""
 
 GOOD_ENOUGH = 1e-6
 """Relative error of held-out samples that needs no finer kernels."""
@@ -120,11 +120,11 @@ def match_potential(swimmer: Swimmer, rates: Rates) -> tuple[Layer, ...]:
     prior = lay_smooth_kernels(KernelPotential, *samples)
     laid = None if prior is None else prior.environment.kernels
     if laid is not None:
-        return (Layer(np.asarray(laid.centers), float(laid.width)),)
+        return ((np.asarray(laid.centers), float(laid.width)),)
     best = _choose(_try_grids((KernelPotential,), samples))
     if best.within > ONE_WIDTH:
         return lay_layers(samples.positions, samples.forces)
-    return (Layer(*surround_with_kernels(samples.places, _finer(best.grid))),)
+    return (surround_with_kernels(samples.places, _finer(best.grid)),)
 
 
 class _ForceSamples(NamedTuple):
@@ -161,13 +161,7 @@ def _try_grids(kinds: Sequence[KernelKind], samples: _ForceSamples) -> "list[_Tr
     size = float(np.sqrt(np.mean(forces[held_out] ** 2))) or 1.0
     trials: list[_Trial] = []
     for kind in kinds:
-        for across in ACROSS:
-            grid = _grid(across)
-            centers, width = surround_with_kernels(places, grid)
-            weights_each = 1 if kind is KernelPotential else places.shape[1]
-            if len(centers) * weights_each > MOST_KERNELS:
-                break
-            columns = force_columns(kind, positions, centers, width)
+        for grid, columns in force_grids(kind, places, positions):
             weights = regress(columns[~held_out], forces[~held_out])
             missed = np.square(columns @ weights - forces)
             held, within = (
@@ -186,7 +180,7 @@ def _fit_grid(best: "_Trial", samples: _ForceSamples) -> KernelPotential | Kerne
     centers, width = surround_with_kernels(samples.places, _finer(best.grid))
     columns = force_columns(kind, samples.positions, centers, width)
     weights = regress(columns, samples.forces)
-    shape = _shape(kind, centers)
+    shape = centers.shape if kind is KernelForce else centers.shape[:1]
     return kind(jnp.asarray(weights.reshape(shape)), jnp.asarray(centers), width)
 
 
@@ -264,12 +258,8 @@ FAR_BETTER, AS_GOOD = 10.0, 2.0
 """Factors in the error of held-out samples."""
 
 
-def _grid(across: int) -> KernelGrid:
-    return KernelGrid(across, width=1.5, margin=2.0)
-
-
 def _finer(grid: KernelGrid) -> KernelGrid:
-    return _grid(round(FINER * grid.across))
+    return match_grid(FINER * grid.across)
 
 
 FINER = 4 / 3
@@ -319,13 +309,9 @@ def rates_to_match(model: Any, trajectories: Trajectories) -> Rates | None:
         offsets = BESIDE * spread * rng.normal(size=rates.states.shape)
         beside = dataclasses.replace(rates, states=rates.states + offsets)
         return jax.tree.map(lambda *a: np.concatenate(a), rates, beside)
-    rates = thin_rates(rates, MOST_MATCHED)
+    rates = thin_rates(rates, MOST_RATES)
     return dataclasses.replace(rates, rates=rates.rates[:, dim:])
 
 
 BESIDE = 0.02
 """Distance of states beside the paths, in standard deviations of each channel."""
-
-
-def _shape(kind: type, centers: Float[np.ndarray, "kernel dim"]) -> tuple[int, ...]:
-    return centers.shape if kind is KernelForce else centers.shape[:1]

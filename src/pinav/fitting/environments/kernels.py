@@ -66,6 +66,30 @@ WITHOUT_PRIOR = KernelGrid(across=10, width=1.5, margin=2.0)
 IN_TIME = KernelGrid(across=9, margin=2.0)
 """Fewer kernels: each of them has a weight for every spline in time."""
 
+IN_SPACE = KernelGrid(across=23, margin=2.0)
+"""The finest grid in space that is tried: that of a long, thin region has few kernels.
+"""
+
+MOST_WEIGHTS = 700
+"""Weights with which a fit begins at most, unless a grid is given. A plane never has as
+many; in space a twelfth of the extent makes thousands, and the search for the shape of
+their prior costs the cube of their number."""
+
+MOST_REFINED = 2000
+"""Weights at most of kernels that the evidence asks for."""
+
+MOST_IN_SPACE = 1000
+"""Weights at most of a refined grid in space that is less fine than was asked."""
+
+MOST_IN_TIME = 1200
+"""Weights of the part that changes, beside some 300 of the static one."""
+
+MOST_MATCHED = 900
+"""Weights at most of a regression on forces along exact paths."""
+
+MOST_POSSIBLE = 4000
+"""Weights beyond which a fit is refused: one step would take hours."""
+
 
 def kernel_environment(
     kind: type[Kernel],
@@ -99,38 +123,27 @@ def kernel_environment(
     return made
 
 
-MOST_WEIGHTS = 700
-"""Weights with which a fit begins at most, unless a grid is given. A plane never has as
-many; in space a twelfth of the extent makes thousands, and the search for the shape of
-their prior costs the cube of their number."""
-
-
 def finest_kernels(
     make: Callable[[Float[np.ndarray, "kernel dim"], float], AbstractLearnedForce],
     trajectories: Trajectories,
     most: int,
     dim: int | None = None,
+    grid: KernelGrid = IN_SPACE,
 ) -> tuple[Float[np.ndarray, "kernel dim"], float]:
     """Centres and width of kernels on the finest grid near the data with few weights.
 
     Args:
         make: the environment of centres and width of kernels.
+        trajectories: around which they are laid.
         most: weights; there may be more on a grid of one interval.
+        dim: see `kernel_environment`.
+        grid: the finest that is tried.
     """
-    for across in range(FINEST, 1, -1):
-        grid = KernelGrid(across, margin=IN_TIME.margin)
-        centers, width = lay_kernels(trajectories, grid, dim)
-        if num_weights(make(centers, width)) <= most:
-            return centers, width
-    return lay_kernels(trajectories, KernelGrid(1, margin=IN_TIME.margin), dim)
-
-
-FINEST = 23
-"""Intervals across the data of the finest grid in space: that of a long, thin region
-has few kernels."""
-
-LIMIT = 4000
-"""Weights beyond which a fit is refused: one step would take hours."""
+    centers, width = lay_kernels(trajectories, grid, dim)
+    if grid.across == 1 or num_weights(make(centers, width)) <= most:
+        return centers, width
+    coarser = KernelGrid(grid.across - 1, grid.width, grid.margin)
+    return finest_kernels(make, trajectories, most, dim, coarser)
 
 
 def num_weights(environment: AbstractLearnedForce) -> int:
@@ -143,13 +156,13 @@ def check_size(environment: AbstractLearnedForce | None) -> None:
     """Refuse an environment with more weights than can be fitted.
 
     Raises:
-        InputError: it has more than `LIMIT`.
+        InputError: it has more than `MOST_POSSIBLE`.
     """
     count = 0 if environment is None else num_weights(environment)
-    if count > LIMIT:
+    if count > MOST_POSSIBLE:
         raise InputError(
-            f"environment: expected at most {LIMIT} weights, got {count}; lay fewer "
-            "kernels, such as kernel_environment(..., KernelGrid(across=6)), or choose "
+            f"environment: expected at most {MOST_POSSIBLE} weights, got {count}; lay "
+            "fewer kernels, such as kernel_environment(..., KernelGrid(across=6)), or choose "
             "a potential, which has one weight for each kernel"
         )
 
@@ -182,17 +195,15 @@ def timed_kernel_environment(
             "timed_kernel_environment: expected one or more intervals and 100 weights "
             f"for each of 3 splines more, got {intervals} and {max_weights}"
         )
-    centers, width = lay_kernels(trajectories, grid, dim)
-    while len(centers) * splines > max_weights:
-        grid = KernelGrid(grid.across - 1, grid.width, grid.margin)
-        centers, width = lay_kernels(trajectories, grid, dim)
-    return TimedKernelPotential(
-        jnp.zeros((len(centers), splines)),
-        jnp.asarray(centers),
-        width,
-        float(trajectories.times.min()),
-        float(trajectories.times.max()),
-    )
+    first, last = float(trajectories.times.min()), float(trajectories.times.max())
+
+    def make(
+        centers: Float[np.ndarray, "kernel dim"], width: float
+    ) -> TimedKernelPotential:
+        weights = jnp.zeros((len(centers), splines))
+        return TimedKernelPotential(weights, jnp.asarray(centers), width, first, last)
+
+    return make(*finest_kernels(make, trajectories, max_weights, dim, grid))
 
 
 def changing_environment(
@@ -211,10 +222,6 @@ def changing_environment(
         trajectories, intervals=intervals, max_weights=MOST_IN_TIME, dim=dim
     )
     return ChangingPotential(static, change)
-
-
-MOST_IN_TIME = 1200
-"""Weights of the part that changes, beside some 300 of the static one."""
 
 
 def profile_environment(

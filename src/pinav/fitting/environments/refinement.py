@@ -16,6 +16,8 @@ from pinav.errors import InputError
 from pinav.fitting.engine.iterate import EvidenceProgress, iterate
 from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.environments.kernels import (
+    MOST_IN_SPACE,
+    MOST_REFINED,
     KernelGrid,
     finest_kernels,
     lay_kernels,
@@ -46,7 +48,7 @@ class Refinement(eqx.Module):
 
     factor: float = 1.5
     shortest: float = 1.0
-    max_weights: int = 2000
+    max_weights: int = MOST_REFINED
     envelope: bool = False
 
     def __check_init__(self) -> None:
@@ -90,7 +92,7 @@ class Refinement(eqx.Module):
         made = environment.kernels_on(*lay_kernels(trajectories, grid, dim))
         if num_weights(made) <= self.max_weights:
             return made
-        if dim < SPACE:  # in a plane kernels keep how far they reach
+        if dim < 3:  # in a plane kernels keep how far they reach
             return None
         most = min(self.max_weights, MOST_IN_SPACE)
         make = environment.kernels_on
@@ -99,9 +101,9 @@ class Refinement(eqx.Module):
         return make(centers, width) if is_finer else None
 
 
-SPACE, MOST_IN_SPACE, WORTH = 3, 1000, 1.1
-"""Dimension; weights at most of a grid that is less fine than was asked, and the factor
-by which its spacing must be smaller."""
+WORTH = 1.1
+"""Factor by which the spacing of a grid that is less fine than was asked must be
+smaller."""
 
 
 AS_FINE_AS_ASKED = Refinement()

@@ -7,12 +7,12 @@ import msgspec
 import numpy as np
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.fitting.environments.force_regression import Layer
 from pinav.fitting.environments.gradient_matching import (
     lay_kernels_of,
     match_kernels,
     match_potential,
 )
-from pinav.fitting.environments.kernel_layers import Layer
 from pinav.fitting.environments.kernels import (
     WITHOUT_PRIOR,
     KernelGrid,
@@ -217,9 +217,7 @@ def summarise_for_matching(
 
 
 def _with_layers(summary: DataSummary, layers: tuple[Layer, ...]) -> DataSummary:
-    first, *finer = (
-        KernelLayer(layer.centers.tolist(), layer.width) for layer in layers
-    )
+    first, *finer = (KernelLayer(centers.tolist(), width) for centers, width in layers)
     return msgspec.structs.replace(
         summary, centers=first.centers, kernel_width=first.width, finer=tuple(finer)
     )
