@@ -162,8 +162,8 @@ def check_size(environment: AbstractLearnedForce | None) -> None:
     if count > MOST_POSSIBLE:
         raise InputError(
             f"environment: expected at most {MOST_POSSIBLE} weights, got {count}; lay "
-            "fewer kernels, such as kernel_environment(..., KernelGrid(across=6)), or choose "
-            "a potential, which has one weight for each kernel"
+            "fewer kernels, such as kernel_environment(..., KernelGrid(across=6)), or "
+            "choose a potential, which has one weight for each kernel"
         )
 
 

@@ -24,7 +24,7 @@ from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.engine.problem import FullStep, Step
 from pinav.fitting.environments.refinement import Refinement, iterate_refined
 from pinav.fitting.evidence.evidence import LinearisedObservations
-from pinav.fitting.evidence.shape_mixture import mix_shapes
+from pinav.fitting.evidence.hyperparameter_uncertainty import mix_shapes
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.langevin.covariance import TridiagonalFactor, whiten
 from pinav.fitting.langevin.increments import Increments, Padding, Relation
