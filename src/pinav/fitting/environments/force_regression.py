@@ -99,9 +99,9 @@ ACROSS = (6, 8, 11, 15, 20, 27, 36, 48)
 """Intervals of the grids of kernels that are tried, along the extent of the data."""
 
 
-def match_grid(across: float) -> KernelGrid:
+def match_grid(across: int) -> KernelGrid:
     """A grid of kernels without a prior, which are wide and close to the data."""
-    return KernelGrid(round(across), width=1.5, margin=2.0)
+    return KernelGrid(across, width=1.5, margin=2.0)
 
 
 def force_grids(

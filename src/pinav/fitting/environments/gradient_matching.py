@@ -259,7 +259,7 @@ FAR_BETTER, AS_GOOD = 10.0, 2.0
 
 
 def _finer(grid: KernelGrid) -> KernelGrid:
-    return match_grid(FINER * grid.across)
+    return match_grid(round(FINER * grid.across))
 
 
 FINER = 4 / 3
