@@ -70,8 +70,8 @@ class FitSpecification(eqx.Module):
         kernels = self.kernels()
         return self.problem(eqx.tree_at(lambda m: m.environment, self.model, kernels))
 
-    def distill(self, teacher: "Teacher") -> "Distilled":
-        """The network, from the force of its teacher."""
+    def distill(self, teacher: "Teacher") -> tuple[Any, DistillationTargets]:
+        """The network, distilled from the force of its teacher, and that force."""
         force: Any = teacher.model.environment
         targets = distillation_targets(
             force,
@@ -81,29 +81,28 @@ class FitSpecification(eqx.Module):
             width=float(force.kernels.width),
             grid=_grid_of(force),
         )
-        network, closely = self.model.environment, bool(split_structure(force)[0])
-        return Distilled(distil(network, targets, closely=closely), targets)
+        closely = bool(split_structure(force)[0])
+        return distil(self.model.environment, targets, closely=closely), targets
 
-    def by_process(self, teacher: "Teacher", distilled: "Distilled") -> BayesProblem:
+    def by_process(
+        self, teacher: "Teacher", network: Any, targets: DistillationTargets
+    ) -> BayesProblem:
         """The fit of a network whose forces have the process of its teacher."""
-        force, targets = teacher.model.environment, distilled.targets
+        force = teacher.model.environment
         prior, chosen = force.prior(), teacher.chosen
         data = LinearisedObservations.of(teacher.linear.quadratic)
         shapes = shape_changes(data, prior, chosen, self.noise)
         process = Process.of(force, prior, chosen, targets, shapes)
         wanted = np.asarray(targets.forces).ravel()
-        weights = TangentWeights.of(distilled.network, targets, process, wanted)
-        return self._student(teacher, distilled, weights)
+        weights = TangentWeights.of(network, targets, process, wanted)
+        return self.by_weights(teacher, network, weights)
 
-    def by_weights(self, teacher: "Teacher", distilled: "Distilled") -> BayesProblem:
-        """The fit of a network whose weights have one variance."""
-        return self._student(teacher, distilled, None)
-
-    def _student(
-        self, teacher: "Teacher", distilled: "Distilled", weights: TangentWeights | None
+    def by_weights(
+        self, teacher: "Teacher", network: Any, weights: TangentWeights | None = None
     ) -> BayesProblem:
+        """The fit of a distilled network, its weights of one variance unless given."""
         return self.problem(
-            eqx.tree_at(lambda m: m.environment, teacher.model, distilled.network),
+            eqx.tree_at(lambda m: m.environment, teacher.model, network),
             states=teacher.states,
             weights=weights,
             teacher=teacher.linear,
@@ -113,13 +112,6 @@ class FitSpecification(eqx.Module):
 def _grid_of(force: AbstractForce) -> DistillationGrid:
     """Where a network is compared with a force."""
     return OF_STRUCTURE if split_structure(force)[0] else OF_KERNELS
-
-
-class Distilled(eqx.Module):
-    """A network that was taught a force, and what it was taught."""
-
-    network: Any
-    targets: DistillationTargets
 
 
 class Teacher(eqx.Module):

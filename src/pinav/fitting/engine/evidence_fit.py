@@ -45,18 +45,11 @@ class GoodnessOfFit(eqx.Module):
     @property
     def is_adequate(self) -> bool:
         """Whether chance explains both statistics."""
-        return not (self._correlated or self._too_large)
-
-    @property
-    def _correlated(self) -> bool:
         chance = SIGNIFICANT / np.sqrt(self.num_free)
         least = -self.num_fitted / self.num_free - chance
-        return bool(not least <= self.lag1 <= chance)
-
-    @property
-    def _too_large(self) -> bool:
         excess = (self.reduced_chi2 - 1) * np.sqrt(self.num_free / 2)
-        return bool(self.noise_known and excess > SIGNIFICANT)
+        too_large = self.noise_known and excess > SIGNIFICANT
+        return bool(least <= self.lag1 <= chance and not too_large)
 
     @property
     def statement(self) -> str:

@@ -139,10 +139,12 @@ MOST_SAMPLES = 600
 
 def observed_rates(trajectories: Trajectories) -> Rates | None:
     """Rates at all complete samples and midway between them; None where too few are."""
-    parts = [
-        _rates_along(path, _with_middles(path.times))
-        for path in path_splines(trajectories)
-    ]
+    parts = []
+    for path in path_splines(trajectories):
+        middles = 0.5 * (path.times[:-1] + path.times[1:])
+        times = np.insert(path.times, np.arange(1, len(path.times)), middles)
+        rates = path.states(times), path.rates(times), path.doubts(times)
+        parts.append(Rates(times, *rates))
     if not parts:
         return None
     return jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
@@ -152,15 +154,6 @@ def path_splines(trajectories: Trajectories) -> list[PathSpline]:
     """The splines through all trajectories that have enough complete samples."""
     paths = (path_spline(one, trajectories.dim) for one in trajectories)
     return [path for path in paths if path is not None]
-
-
-def _rates_along(path: PathSpline, times: Float[np.ndarray, " point"]) -> Rates:
-    return Rates(times, path.states(times), path.rates(times), path.doubts(times))
-
-
-def _with_middles(times: Float[np.ndarray, " time"]) -> Float[np.ndarray, " point"]:
-    middles = 0.5 * (times[:-1] + times[1:])
-    return np.insert(times, np.arange(1, len(times)), middles)
 
 
 def thin_rates(rates: Rates, most: int) -> Rates:

@@ -186,21 +186,16 @@ def divergence(tensor: KernelTensor, x: Float[Array, " dim"]) -> Float[Array, " 
 
 
 @eqx.filter_jit
+def at_each(function: Any, *rows: Array) -> Array:
+    """A function of positions, or of times and positions, at many of them."""
+    return jax.vmap(function)(*rows)
+
+
 def divergences(
     tensor: KernelTensor, positions: Float[Array, "increment dim"]
 ) -> Float[Array, "increment dim"]:
     """The divergence at many positions."""
-    return jax.vmap(lambda x: divergence(tensor, x))(positions)
-
-
-@eqx.filter_jit
-def drifts(
-    model: OverdampedSwimmer,
-    times: Float[Array, " increment"],
-    positions: Float[Array, "increment dim"],
-) -> Float[Array, "increment dim"]:
-    """The model's drift at many positions."""
-    return jax.vmap(model)(times, positions)
+    return at_each(eqx.Partial(divergence, tensor), positions)
 
 
 def fit_force(

@@ -188,11 +188,13 @@ def fit_langevin(
             if reference is not None and path is not None:
                 belief, path = track_reference(belief, increments, reference, path)
         covariance, *spreads = motion_covariance(problem, step, belief.motion)
-        field = DiffusionField(belief.motion.diffusion, covariance)
+        tensor = belief.motion.diffusion
+        field = DiffusionField(tensor, covariance)
+        varies = tensor.weights.size or len(tensor.levels) > 1
         fit = diffusion_share(belief, mix_over_shapes(fit), field)
         observed = () if observation is None else observed_axes(belief.motion, *spreads)
         result = ThermalResult(
-            diffusion=_simplest(field),
+            diffusion=field if varies else field.estimates()[0],
             observation=observed,
             reference=path,
             checks=langevin_checks(belief, observed),
@@ -222,13 +224,6 @@ def _fit_exact(
     value = diffusion_of(step) if diffusion is None else Estimate(diffusion, 0.0)
     constants = {"diffusion": value}
     return dataclasses.replace(fit, constants=constants, thermal=ThermalResult(value))
-
-
-def _simplest(field: DiffusionField) -> DiffusionField | Estimate:
-    """One number where diffusion is one, else the field."""
-    if field.tensor.weights.size or len(field.tensor.levels) > 1:
-        return field
-    return field.estimates()[0]
 
 
 def _numbers(

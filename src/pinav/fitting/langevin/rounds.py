@@ -25,8 +25,8 @@ from pinav.fitting.langevin.diffusion import DiffusionField, ThermalMotion
 from pinav.fitting.langevin.drift import (
     SecondOrder,
     WhitenedIncrements,
+    at_each,
     divergences,
-    drifts,
     fit_force,
     force_problem,
     second_order,
@@ -38,7 +38,6 @@ from pinav.fitting.langevin.increments import (
     Relation,
 )
 from pinav.fitting.langevin.likelihood import DiffusionProblem, Fluctuations
-from pinav.forces import KernelTensor
 from pinav.trajectories import Trajectories
 
 SCORING_STEPS, LATER_STEPS = 10, 3
@@ -80,7 +79,7 @@ class RoundResult(eqx.Module):
         increments, diffusion = self.increments, self.motion.diffusion
         second = second_order(swimmer, diffusion, increments, self.relation)
         positions = jnp.asarray(increments.positions)
-        speeds = drifts(swimmer, jnp.asarray(increments.times), positions)
+        speeds = at_each(swimmer, jnp.asarray(increments.times), positions)
         if self.relation.einstein:
             speeds = speeds + divergences(diffusion, positions)
         means = speeds * jnp.asarray(increments.intervals)[:, None] + second.means
@@ -96,14 +95,7 @@ class RoundResult(eqx.Module):
     def local_diffusion(self) -> Float[np.ndarray, "increment dim"]:
         """Diffusion at the start of each increment [L² T⁻¹]."""
         positions = jnp.asarray(self.increments.positions)
-        return np.asarray(_diagonals(self.motion, positions))
-
-
-@eqx.filter_jit
-def _diagonals(
-    motion: ThermalMotion, positions: Float[Array, "increment dim"]
-) -> Float[Array, "increment dim"]:
-    return jax.vmap(motion.diffusion.diagonal)(positions)
+        return np.asarray(at_each(self.motion.diffusion.diagonal, positions))
 
 
 def fluctuations(belief: RoundResult) -> Fluctuations:
@@ -111,7 +103,7 @@ def fluctuations(belief: RoundResult) -> Fluctuations:
     increments, second, padding = belief.increments, belief.second, belief.padding
     tensor = belief.motion.diffusion
     residuals = padding.pad(jnp.asarray(increments.steps) - belief.means)
-    kernels = _kernels(tensor, jnp.asarray(increments.positions))
+    kernels = at_each(tensor.basis, jnp.asarray(increments.positions))
     ones = jnp.ones((len(kernels), 1))
     design = jnp.concatenate([ones, kernels], axis=1)[:, None] + second.slopes
     start = jnp.concatenate([tensor.levels[:, None], tensor.weights], axis=1)
@@ -125,14 +117,6 @@ def fluctuations(belief: RoundResult) -> Fluctuations:
         design=design,
         padding=padding,
     )
-
-
-@eqx.filter_jit
-def _kernels(
-    tensor: KernelTensor, positions: Float[Array, "increment dim"]
-) -> Float[Array, "increment kernel"]:
-    """Kernels of log D at positions."""
-    return jax.vmap(tensor.basis)(positions)
 
 
 def fit_motion(

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
 from pinav.arguments import Scalar, State
 from pinav.dynamics import RK4, FixedStep
@@ -58,6 +58,10 @@ class DampedState(eqx.Module):
         none, yes = jnp.zeros((), int), jnp.ones((), bool)
         damping = damping.astype(value.dtype)
         return cls(damping, none, value, jnp.ones_like(value), yes, ~yes, ~yes)
+
+
+def _number(value: ArrayLike) -> Float[Array, ""]:
+    return jnp.asarray(value, float)
 
 
 class AbstractDampedPhase(AbstractPhase):
@@ -189,14 +193,10 @@ class GaussNewton(AbstractRolloutPhase):
     """
 
     window: Int[Array, ""] = eqx.field(converter=jnp.asarray)
-    target: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float))
+    target: Float[Array, ""] = eqx.field(converter=_number)
     patience: Int[Array, ""] = eqx.field(converter=jnp.asarray, default=2)
-    converged: Float[Array, ""] = eqx.field(
-        converter=lambda x: jnp.asarray(x, float), default=0.0
-    )
-    damping: Float[Array, ""] = eqx.field(
-        converter=lambda x: jnp.asarray(x, float), default=1e-2
-    )
+    converged: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
+    damping: Float[Array, ""] = eqx.field(converter=_number, default=1e-2)
     steps: int = eqx.field(static=True, default=20)
     rank: int = eqx.field(static=True, default=64)
     chord_steps: int = eqx.field(static=True, default=5)
@@ -248,19 +248,13 @@ class DefectMatching(AbstractRolloutPhase):
     """
 
     window: Int[Array, ""] = eqx.field(converter=jnp.asarray)
-    target: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float))
+    target: Float[Array, ""] = eqx.field(converter=_number)
     samples: Int[Array, "sample 2"] | None = None
     prior_root: Float[Array, "parameter direction"] | None = None
-    least_damping: Float[Array, ""] = eqx.field(
-        converter=lambda x: jnp.asarray(x, float), default=0.0
-    )
-    damping: Float[Array, ""] = eqx.field(
-        converter=lambda x: jnp.asarray(x, float), default=1e-2
-    )
+    least_damping: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
+    damping: Float[Array, ""] = eqx.field(converter=_number, default=1e-2)
     patience: Int[Array, ""] = eqx.field(converter=jnp.asarray, default=3)
-    converged: Float[Array, ""] = eqx.field(
-        converter=lambda x: jnp.asarray(x, float), default=0.0
-    )
+    converged: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
     steps: int = eqx.field(static=True, default=20)
     linearisation: FixedStep = FixedStep(RK4)
 
@@ -323,10 +317,6 @@ class Rates(eqx.Module):
     doubts: Float[np.ndarray, " point"] | None = None
 
 
-def _on_device(rates: Rates) -> Rates:
-    return jax.tree.map(jnp.asarray, rates)
-
-
 class RateMatching(AbstractDampedPhase):
     """Damped Gauss-Newton steps on rates of change, which need no rollout.
 
@@ -341,7 +331,7 @@ class RateMatching(AbstractDampedPhase):
         InputError: `steps` is not positive.
     """
 
-    targets: Rates = eqx.field(converter=_on_device)
+    targets: Rates = eqx.field(converter=lambda rates: jax.tree.map(jnp.asarray, rates))
     steps: int = eqx.field(static=True, default=40)
     patience: int = eqx.field(static=True, default=3)
 

@@ -225,7 +225,8 @@ def _weak_wolfe_search(
         enough = point_value <= value + 1e-4 * length * slope
         flat = jnp.asarray(optax.tree.vdot(point_gradient, direction)) >= 0.9 * slope
         candidate = (point, point_value, point_gradient)
-        best = _where(enough & (point_value <= best[1]), candidate, best)
+        is_better = enough & (point_value <= best[1])
+        best = jax.tree.map(lambda a, b: jnp.where(is_better, a, b), candidate, best)
         low, high = jnp.where(enough, length, low), jnp.where(enough, high, length)
         # Doubled until it is too long, then bisected between both conditions.
         length = jnp.where(jnp.isinf(high), 2.0 * low, 0.5 * (low + high))
@@ -234,8 +235,3 @@ def _weak_wolfe_search(
     zero, one = jnp.zeros_like(value), jnp.ones_like(value)
     state = (zero, one * jnp.inf, one, start, jnp.asarray(0), jnp.zeros((), bool))
     return jax.lax.while_loop(unfinished, evaluate, state)[3]
-
-
-def _where(condition: Bool[Array, ""], chosen: PyTree, otherwise: PyTree) -> PyTree:
-    """Leafwise choice between two trees of the same shape."""
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), chosen, otherwise)

@@ -77,7 +77,14 @@ def curriculum(
         GaussNewton(jnp.asarray(w), target=spread / 500, steps=max_steps)
         for w in windows
     ]
-    return *steps, _full_rollout(last, spread, precision, max_steps)
+    whole = GaussNewton(
+        jnp.asarray(last),
+        target=precision * spread,
+        patience=jnp.asarray(3),
+        converged=CONVERGED * spread,
+        steps=max_steps,
+    )
+    return *steps, whole
 
 
 def defect_recipe(
@@ -143,18 +150,6 @@ def defect_recipe(
 def is_complete(trajectories: Trajectories) -> bool:
     """Whether every state of every sample is observed."""
     return all(bool(one.observed.all()) for one in trajectories)
-
-
-def _full_rollout(
-    last: int, spread: float, precision: float, max_steps: int
-) -> GaussNewton:
-    return GaussNewton(
-        jnp.asarray(last),
-        target=precision * spread,
-        patience=jnp.asarray(3),
-        converged=CONVERGED * spread,
-        steps=max_steps,
-    )
 
 
 STEPS_OF_A_RATE = 20

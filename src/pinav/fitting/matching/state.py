@@ -100,10 +100,14 @@ def split_trainable(
     """
 
     def as_array(leaf: Any) -> Any:
-        return jnp.asarray(leaf, dtype) if _is_number(leaf) else leaf
+        is_number = isinstance(leaf, float) or eqx.is_inexact_array(leaf)
+        return jnp.asarray(leaf, dtype) if is_number else leaf
 
     def subtrees(model: Any) -> list[PyTree]:
-        return _without_nesting(trainable(model))
+        # nested tuples in one list, as `eqx.tree_at` needs them
+        return jax.tree.leaves(
+            trainable(model), is_leaf=lambda part: not isinstance(part, tuple | list)
+        )
 
     chosen = jax.tree.map(as_array, subtrees(model))
     model = eqx.tree_at(subtrees, model, chosen)
@@ -115,15 +119,6 @@ def split_trainable(
             "pick leaves of the model, such as lambda m: m.environment"
         )
     return eqx.partition(model, spec)
-
-
-def _without_nesting(selection: PyTree) -> list[PyTree]:
-    """Subtrees of nested tuples in one list, as `eqx.tree_at` needs them."""
-    return jax.tree.leaves(selection, is_leaf=lambda s: not isinstance(s, tuple | list))
-
-
-def _is_number(leaf: Any) -> bool:
-    return isinstance(leaf, float) or eqx.is_inexact_array(leaf)
 
 
 class Observations(eqx.Module):
