@@ -225,7 +225,6 @@ class Regression(AbstractProblem):
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
             return None
         return LocalRegression(
-            theta=theta,
             quadratic=Quadratic(
                 point=theta,
                 hessian=rows.T @ rows,
@@ -260,7 +259,6 @@ class Regression(AbstractProblem):
 class LocalRegression(AbstractLocalModel):
     """A regression near one point."""
 
-    theta: Parameters
     quadratic: Quadratic
     problem: Regression
     jacobian: Float[np.ndarray, "residual parameter"]

@@ -57,18 +57,15 @@ class LocalTrajectories(AbstractLocalModel):
         quadratic: the sum of squares, the starts eliminated.
     """
 
-    theta: Parameters
     quadratic: Quadratic
-    parametric: ParametricModel
-    observations: Observations
-    solver: FixedStep
+    problem: "BayesProblem"
     states: States
     linear: Linearisation
-    scale: Float[np.ndarray, " state"]
 
     def predict(self, theta: Parameters) -> Prediction:
-        inputs = on_device(theta), self.states, self.observations, self.solver
-        return predict(self.parametric, *inputs)
+        whole = self.problem
+        inputs = on_device(theta), self.states, whole.observations, whole.solver
+        return predict(whole.parametric, *inputs)
 
     def pull_back(self, residuals: Float[Array, "..."]) -> Parameters:
         return np.asarray(pull_back(self.linear, residuals))
@@ -78,7 +75,7 @@ class LocalTrajectories(AbstractLocalModel):
 
     def defect(self, mean: Parameters, noise: float) -> float:
         """The largest defect, relative to the spread of its channel."""
-        return float(np.max(np.asarray(self.linear.defects) / self.scale))
+        return float(np.max(np.asarray(self.linear.defects) / self.problem.scale))
 
 
 class BayesProblem(AbstractProblem):
@@ -176,7 +173,6 @@ class BayesProblem(AbstractProblem):
             return None
         diagonals = np.diagonal(np.asarray(linear.start_factor), axis1=1, axis2=2)
         return LocalTrajectories(
-            theta=theta,
             quadratic=Quadratic(
                 theta,
                 np.asarray(linear.hessian),
@@ -185,12 +181,9 @@ class BayesProblem(AbstractProblem):
                 num_free=self.num_free,
                 log_determinant=2 * float(np.log(np.abs(diagonals)).sum()),
             ),
-            parametric=self.parametric,
-            observations=self.observations,
-            solver=self.solver,
+            problem=self,
             states=states,
             linear=linear,
-            scale=self.scale,
         )
 
     def residual_series(

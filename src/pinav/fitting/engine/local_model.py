@@ -31,11 +31,15 @@ class AbstractLocalModel(eqx.Module):
     """Residuals as a function of the parameters, linearised about one point.
 
     Attributes:
-        quadratic: the sum of their squares.
+        quadratic: the sum of their squares, about the parameters there.
     """
 
-    theta: eqx.AbstractVar[Parameters]
     quadratic: eqx.AbstractVar[Quadratic]
+
+    @property
+    def theta(self) -> Parameters:
+        """The parameters of that point."""
+        return self.quadratic.point
 
     @abc.abstractmethod
     def predict(self, theta: Parameters) -> Prediction:

@@ -139,7 +139,7 @@ SHARE = 0.3
 Others may miss because these do."""
 
 
-Layer = tuple[Float[np.ndarray, "kernel dim"], float]
+Layer = tuple[Float[np.ndarray, "_ dim"], float]
 """Centres and width of kernels of one width [L]."""
 
 

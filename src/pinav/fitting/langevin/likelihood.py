@@ -155,7 +155,7 @@ class DiffusionProblem(AbstractProblem):
             num_free=count * dim,
             log_determinant=0.0,
         )
-        return LocalLikelihood(theta, quadratic)
+        return LocalLikelihood(quadratic)
 
     def flat_information(self) -> tuple[int, float]:
         count = self.fluctuations.padding.places.shape[0]
@@ -170,7 +170,6 @@ class LocalLikelihood(AbstractLocalModel):
         quadratic: minus twice its logarithm.
     """
 
-    theta: Parameters
     quadratic: Quadratic
 
     def predict(self, theta: Parameters) -> Prediction:

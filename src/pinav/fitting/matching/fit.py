@@ -317,7 +317,6 @@ class _FitTask(eqx.Module):
         params, minimiser, losses, done = self.take_steps(state, count)
         starts, taken = state.starts, state.taken + count
         if count == left or bool(done):
-            params = self.for_each(phase.finish, params, minimiser)
             starts = (*starts, taken)
             outcomes = _outcomes(phase, minimiser)
             minimiser = self.begin(len(starts) - 1, params)

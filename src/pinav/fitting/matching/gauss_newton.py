@@ -86,9 +86,6 @@ class AbstractDampedPhase(AbstractPhase):
             lambda: (*self.take_step(loss, params, state), state.value),
         )
 
-    def finish(self, loss: Loss, params: PyTree, state: DampedState) -> PyTree:
-        return params
-
     def is_done(self, state: DampedState) -> Bool[Array, ""]:
         return state.done
 

@@ -20,17 +20,17 @@ Loss = Callable[[PyTree], Float[Array, ""]]
 
 
 class AbstractPhase(eqx.Module):
-    """An iterative minimiser written as a start, a step and an end."""
+    """An iterative minimiser written as a start and steps."""
+
+    @property
+    @abc.abstractmethod
+    def num_steps(self) -> int:
+        """Number of steps at most."""
 
     @property
     @abc.abstractmethod
     def name(self) -> str:
         """What progress bars and reports call the phase."""
-
-    @property
-    @abc.abstractmethod
-    def num_steps(self) -> int:
-        """Number of steps."""
 
     @abc.abstractmethod
     def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> PyTree:
@@ -41,10 +41,6 @@ class AbstractPhase(eqx.Module):
         self, loss: Loss, params: PyTree, state: PyTree
     ) -> tuple[PyTree, PyTree, Float[Array, ""]]:
         """Next parameters, next state, and the loss at the *given* parameters."""
-
-    @abc.abstractmethod
-    def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
-        """Parameters that the phase hands on."""
 
     @abc.abstractmethod
     def is_done(self, state: PyTree) -> Bool[Array, ""]:
@@ -77,9 +73,6 @@ class AbstractGradientPhase(AbstractPhase):
     @property
     def num_steps(self) -> int:
         return self.steps
-
-    def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
-        return params
 
     def is_done(self, state: PyTree) -> Bool[Array, ""]:
         return jnp.zeros((), bool)
