@@ -33,7 +33,7 @@ from pinav.thermal.perfusion import MixedPerfusion, lang
 from pinav.thermal.protocols import Piecewise, plan_steps
 from pinav.thermal.solve import default_stepper, run
 from pinav.thermal.sources import PowerSource
-from pinav.thermal.starts import HeatState
+from pinav.thermal.starts import AT_REST
 from pinav.thermal.tissues import Blood, Tissue, mix
 
 ROOT = Path(__file__).parents[1]
@@ -170,7 +170,7 @@ def half_an_hour(
     edges = tuple(np.linspace(0.0, 1800.0, 16).tolist())
     protocol = Piecewise.constant(edges, np.full(15, 1e4), 1e5)
     schedule = plan_steps(protocol, stepper.longest_step(model))
-    begin = HeatState.at_rest(model)
+    begin = AT_REST.state(model)
 
     def outcome(amplitudes: Amplitudes) -> Float[Array, ""]:
         driven = eqx.tree_at(lambda p: (p.starts, p.ends), protocol, (amplitudes,) * 2)

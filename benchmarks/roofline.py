@@ -30,6 +30,7 @@ from pinav.fitting.evidence.evidence import (
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.forces.priors import WeightPrior
 from pinav.identification.kalman import Disturbance, innovations, transitions
+from pinav.systems import WanderingVelocity
 from pinav.thermal.bioheat import HeatBalance
 from pinav.thermal.grids import CartesianGrid
 
@@ -188,7 +189,7 @@ def recording(blocks: int) -> Work:
     some = jnp.asarray([1.0, 0.5, 1.0, 0.1, 100.0, 0.1, 100.0, 0.1])
 
     def loss(theta: Float[Array, " parameter"]) -> Float[Array, ""]:
-        disturbance = Disturbance(*theta)
+        disturbance = Disturbance(WanderingVelocity(*theta[:5]), *theta[5:])
         cycles = jnp.ones(blocks - 1, complex)
         step = transitions(intervals, strength, disturbance, cycles)
         out = innovations(columns, jnp.ones(blocks), begins, step, disturbance.noise)

@@ -12,7 +12,7 @@ import numpy as np
 
 from pinav.figures import recording_figure
 from pinav.recordings import Reading, labels, read_recording
-from pinav.recordings.quality.report import quality
+from pinav.recordings.quality import quality
 
 MPP, DELAY, GAIN = 0.345, 0.2, 4.0  # um/px, s, um/s/Hz
 

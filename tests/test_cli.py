@@ -112,7 +112,7 @@ def test_every_part_of_a_command_can_be_imported(command):
         ),
         (
             ["simulate", "swirl", "--out", "x.npz", "--frame-loss", "1"],
-            "--frame-loss: expected from 0 to below 1, got 1.0",
+            "--frame-loss: expected 0 to below 1, got 1.0",
         ),
         (
             ["simulate", "swirl", "--out", "x.npz", "--count", "0"],

@@ -29,9 +29,9 @@ from pinav.identification import (
     with_response,
     with_slow_drift,
 )
+from pinav.identification.baselines import restoring_force
 from pinav.identification.estimates import speed as speed_of
 from pinav.identification.findings import interval, positive_interval
-from pinav.identification.restoring import restoring_force
 from pinav.identification.rollouts import errors
 from pinav.identification.selection import split
 from pinav.recordings import Reading, read_recording

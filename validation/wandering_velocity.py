@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from pinav.fitting import EvidenceFit
+from pinav.identification.drive import fitted_coordinates
 from pinav.identification.estimates import drift_of, gain_of
 from pinav.identification.forecast import cycles
 from pinav.identification.kalman import (
@@ -19,7 +20,6 @@ from pinav.identification.kalman import (
     update,
 )
 from pinav.identification.likelihood import disturbance_of, rolling_about
-from pinav.identification.parameters import fitted_coordinates
 from pinav.identification.tracks import Track, block_indices, commands_of
 from pinav.trajectories import Trajectory
 
@@ -68,8 +68,8 @@ def _piece(piece: Trajectory, width: float, fit: EvidenceFit) -> tuple[np.ndarra
     with jax.enable_x64(new_val=True):
         coordinates = jnp.asarray(fitted_coordinates(fit))
         disturbance, rate = disturbance_of(coordinates), jnp.asarray(frequency)
-        step_strength = disturbance.strength(rolling_about(rate))
-        strength = disturbance.strength(rate)
+        step_strength = disturbance.wandering.strength(rolling_about(rate))
+        strength = disturbance.wandering.strength(rate)
         steps = transitions(
             jnp.asarray(np.diff(times)),
             step_strength,
@@ -128,7 +128,7 @@ def smoothed_velocity(
     _, (means, spreads) = jax.lax.scan(back, last, passed, reverse=True)
     means = jnp.concatenate([means, last[0][None]])
     spreads = jnp.concatenate([spreads, last[1][None]])
-    slow = jnp.broadcast_to(disturbance.slow, strength.shape)
+    slow = jnp.broadcast_to(disturbance.wandering.slow, strength.shape)
     nothing = jnp.zeros_like(strength)
     weights = jnp.stack([nothing, strength, slow, nothing], axis=1)
     means = jnp.stack([means[..., 0].real, means[..., 0].imag], axis=-1)

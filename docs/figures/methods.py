@@ -22,7 +22,6 @@ from pinav.figures.maps import (
     FORCE,
     largest_near,
     map_panel,
-    one_legend,
     trust_map,
 )
 from pinav.figures.navigation import greatest_force, paths_map, spread_map
@@ -33,6 +32,7 @@ from pinav.figures.style import (
     add_legend,
     label_axes,
     new_figure,
+    one_legend,
     prepare_axes,
     style_of,
     title_panel,

@@ -9,8 +9,8 @@ from docs.figures.workshop import Workshop
 from matplotlib.figure import Figure
 
 from pinav.figures import force_comparison
-from pinav.figures.maps import ERROR, FORCE, map_panel, one_legend
-from pinav.figures.style import new_figure, title_panel
+from pinav.figures.maps import ERROR, FORCE, map_panel
+from pinav.figures.style import new_figure, one_legend, title_panel
 
 
 def from_tutorial(name: str, run: str, figure: str) -> Callable[[Workshop], Path]:

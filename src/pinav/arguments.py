@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from pinav.errors import InputError
+from pinav.settings import POSITIVE, Range
 
 Scalar = float | int | Float[Array, ""]
 """One real number: plain, NumPy's float64, or a JAX array without axes."""
@@ -77,14 +78,17 @@ def refuse_text(module: eqx.Module) -> None:
             raise InputError(f"{name}: expected a number, got {value!r}")
 
 
-def check_positive(module: eqx.Module, *names: str) -> None:
-    """Raise `InputError` where a field of a module is a number <= 0."""
+def check_range(module: Any, allowed: Range, *names: str) -> None:
+    """Raise `InputError` where a field of a module is a plain number outside."""
     for name in names:
         value = getattr(module, name)
-        if isinstance(value, float | int) and not value > 0:
-            raise InputError(
-                f"{type(module).__name__}.{name}: expected > 0, got {value}"
-            )
+        if isinstance(value, float | int):
+            allowed.check(f"{type(module).__name__}.{name}", value)
+
+
+def check_positive(module: eqx.Module, *names: str) -> None:
+    """Raise `InputError` where a field of a module is a number <= 0."""
+    check_range(module, POSITIVE, *names)
 
 
 def dimension(text: str) -> dict[str, str]:

@@ -16,7 +16,7 @@ Number = int | float
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """The numbers that a setting may be; stands in its annotation.
+    """The numbers that something may be; in the annotation of a setting, or by itself.
 
     Attributes:
         least: smallest number that is allowed.
@@ -33,11 +33,19 @@ class Range:
     def __str__(self) -> str:
         if self.most is not None:
             return f"{self.least:g} to {self.most:g}"
+        if self.below < math.inf and self.above is None:
+            return f"{self.least:g} to below {self.below:g}"
         if self.below < math.inf:
             return f"between {self.above:g} and {self.below:g}"
         if self.above is not None:
-            return f"a number > {self.above:g}"
+            return f"> {self.above:g}"
         return f"{self.least:g} or more"
+
+    def __contains__(self, number: Number) -> bool:
+        low = -math.inf if self.least is None else self.least
+        above = -math.inf if self.above is None else self.above
+        most = math.inf if self.most is None else self.most
+        return low <= number <= most and above < number < self.below
 
     def check(self, name: str, value: Number | tuple[Number, ...] | None) -> None:
         """Require that the value, or each of several, lies within; none always does.
@@ -45,15 +53,14 @@ class Range:
         Raises:
             InputError: it lies outside, or is not finite.
         """
-        low = -math.inf if self.least is None else self.least
-        above = -math.inf if self.above is None else self.above
-        most = math.inf if self.most is None else self.most
         for number in value if isinstance(value, tuple) else (value,):
-            if number is None:
-                continue
-            if not (low <= number <= most and above < number < self.below):
-                option = name.replace("_", "-")
-                raise InputError(f"--{option}: expected {self}, got {number}")
+            if number is not None and number not in self:
+                raise InputError(f"{name}: expected {self}, got {number}")
+
+
+POSITIVE = Range(above=0)
+NOT_NEGATIVE = Range(least=0)
+FRACTION = Range(above=0, below=1)
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -73,7 +80,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 continue
             for allowed in getattr(hints[name], "__metadata__", ()):
                 if isinstance(allowed, Range):
-                    allowed.check(name, value)
+                    allowed.check(f"--{name.replace('_', '-')}", value)
         self.check_together()
 
     def check_together(self) -> None:

@@ -153,7 +153,7 @@ def test_what_cannot_be_analysed_is_refused(tiny_fit, tmp_path, capsys):
         ({"reference": -1}, "--reference: expected 0 or more"),
         ({"samples": 100}, "--samples: expected a power of two"),
         ({"relative": 1.5}, "--relative: expected between 0 and 1"),
-        ({"shift": 0.0}, "--shift: expected a number > 0"),
+        ({"shift": 0.0}, "--shift: expected > 0"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(change, message):

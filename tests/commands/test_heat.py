@@ -3,13 +3,12 @@
 import csv
 import json
 import tomllib
-from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import tomli_w
+from tests.heat_cases import EXAMPLES, ball, run, write
 
 from pinav import cli
 from pinav.runs import RunFolder
@@ -18,28 +17,17 @@ from pinav.thermal.design import Run
 from pinav.thermal.planned_run import PlanTask
 from pinav.thermal.setup import Setup
 
-EXAMPLES = Path(__file__).parents[2] / "examples" / "heat"
-
 
 def small(name, folder, **changes):
     """An example on a coarse grid, with tables changed: its file."""
-    content = tomllib.loads((EXAMPLES / f"{name}.toml").read_text())
-    content["grid"]["cells"] = 24
-    content["step"] = 20.0
+    content = ball(name) | {"step": 20.0}
     for table, values in changes.items():
         if isinstance(values, dict):
             content.setdefault(table, {}).update(values)
             content[table] = {k: v for k, v in content[table].items() if v is not None}
         else:
             content[table] = values
-    path = folder / f"{name}.toml"
-    path.write_text(tomli_w.dumps(content))
-    return path
-
-
-def run(*argv):
-    with jax.numpy_dtype_promotion("standard"):
-        return cli.run(["heat", *map(str, argv)])
+    return write(folder, content, name=f"{name}.toml")
 
 
 @pytest.mark.slow
@@ -154,7 +142,7 @@ def test_tasks_say_what_they_need(tmp_path, capsys):
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda p: p.name)
 def test_the_examples_are_cases(path):
     own = Setup.read(path)
-    assert own.model.grid.shape == own.target.shape
+    assert own.model.grid.shape == own.body.target.shape
 
 
 @pytest.mark.slow

@@ -4,52 +4,22 @@ They were written after the checks, with none of these in view; what they brough
 light was mended.
 """
 
-import copy
 import io
-import re
-import tomllib
-from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
-import tomli_w
+from tests.heat_cases import (
+    LABELS,
+    PLANE,
+    SHAPE,
+    ball,
+    change,
+    refuse,
+    voxels,
+    write,
+)
 
-from pinav import cli
-
-EXAMPLES = Path(__file__).parents[2] / "examples" / "heat"
-SHAPE, SIZE = (7, 6, 5), [2e-3, 2e-3, 4e-3]
-FLOW = {"value": 1.0, "unit": "kg/m3/s"}
-NUMBERS = {"conductivity": 0.5, "density": 1000.0, "specific_heat": 3500.0}
-LABELS = np.ones(SHAPE, np.int16)
-LABELS[2:5, 2:4, 1:3], LABELS[:, 0] = 4, 9
 FRAME = np.full((*SHAPE, 1), 37.5)
-PLANE = {
-    "grid": {"kind": "box", "cells": [24, 24], "size": 2e-3},
-    "probes.points": [[0.02, 0.02]],
-}
-
-
-def voxels():
-    return {
-        "title": "Voxels",
-        "step": 20.0,
-        "grid": {"kind": "voxels", "labels": "labels.npy", "size": SIZE},
-        "tissues": {
-            "muscle": NUMBERS | {"label": 1, "perfusion": FLOW},
-            "fat": {"label": 9, "preset": "fat", "perfusion": FLOW},
-            "tumour": NUMBERS | {"label": 4, "perfusion": FLOW},
-        },
-        "target": ["tumour"],
-        "heating": {"kind": "power", "density": 2e5, "reference": 1e4},
-        "field": {"frequency": 1e5, "times": [0, 60], "amplitudes": [1e4]},
-    }
-
-
-def ball():
-    content = tomllib.loads((EXAMPLES / "tumour.toml").read_text())
-    content["grid"]["cells"] = 24
-    return content
 
 
 def sar(file):
@@ -83,16 +53,6 @@ def phase(**table):
 
 def plan(**table):
     return {"optimise": {"largest": 2e4} | table}
-
-
-def change(content, changes):
-    for key, value in changes.items():
-        *tables, last = key.split(".")
-        table = content
-        for name in tables:
-            table = table.setdefault(name, {})
-        table[last] = copy.deepcopy(value)
-    return content
 
 
 def nifti(values, affine=None, every=None):
@@ -316,66 +276,35 @@ BALLS = {
         "heating: expected a power > 0 W",
     ),
 }
-TABLES = [
-    ("\ufefft;r;T\n1;0;37\n", "expected the columns t, r, T .*, got t;r;T"),
-    ("t [min],r,T\n10,0,37.5\n", r"expected the columns .*, got t \[min\]"),
-    ("t,r,T\n10,0,37,5\n", "row 2: expected 3 cells, got 4"),
-    ("\ufefft,r,T\n10,0,37\n20,0,37.2\n", "more readings than the 2 numbers"),
-]
 
 
-def refuse(folder, capsys, task, content, files, message):
-    """Run a task on files: one line, exit 2, and nothing is written."""
-    for name, values in files.items():
-        if isinstance(values, bytes):
-            (folder / name).write_bytes(values)
-        elif isinstance(values, dict):
-            (folder / name).write_text(tomli_w.dumps(values))
-        else:
-            np.save(folder / name, values)
-    (folder / "case.toml").write_text(tomli_w.dumps(content))
-    before = sorted(folder.iterdir())
-    argv = ["heat", task, str(folder / "case.toml"), "--out", str(folder / "run")]
-    with jax.numpy_dtype_promotion("standard"):
-        assert cli.run(argv) == cli.USAGE_ERROR
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert re.search(message, line), line
-    assert sorted(folder.iterdir()) == before
+def of_voxels(folder, changes, files):
+    """The file of a case of voxels, steps of 20 s."""
+    content = change(voxels() | {"step": 20.0}, changes)
+    return write(folder, content, {"labels.npy": LABELS} | files)
 
 
 @pytest.mark.parametrize(("changes", "files", "message"), IMAGES.values(), ids=IMAGES)
 def test_images(tmp_path, capsys, changes, files, message):
-    content = change(voxels(), changes)
-    files = {"labels.npy": LABELS} | files
-    refuse(tmp_path, capsys, "simulate", content, files, message)
+    refuse(capsys, "simulate", of_voxels(tmp_path, changes, files), message)
 
 
 @pytest.mark.parametrize(("changes", "given", "message"), FRAMES.values(), ids=FRAMES)
 def test_frames(tmp_path, capsys, changes, given, message):
     files = given if isinstance(given, dict) else {"frames.npy": given}
-    files = {"labels.npy": LABELS} | files
-    content = change(voxels(), changes)
-    refuse(tmp_path, capsys, "learn", content, files, message)
+    refuse(capsys, "learn", of_voxels(tmp_path, changes, files), message)
 
 
 @pytest.mark.parametrize(("task", "changes", "message"), BALLS.values(), ids=BALLS)
 def test_balls_and_boxes(tmp_path, capsys, task, changes, message):
-    refuse(tmp_path, capsys, task, change(ball(), changes), {}, message)
-
-
-@pytest.mark.parametrize(("text", "message"), TABLES)
-def test_tables_of_readings(tmp_path, capsys, text, message):
-    content = change(ball(), {"learn": {"data": "readings.csv"}})
-    files = {"readings.csv": text.encode()}
-    refuse(tmp_path, capsys, "learn", content, files, message)
+    refuse(capsys, task, write(tmp_path, change(ball(), changes)), message)
 
 
 def test_a_plan_that_starts_too_hot(tmp_path, capsys):
     changes = plan(max_temperature=45.0) | START
-    files = {"labels.npy": LABELS, "start.npy": AT + 10.0}
+    case = of_voxels(tmp_path, changes, {"start.npy": AT + 10.0})
     message = "optimise.max_temperature: expected above the temperature at the start"
-    content = change(voxels(), changes)
-    refuse(tmp_path, capsys, "optimise", content, files, message)
+    refuse(capsys, "optimise", case, message)
 
 
 # NIfTI
@@ -417,5 +346,5 @@ def test_nifti(tmp_path, capsys, name):
         ),
     }[name]
     grid = {"grid": {"kind": "voxels", "labels": "labels.nii"}}
-    content = change(voxels(), grid | changes)
-    refuse(tmp_path, capsys, task, content, files | more, message)
+    case = of_voxels(tmp_path, grid | changes, files | more)
+    refuse(capsys, task, case, message)

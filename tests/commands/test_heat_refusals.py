@@ -1,29 +1,16 @@
 """`pinav heat`: bad cases, readings and options are refused before anything is done."""
 
-import copy
 import re
-import tomllib
-from pathlib import Path
 
-import jax
 import pytest
-import tomli_w
+from tests.heat_cases import GONE, PLANE, ball, change, refusal, refuse, write
 
-from pinav import cli
 from pinav.errors import FitError
 from pinav.thermal.case import read_case
 from pinav.thermal.setup import Setup
 from pinav.thermal.tissue_fit import TissueFit
 
 NAN, INF = float("nan"), float("inf")
-EXAMPLES = Path(__file__).parents[2] / "examples" / "heat"
-GONE = "left out"
-"""In place of a value: the key is not there."""
-
-PLANE = {
-    "grid": {"kind": "box", "cells": [24, 24], "size": 2e-3},
-    "probes.points": [[0.02, 0.02]],
-}
 SPACE = {
     "grid": {"kind": "box", "cells": [24] * 3, "size": 2e-3},
     "probes.points": [[0.02] * 3],
@@ -238,6 +225,10 @@ TASKS = [
     ("optimise", BEST | {"optimise.placement": 1}, "optimise.placement"),
 ]
 READINGS = [
+    ("\ufefft;r;T\n1;0;37\n", "expected the columns t, r, T .*, got t;r;T"),
+    ("t [min],r,T\n10,0,37.5\n", r"expected the columns .*, got t \[min\]"),
+    ("t,r,T\n10,0,37,5\n", "row 2: expected 3 cells, got 4"),
+    ("\ufefft,r,T\n10,0,37\n20,0,37.2\n", "more readings than the 2 numbers"),
     ("", "expected the columns t, r, T"),
     ("t,r,T\n", "got a header alone"),
     ("time,r,T\n1,0,37\n", "expected the columns"),
@@ -275,71 +266,29 @@ FILES = [
 ]
 
 
-def change(content, key, value):
-    """Set, or remove, what stands under a dotted key."""
-    *tables, last = key.split(".")
-    for table in tables:
-        content = content.setdefault(table, {})
-    if value is GONE:
-        content.pop(last, None)
-    else:
-        content[last] = copy.deepcopy(value)
-
-
-def written(folder, changes):
-    """The file of the example, changed."""
-    content = tomllib.loads((EXAMPLES / "tumour.toml").read_text())
-    content["grid"]["cells"] = 24
-    for key, value in changes.items():
-        change(content, key, value)
-    path = folder / "case.toml"
-    path.write_text(tomli_w.dumps(content))
-    return path
-
-
-def refusal(capsys, *argv):
-    """The one line that a command is refused with."""
-    with jax.numpy_dtype_promotion("standard"):
-        assert cli.run(["heat", *map(str, argv)]) == cli.USAGE_ERROR
-    captured = capsys.readouterr()
-    assert not captured.out
-    (line,) = captured.err.strip().splitlines()
-    assert line.startswith("pinav: ")
-    return line
-
-
 def name_of(value):
     return str(value)[:50] if isinstance(value, dict) else None
 
 
-@pytest.mark.parametrize(("changes", "message"), CASES, ids=name_of)
-def test_bad_cases(tmp_path, capsys, changes, message):
-    path = written(tmp_path, changes)
-    line = refusal(capsys, "simulate", path, "--out", tmp_path / "run")
-    assert re.search(message, line), line
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["case.toml"]
-
-
-@pytest.mark.parametrize(("task", "changes", "message"), TASKS, ids=name_of)
-def test_bad_tasks(tmp_path, capsys, task, changes, message):
-    path = written(tmp_path, changes)
-    line = refusal(capsys, task, path, "--out", tmp_path / "run")
-    assert re.search(message, line), line
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["case.toml"]
+@pytest.mark.parametrize(
+    ("task", "changes", "message"),
+    [*(("simulate", *row) for row in CASES), *TASKS],
+    ids=name_of,
+)
+def test_bad_cases(tmp_path, capsys, task, changes, message):
+    refuse(capsys, task, write(tmp_path, change(ball(), changes)), message)
 
 
 @pytest.mark.parametrize(("text", "message"), READINGS)
 def test_bad_readings(tmp_path, capsys, text, message):
-    path = written(tmp_path, {"learn.data": "readings.csv"})
-    (tmp_path / "readings.csv").write_text(text)
-    line = refusal(capsys, "learn", path, "--out", tmp_path / "run")
-    assert re.search(message, line), line
-    assert not (tmp_path / "run").exists()
+    content = change(ball(), {"learn.data": "readings.csv"})
+    files = {"readings.csv": text.encode()}
+    refuse(capsys, "learn", write(tmp_path, content, files), message)
 
 
 @pytest.mark.parametrize(("argv", "message"), COMMAND_LINES)
 def test_bad_command_lines(tmp_path, capsys, monkeypatch, argv, message):
-    written(tmp_path, {})
+    write(tmp_path, ball())
     monkeypatch.chdir(tmp_path)
     line = refusal(capsys, *argv)
     assert re.search(message, line), line
@@ -350,15 +299,13 @@ def test_bad_command_lines(tmp_path, capsys, monkeypatch, argv, message):
 def test_bad_files(tmp_path, capsys, content, message):
     path = tmp_path / "case.toml"
     path.write_bytes(content)
-    line = refusal(capsys, "simulate", path, "--out", tmp_path / "run")
-    assert re.search(message, line), line
-    assert not (tmp_path / "run").exists()
+    refuse(capsys, "simulate", path, message)
 
 
 def test_a_step_that_is_not_stable_is_refused(tmp_path, capsys):
-    path = written(tmp_path, PLANE | {"step": 900.0})
-    line = refusal(capsys, "simulate", path, "--out", tmp_path / "run")
-    assert re.search("RKL2.longest: .* stable on this grid, got 900 s", line)
+    path = write(tmp_path, change(ball(), PLANE | {"step": 900.0}))
+    message = "RKL2.longest: .* stable on this grid, got 900 s"
+    refuse(capsys, "simulate", path, message)
 
 
 def test_a_fit_that_stalls_says_what_can_be_changed_in_the_case(tmp_path, monkeypatch):
@@ -366,7 +313,7 @@ def test_a_fit_that_stalls_says_what_can_be_changed_in_the_case(tmp_path, monkey
         raise FitError("raise max_iterations, or pass throw=False", "stalled")
 
     monkeypatch.setattr("pinav.thermal.tissue_fit.learn", stall)
-    path = written(tmp_path, {"learn.kind": "constant"})
+    path = write(tmp_path, change(ball(), {"learn.kind": "constant"}))
     case, _ = read_case(path)
     setup = Setup.of(case, tmp_path)
     task = TissueFit.of(case, setup, tmp_path)

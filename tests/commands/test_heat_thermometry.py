@@ -2,25 +2,22 @@
 
 import importlib.util
 import json
-import re
 import tomllib
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 import tomli_w
+from tests.heat_cases import EXAMPLES, GONE, change, refuse, run, write
 
-from pinav import cli
 from pinav.runs import RunFolder
 from pinav.thermal.case import read_case
-from pinav.thermal.images import read_image
+from pinav.thermal.images import read_frames, read_image
 from pinav.thermal.learned_tissue import LearnedTissue
-from pinav.thermal.readings import read_data
 from pinav.thermal.setup import Setup
 from pinav.thermal.solve import solve
 
-PHANTOM = Path(__file__).parents[2] / "examples" / "heat" / "phantom.py"
+PHANTOM = EXAMPLES / "phantom.py"
 SMALL = {"cells": (12, 12, 8), "size": (12e-3, 12e-3, 12e-3), "frames": 12}
 
 
@@ -44,24 +41,10 @@ def folder(phantom, tmp_path_factory):
     return made
 
 
-def run(*argv):
-    with jax.numpy_dtype_promotion("standard"):
-        return cli.run(["heat", *map(str, argv)])
-
-
 def edit(folder, name, changes, to="changed.toml"):
-    content = tomllib.loads((folder / name).read_text())
-    for path, value in changes.items():
-        *tables, last = path.split(".")
-        table = content
-        for key in tables:
-            table = table[key]
-        if value is None:
-            del table[last]
-        else:
-            table[last] = value
-    (folder / to).write_text(tomli_w.dumps(content))
-    return folder / to
+    return write(
+        folder, change(tomllib.loads((folder / name).read_text()), changes), name=to
+    )
 
 
 @pytest.mark.slow
@@ -116,7 +99,7 @@ def test_a_phase_is_a_temperature(folder):
     path = edit(folder, "case.toml", {"learn.thermometry": table}, "phase.toml")
     case, _ = read_case(path)
     setup = Setup.of(case, folder)
-    data = read_data(case.learn, setup, folder)
+    data = read_frames(case.learn.thermometry, setup.body.image, setup.arterial, folder)
     assert data.turn == pytest.approx(39.1443, abs=1e-3)
     expected = np.moveaxis(frames, -1, 0)
     assert np.allclose(data.values, expected, atol=1e-3, equal_nan=True)
@@ -128,7 +111,7 @@ REFUSED = [
     ("learn", {"learn.thermometry.readings": "labels.npy"}, "frames along a last axis"),
     ("learn", {"learn.thermometry.readings": "flat.npy"}, "expected the shape"),
     ("learn", {"learn.thermometry.readings": "inf.npy"}, "or NaN where a voxel is"),
-    ("learn", {"learn.thermometry.every": None}, "a time between frames with a unit"),
+    ("learn", {"learn.thermometry.every": GONE}, "a time between frames with a unit"),
     ("learn", {"learn.thermometry.every": 6e3}, "saved time .* up to 720 s"),
     ("learn", {"learn.thermometry.noise": 0.0}, "noise: expected a number > 0"),
     ("learn", {"learn.thermometry.noise": "bad.npy"}, "standard deviation of each"),
@@ -150,14 +133,14 @@ REFUSED = [
     ("learn", {"learn.until": 30.0}, "a time after the first reading at 60 s"),
     ("learn", {"learn.laws": ["bone"]}, "learn.laws: expected names of tissues"),
     ("learn", {"learn.truth": "no.toml"}, "no.toml: cannot be read"),
-    ("learn", {"learn.thermometry": None}, "truth, until: expected with data"),
+    ("learn", {"learn.thermometry": GONE}, "truth, until: expected with data"),
     (
         "learn",
-        {"learn.thermometry.turn": None, "learn.thermometry.readings": "kelvin.npy"},
+        {"learn.thermometry.turn": GONE, "learn.thermometry.readings": "kelvin.npy"},
         "subtract 273.15",
     ),
     ("optimise", {"optimise.after": 100.0}, "a time at which constant amplitudes"),
-    ("optimise", {"learn.thermometry": None, "learn.truth": None}, "from which a plan"),
+    ("optimise", {"learn.thermometry": GONE, "learn.truth": GONE}, "from which a plan"),
     (
         "optimise",
         {"learn.laws": [], "learn.power_scale": False, "learn.spot": False},
@@ -167,7 +150,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("task", "changes", "message"), REFUSED)
-def test_bad_frames(folder, tmp_path, capsys, task, changes, message):
+def test_bad_frames(folder, capsys, task, changes, message):
     frames = np.load(folder / "temperature.npy")
     np.save(folder / "flat.npy", frames[:, :, 0])
     np.save(folder / "inf.npy", np.where(np.isnan(frames), np.inf, frames))
@@ -176,10 +159,7 @@ def test_bad_frames(folder, tmp_path, capsys, task, changes, message):
     path = edit(
         folder, "plan.toml" if task == "optimise" else "case.toml", changes, "bad.toml"
     )
-    assert run(task, path, "--out", tmp_path / "run") == cli.USAGE_ERROR
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert re.search(message, line), line
-    assert not (tmp_path / "run").exists()
+    refuse(capsys, task, path, message)
 
 
 LAW = {"temperatures": [37.0, 45.0], "values": [0.8, 4.0], "unit": "kg/m3/s"}

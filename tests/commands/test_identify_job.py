@@ -19,8 +19,8 @@ from pinav.identification import (
     Row,
     identify,
 )
-from pinav.identification.estimates import QUANTITIES
 from pinav.identification.identify import pooled_coverage
+from pinav.identification.parameters import ESTIMATED
 from pinav.identification.selection import RESIDUALS
 from pinav.report.text import sections_text
 from pinav.runs import RunFolder
@@ -246,11 +246,11 @@ def test_a_label_is_the_last_step():
 
 
 def test_quantities_are_named_in_words_and_units_of_the_recording():
-    titles = [quantity.title for quantity in QUANTITIES.values()]
+    titles = [one.title or name for name, one in ESTIMATED.items()]
     assert len(set(titles)) == len(titles)
     assert {"still", "driven", "slow"}.isdisjoint(titles)
     units = {"x": "um", "t": "s"}
     row = estimate_row("driven", Estimate(2.0, 0.1), units)
-    assert row[:3] == ("wandering under a command", "um/s", 2.0)
+    assert row[:3] == ("wandering under a command", "um s⁻¹", 2.0)
     assert 0 < row[3] < 2.0 < row[4]  # of a logarithm
     assert estimate_row("of a new model", Estimate(1.0, 0.1), units)[1] == "1"

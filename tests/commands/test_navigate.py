@@ -70,8 +70,8 @@ def test_places_are_numbers_with_commas():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"thrust": 0.0}, "--thrust: expected a number > 0"),
-        ({"time_limit": -1.0}, "--time-limit: expected a number > 0"),
+        ({"thrust": 0.0}, "--thrust: expected > 0"),
+        ({"time_limit": -1.0}, "--time-limit: expected > 0"),
         ({"delay": -0.1}, "--delay: expected 0 or more"),
         ({"seeds": 0}, "--seeds: expected 1 or more"),
         ({"samples": 1}, "--samples: expected 0, or 2 and more"),

@@ -151,7 +151,7 @@ def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
         (["noise", "--workers", "0"], "--workers: expected 1 or more, got 0"),
         (["noise", "--workers", "2", "--scheduler", "tcp://h:1"], "choose one of them"),
         (["noise", "--tls-ca", "ca.pem"], "give all three, with --scheduler"),
-        (["noise", "--cell-timeout", "0"], "--cell-timeout: expected a number > 0"),
+        (["noise", "--cell-timeout", "0"], "--cell-timeout: expected > 0"),
     ],
 )
 def test_mistakes_get_one_line_and_no_folder(words, message, tmp_path, capsys):

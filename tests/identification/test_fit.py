@@ -26,16 +26,11 @@ from pinav.identification import (
     with_learned,
     with_response,
 )
+from pinav.identification.drive import fitted_coordinates
 from pinav.identification.findings import extrapolation
 from pinav.identification.fit import CandidateSearch
 from pinav.identification.likelihood import Design, evidence_and_coefficients
-from pinav.identification.parameters import (
-    DELAY,
-    Prior,
-    fitted_coordinates,
-    learned_parameters,
-    stated_coordinates,
-)
+from pinav.identification.parameters import DELAY, Prior
 from pinav.identification.rollouts import LENGTHS
 from pinav.identification.tracks import (
     COMPILATION,
@@ -123,8 +118,7 @@ def test_growth_of_errors_agrees_with_rollouts_of_each_length(track, fit):
 
 def search_of(track, system):
     """The search for the numbers that a system leaves open."""
-    design, learned = Design.of(system, Blocks.of(track)), learned_parameters(system)
-    return CandidateSearch(design, learned, Prior.of(track), stated_coordinates(system))
+    return CandidateSearch(system, Design.of(system, Blocks.of(track)), Prior.of(track))
 
 
 def stub_search(track, monkeypatch, slope):

@@ -11,6 +11,7 @@ from pinav.identification.kalman import (
     innovations,
     transitions,
 )
+from pinav.systems import WanderingVelocity
 
 TIMES = jnp.array([0.0, 0.4, 1.0, 1.1, 2.5, 3.0, 4.2])
 FIRST = jnp.array([1.0, 0, 0, 0, 0, 0, 0])
@@ -27,7 +28,11 @@ def disturbance(**changes):
         "gain_memory": 20.0,
         "noise": 0.2,
     }
-    return Disturbance(**{k: jnp.asarray(v) for k, v in (values | changes).items()})
+    numbers = {k: jnp.asarray(v) for k, v in (values | changes).items()}
+    noise = {
+        name: numbers.pop(name) for name in ("gain_wander", "gain_memory", "noise")
+    }
+    return Disturbance(WanderingVelocity(**numbers), **noise)
 
 
 def steps_of(known, strength, times=TIMES, cycles=None):
@@ -127,7 +132,9 @@ def test_short_intervals_do_not_cancel():
 
 @pytest.mark.parametrize("quiet", ["still", "driven"])
 def test_strength_grows_with_the_drive(quiet):
-    strength = disturbance(**{quiet: 0.0}).strength(jnp.array([0.0, 1.0, 16.0]))
+    strength = disturbance(**{quiet: 0.0}).wandering.strength(
+        jnp.array([0.0, 1.0, 16.0])
+    )
     expected = [0, 0.9, 1.8] if quiet == "still" else [0.4, 0.4, 0.4]
     np.testing.assert_allclose(strength, expected, atol=1e-12)
 

@@ -5,7 +5,7 @@ import pytest
 
 from pinav.errors import InputError
 from pinav.identification import tracks
-from pinav.identification.restoring import restoring_force
+from pinav.identification.baselines import restoring_force
 from pinav.identification.selection import split
 from pinav.trajectories import Trajectories
 

@@ -4,15 +4,36 @@ import dataclasses
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
+from pinav.evaluation import predict
+from pinav.forces import (
+    AbstractCommandedForce,
+    ConstantForce,
+    ScheduledThrust,
+    UniformFlow,
+    ZeroFlow,
+    ZeroForce,
+)
 from pinav.identification import needs_kalman_filter, record_commands
 from pinav.identification.commanded_fit import fit_commanded
-from pinav.scenarios import scenario
-from pinav.systems import read_system
-from pinav.trajectories import simulate
+from pinav.identification.drive import drive_of
+from pinav.identification.parameters import NOISE_PLACES, stated_noise
+from pinav.identification.tracks import Blocks, one_track
+from pinav.systems import (
+    FreeNumber,
+    LogNormal,
+    Normal,
+    Observation,
+    System,
+    WanderingVelocity,
+    read_system,
+)
+from pinav.trajectories import Trajectories, simulate
 
 GALLERY = Path(__file__).parents[2] / "examples" / "systems"
 
@@ -58,9 +79,120 @@ def test_a_known_programme_alone_needs_no_filter(roller):
     assert needs_kalman_filter(dataclasses.replace(helical, swimmer=swimmer))
 
 
-def test_a_wandering_velocity_is_fitted_beside_commands_or_nothing(roller, driven):
-    propulsion = scenario("paper").swimmer.propulsion
+class Sprint(AbstractCommandedForce):
+    """A propulsion that identification has never heard of: a speed that levels off."""
+
+    speed: float
+    delay: float
+    programme: None = None
+
+    @property
+    def actuator(self):
+        raise NotImplementedError
+
+    @property
+    def lateness(self):
+        return float(self.delay)
+
+    def __call__(self, t, x, v):
+        raise NotImplementedError
+
+    def drive_by(self, times, commands):
+        angle = commands["heading"]
+        direction = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
+        thrust = self.speed * jnp.tanh(commands["frequency"])[:, None] * direction
+        return ScheduledThrust(times, thrust, thrust, self.delay, 0.0)
+
+
+def sprinter(*learn, speed=4.0, delay=0.2):
+    swimmer = OverdampedSwimmer(
+        Sprint(speed, delay), ZeroForce(), 0.5, UniformFlow([0.3, -0.2])
+    )
+    known = {"swimmer": swimmer, "dim": 2, "observation": Observation(0.02)}
+    return System(name="sprinter", learn=learn, **known)
+
+
+def observed(system, duration=40.0):
+    """Positions of a system under turning commands, and where it is between."""
+    times, random = np.arange(0, duration, 0.1), np.random.default_rng(5)
+    commands = {
+        "frequency": np.where(times % 8 < 5, 1.0, 0.4),
+        "heading": np.cumsum(random.normal(0, 0.2, len(times))),
+    }
+
+    def recording(path):
+        return Trajectories.from_arrays(
+            [times],
+            [path],
+            channels=("x", "y"),
+            commands={name: [values] for name, values in commands.items()},
+            units={"x": "um", "y": "um", "t": "s"},
+        )
+
+    still = np.zeros((len(times), 2))
+    states, _ = predict(system.swimmer, recording(still))
+    return recording(np.asarray(states[0]) + 0.02 * random.normal(size=still.shape))
+
+
+def test_any_propulsion_drives_a_path_as_it_drives_a_swimmer():
+    system = sprinter(FreeNumber("propulsion.delay", Normal(0.2, 0.1)))
+    data = observed(system)
+    with jax.enable_x64(new_val=True):
+        blocks = Blocks.of(one_track(data, "sprinter"))
+        drive = drive_of(system)
+        path = drive.displacements(jnp.array([0.23]), jax.tree.map(jnp.asarray, blocks))
+        late = drive.displacements(jnp.array([0.24]), jax.tree.map(jnp.asarray, blocks))
+    swimmer = sprinter(delay=0.23).swimmer
+    swimmer = dataclasses.replace(swimmer, flow=ZeroFlow())
+    (states,), _ = predict(swimmer, data)
+    moved = np.asarray(states) - states[0]
+    np.testing.assert_allclose(path[: len(moved)], moved, atol=1e-4)
+    assert np.abs(late - path).max() < 0.05  # no step of the way jumps with the delay
+
+
+@pytest.mark.slow
+def test_any_propulsion_is_fitted_by_its_own_drive():
+    learn = (
+        FreeNumber("propulsion.speed", LogNormal(3.0, 1.0)),
+        FreeNumber("propulsion.delay", Normal(0.2, 0.2)),
+        FreeNumber("flow.velocity"),
+    )
+    fit = fit_commanded(
+        sprinter(*learn, speed=3.0), observed(sprinter(speed=4.0, delay=0.25)), None
+    )
+    for path, truth in (("propulsion.speed", 4.0), ("propulsion.delay", 0.25)):
+        found = fit.constants[path]
+        assert abs(found.value - truth) < 4 * found.sd
+        assert found.sd < 0.1 * truth
+    np.testing.assert_allclose(fit.model.flow.velocity, [0.3, -0.2], atol=0.1)
+    posterior = fit.posterior
+    np.testing.assert_allclose(
+        posterior.model.propulsion.speed, fit.constants["propulsion.speed"].value
+    )
+
+
+@pytest.mark.parametrize("path", ["propulsion.speed", "propulsion.delay"])
+def test_a_number_of_another_propulsion_needs_a_prior(path):
+    with pytest.raises(InputError, match="expected a prior Normal or LogNormal"):
+        drive_of(sprinter(FreeNumber(path)))
+
+
+def test_a_wandering_velocity_stands_beside_a_propulsion_without_commands(roller):
+    propulsion = ConstantForce([0.7, -0.1])
     swimmer = dataclasses.replace(roller.swimmer, propulsion=propulsion)
-    system = dataclasses.replace(roller, swimmer=swimmer, learn=())
-    with pytest.raises(InputError, match="or no propulsion beside a wandering"):
-        fit_commanded(system, driven, None)
+    drive = drive_of(dataclasses.replace(roller, swimmer=swimmer, learn=()))
+    times = jnp.arange(0.0, 5.0, 0.5)
+    blocks = Blocks(times, jnp.zeros((10, 2)), *(jnp.zeros(10),) * 6)
+    path = drive.displacements(jnp.zeros(0), blocks)
+    velocity = swimmer.mobility(jnp.zeros(2), propulsion.force)
+    np.testing.assert_allclose(path, jnp.outer(times, velocity), atol=1e-6)
+
+
+@pytest.mark.parametrize("slow", [0.0, 0.3])
+def test_a_drift_that_changes_is_none_where_a_system_states_none(roller, slow):
+    """A slow velocity of 0 was taken for one that nothing is known of."""
+    wandering = WanderingVelocity(still=0.0, driven=0.2, memory=1.0, slow=slow)
+    stated = stated_noise(dataclasses.replace(roller, wandering=wandering))
+    assert np.isnan(stated[NOISE_PLACES["wandering.still"]])  # it is learned
+    found = np.exp(stated[NOISE_PLACES["wandering.slow"]])
+    assert found == pytest.approx(max(slow, 1e-9))

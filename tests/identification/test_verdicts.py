@@ -8,12 +8,12 @@ from pinav.identification.candidates import (
     drift_only,
     gain_matrix,
     like,
-    response_name,
     scalar_gain,
     with_learned,
     with_response,
     with_slow_drift,
 )
+from pinav.identification.drive import response_name
 from pinav.identification.findings import _offset, _range, choice, shortcomings
 from pinav.identification.parameters import CORNER, DELAY, DRIFT, GAIN, RESIDUAL
 from pinav.identification.rollouts import Errors

@@ -28,7 +28,7 @@ def paper():
         ({"model": "nn-only", "train": ("gain",)}, "no physical constants"),
         ({"model": "physics-only"}, "there is nothing to fit; add --train damping"),
         ({"model": "ude", "recipe": Suited(noise=0.1)}, "only the recipe bayes uses"),
-        ({"recipe": Bayes(noise=-1.0)}, "--noise: expected a number > 0, got -1.0"),
+        ({"recipe": Bayes(noise=-1.0)}, "--noise: expected > 0, got -1.0"),
         ({"recipe": Curriculum(0)}, "--max-steps: expected 1 to 1e.06, got 0"),
     ],
 )

@@ -3,11 +3,11 @@
 import dataclasses
 import itertools
 
+from pinav.identification.running.forecast import DriveEstimate
 from pinav.live.estimators import (
     AbstractEstimator,
     AbstractPilot,
     Advice,
-    Drive,
     Intent,
     Whereabouts,
 )
@@ -48,7 +48,7 @@ class LastPosition(AbstractEstimator):
         return Whereabouts((seen[-1].x, seen[-1].y), self.sd) if seen else None
 
     def drive(self):
-        return Drive(delay=0.2)
+        return DriveEstimate(0.2, 0.0, 1.0, 0.0, 0.0, (0.0, 0.0))
 
 
 class Follow(AbstractPilot):

@@ -61,7 +61,7 @@ def test_a_checkpoint_of_another_version_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("pinav.live.checkpoint.SCHEMA", 0)
     write_session(path, dataclasses.replace(begun()))
     monkeypatch.undo()
-    with pytest.raises(InputError, match="version 0, expected 3"):
+    with pytest.raises(InputError, match="version 0, expected 4"):
         read_session(path, begun())
 
 

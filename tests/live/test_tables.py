@@ -2,8 +2,8 @@
 
 import pytest
 
+from pinav.live.loop import TableReader, header_places
 from pinav.live.messages import Frame, Hello, Limits, decode
-from pinav.live.tables import TableReader, header_places
 
 HEADER = b"frame,t_s,x_um,y_um,freq_hz,alpha_rad"
 

@@ -192,7 +192,7 @@ BAD_MAPS = {
     "absent column": (
         {"t": "T", "x": "X", "y": "Y"},
         {},
-        r"header: column 'X' is missing; got a; add it, or name another",
+        r"header: column 'T' is missing; got a; add it, or name another",
     ),
     "unit of nothing": (MAP, {"speed": "m"}, r"units: 'speed' is no quantity"),
     "unit of length": (MAP, {"x": "ms"}, r"units: expected x in one of um, .*got 'ms'"),

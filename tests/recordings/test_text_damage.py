@@ -129,11 +129,11 @@ DAMAGE = {
     ),
     "x missing": (
         lambda s: s.without("x"),
-        lambda s: f"header: .*({s.columns['x']!r} is missing|expected columns X)",
+        lambda s: f"header: .*{s.columns['x']!r}( or 'XM')? is missing",
     ),
     "y missing": (
         lambda s: s.without("y"),
-        lambda s: f"header: .*({s.columns['y']!r} is missing|expected columns X)",
+        lambda s: f"header: .*{s.columns['y']!r}( or 'YM')? is missing",
     ),
     "column twice": (
         lambda s: s.text(

@@ -6,19 +6,17 @@ import pytest
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, outer
-from pinav.thermal.exposure_limits import (
+from pinav.thermal.grids import RadialGrid
+from pinav.thermal.heated_run import validity_warnings
+from pinav.thermal.perfusion import lang
+from pinav.thermal.protocols import (
     ATKINSON_BREZOVICH,
     HERGT_DUTZ,
     HfLimit,
-    limit,
+    Piecewise,
     require,
-    validity_warnings,
 )
-from pinav.thermal.grids import RadialGrid
-from pinav.thermal.magnetics import LinearResponse
-from pinav.thermal.perfusion import lang
-from pinav.thermal.protocols import Piecewise
-from pinav.thermal.sources import ParticleSource
+from pinav.thermal.sources import LinearResponse, ParticleSource
 from pinav.thermal.tissues import Blood, Tissue
 
 MUSCLE = Tissue(0.49, 1090.0, 3421.0)
@@ -51,10 +49,7 @@ def test_pauses_leave_the_product_as_it_is():
     assert largest == pytest.approx(4.85e8)
 
 
-def test_limits_are_found_by_name_and_checked():
-    assert limit("hergt-dutz") is HERGT_DUTZ
-    with pytest.raises(InputError, match="field limit 'ieee' is unknown; choose one"):
-        limit("ieee")
+def test_limits_are_checked():
     with pytest.raises(InputError, match=r"HfLimit.product: expected > 0 A/\(m s\)"):
         HfLimit(-1.0)
 

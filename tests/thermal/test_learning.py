@@ -10,11 +10,15 @@ from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, outer
 from pinav.thermal.grids import RadialGrid
-from pinav.thermal.learned_perfusion import kernel_perfusion, neural_perfusion
 from pinav.thermal.learning import learn, perfusion_curve, visited_range
-from pinav.thermal.perfusion import lang
-from pinav.thermal.probes import ProbeData, load_probes, save_probes, simulate_probes
+from pinav.thermal.perfusion import kernel_perfusion, lang, neural_perfusion
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.readings import (
+    Readings,
+    load_probes,
+    save_probes,
+    simulate_probes,
+)
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.sources import PowerSource
 from pinav.thermal.tissues import Blood, Tissue
@@ -146,37 +150,18 @@ def test_readings_survive_a_file(tmp_path, readings):
     assert np.array_equal(again.values, with_gap.values, equal_nan=True)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("t,r\n1,2\n", r"expected the columns t, r, T or t, x, y, z, T, got t, r"),
-        ("t,r,T\n1,0.0\n", r"row 2: expected 3 cells, got 2"),
-        ("t,r,T\n1,abc,40\n", r"row 2, column 2: expected a number, got 'abc'"),
-        ("t,r,T\n", r"expected readings, got a header alone"),
-        ("t,r,T\n0,0.0,37\n", r"row 2: expected times > 0 s"),
-        ("t,r,T\n1,0.0,\n", r"expected a reading, got empty cells alone"),
-        ("", r"got none"),
-    ],
-)
-def test_bad_files_name_the_place(tmp_path, text, message):
-    path = tmp_path / "probes.csv"
-    path.write_text(text)
-    with pytest.raises(InputError, match=message):
-        load_probes(path)
-
-
 @pytest.mark.slow
 def test_what_cannot_be_learned_is_refused(readings, tmp_path):
     with pytest.raises(InputError, match="nothing to learn"):
         learn(muscle(), STEPS, readings, stepper=STEPPER)
-    far = ProbeData(readings.times, POINTS + 1.0, readings.values)
+    far = Readings(readings.times, readings.values, POINTS + 1.0)
     with pytest.raises(InputError, match="probe at 1 m: expected between 0 and 0.04"):
         learn(muscle(), STEPS, far, constants=lambda m: m.sources[0].scale)
-    late = ProbeData(readings.times + 1e4, POINTS, readings.values)
+    late = Readings(readings.times + 1e4, readings.values, POINTS)
     with pytest.raises(InputError, match="saved time .* expected after 0 and up to"):
         learn(muscle(), STEPS, late, constants=lambda m: m.sources[0].scale)
-    with pytest.raises(InputError, match=r"expected shape \(45, 4\), times by probes"):
-        ProbeData(readings.times, POINTS, readings.values[:, :2])
+    with pytest.raises(InputError, match=r"of shape \(45, 4\), times by places"):
+        Readings(readings.times, readings.values[:, :2], POINTS)
     with pytest.raises(InputError, match="cannot be read"):
         load_probes(tmp_path / "nowhere.csv")
     with pytest.raises(InputError, match="perfusion level: expected > 0"):
@@ -185,16 +170,3 @@ def test_what_cannot_be_learned_is_refused(readings, tmp_path):
         kernel_perfusion(1.0, (45.0, 37.0))
     with pytest.raises(InputError, match="length_scale: expected > 0 K"):
         kernel_perfusion(1.0, (37.0, 45.0), length_scale=0.0)
-
-
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        ("1,0,37\n1,0,38\n", "expected one reading for each time and place, got 2 at"),
-        ("1,0,310\n2,0,311\n", "row 2: expected temperatures in °C, which are kelvi"),
-    ],
-)
-def test_readings_that_cannot_be_meant_are_refused(tmp_path, rows, message):
-    (tmp_path / "probes.csv").write_text("t,r,T\n" + rows)
-    with pytest.raises(InputError, match=message):
-        load_probes(tmp_path / "probes.csv")

@@ -7,7 +7,7 @@ import pytest
 import scipy.integrate
 
 from pinav.errors import InputError
-from pinav.thermal.magnetics import (
+from pinav.thermal.sources import (
     LinearResponse,
     LogNormalSizes,
     TabulatedHeating,

@@ -6,6 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from validation.heat import exact
+from validation.heat.checks import powers as switched
+from validation.heat.checks import reference_model as medium
 from validation.heat.exact import SET_S
 
 from pinav.errors import InputError
@@ -18,7 +20,7 @@ from pinav.thermal.protocols import Piecewise, plan_steps
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import Probes, default_stepper, probes_at, run, solve
 from pinav.thermal.sources import EddySource, PowerSource
-from pinav.thermal.starts import HeatState
+from pinav.thermal.starts import AT_REST, HeatState
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 
@@ -86,7 +88,6 @@ def short_run():
             schedule,
             stepper=Rosenbrock(),
             observe=probes_at(model, [0.004]),
-            start=HeatState.at_rest(own),
         )
         return jnp.stack(
             [
@@ -135,7 +136,7 @@ def test_a_run_is_differentiated_in_blocks_or_whole(monkeypatch, kept, cells):
 
     def outcome(scale):
         own = eqx.tree_at(lambda m: m.blood.arterial, model, 37.0 * scale)
-        begin = HeatState.at_rest(model)
+        begin = AT_REST.state(model)
         found = run(
             own, protocol, schedule, stepper=stepper, observe=jnp.mean, start=begin
         )
@@ -167,7 +168,6 @@ def test_reverse_mode_in_the_plane():
             schedule,
             stepper=stepper,
             observe=jnp.max,
-            start=HeatState.at_rest(own),
         )
         return jnp.log(jnp.sum(found.final.dose)) + found.observed[-1]
 
@@ -198,7 +198,6 @@ def centre_rise(count):
             plan_steps(protocol, 2000.0),
             stepper=Rosenbrock(),
             observe=probe,
-            start=HeatState.at_rest(model),
         )
         return found.observed[-1, 0] - 37.0
 
@@ -222,9 +221,7 @@ def test_exact_sensitivities_at_second_order():
 
 
 @pytest.mark.slow
-def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel(
-    medium, switched
-):
+def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel():
     grid = RadialGrid.sphere(0.05, 400)
     model = medium(grid, 4e5 * grid.ball(0.005))
     edges = (0.0, 120.0, 300.0)
@@ -237,7 +234,6 @@ def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel(
             schedule,
             stepper=Rosenbrock(),
             observe=probe,
-            start=HeatState.at_rest(model),
         ).observed[-1, 0]
 
     probe = probes_at(model, [0.0])

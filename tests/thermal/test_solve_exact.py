@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from validation.heat import exact
+from validation.heat.checks import powers as switched
+from validation.heat.checks import reference_model as medium
 from validation.heat.exact import SET_S, Medium
 from validation.heat.exact.controls import discrete_eigenmode_rate, on_off_cycle
 from validation.heat.waveform import Waveform
@@ -37,7 +39,7 @@ def order(errors, refinement=2.0):
 
 
 @pytest.mark.slow
-def test_the_slab_at_second_order_in_space(medium, switched):
+def test_the_slab_at_second_order_in_space():
     """Close to what thermal.md lists: 2.69e-3 K at 40 cells, 6.88e-4 K at 80."""
     errors = []
     for count in (40, 80):
@@ -52,7 +54,7 @@ def test_the_slab_at_second_order_in_space(medium, switched):
 
 
 @pytest.mark.slow
-def test_the_slab_over_time(medium, switched):
+def test_the_slab_over_time():
     model = medium(RadialGrid.slab(0.03, 80), 2e4)
     found = solve(
         model,
@@ -68,7 +70,7 @@ def test_the_slab_over_time(medium, switched):
 @pytest.mark.parametrize(
     "kind", [pytest.param("cylinder", marks=pytest.mark.slow), "sphere"]
 )
-def test_cylinder_and_ball(medium, switched, kind):
+def test_cylinder_and_ball(kind):
     true = {"cylinder": exact.perfused_cylinder, "sphere": exact.perfused_ball}[kind]
     model = medium(getattr(RadialGrid, kind)(0.03, 80), 2e4)
     found = solve(model, switched((0, STEADY), [1.0]), stepper=Rosenbrock(500.0))
@@ -76,7 +78,7 @@ def test_cylinder_and_ball(medium, switched, kind):
     assert max_error(found, true(r, SET_S, 2e4, 0.03)) < 2e-3
 
 
-def test_skin_that_loses_heat_to_the_air(medium, switched):
+def test_skin_that_loses_heat_to_the_air():
     grid = RadialGrid.slab(0.03, 80)
     sides = (Sides(Robin(10.0, 25.0), Dirichlet(37.0)),)
     model = medium(grid, 420.0, sides, perfusion=0.525)
@@ -88,7 +90,7 @@ def test_skin_that_loses_heat_to_the_air(medium, switched):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("perfusion", [0.0, 1.05], ids=["bare", "perfused"])
-def test_the_heated_sphere(medium, switched, perfusion):
+def test_the_heated_sphere(perfusion):
     """With 40 cells to its radius, off the faces of the grid and on them."""
     grid = RadialGrid.sphere(0.05, 400)
     model = medium(grid, 4e5 * grid.ball(0.005), perfusion=perfusion)
@@ -101,7 +103,7 @@ def test_the_heated_sphere(medium, switched, perfusion):
 
 
 @pytest.mark.slow
-def test_conductivity_jumps_between_two_media(switched):
+def test_conductivity_jumps_between_two_media():
     """Trap: with k∇²T in place of ∇·(k∇T) the centre is 12 % low on any grid."""
     radius, count = 3.15e-3, 400
     grid = RadialGrid.sphere(10 * radius, count)
@@ -161,7 +163,7 @@ def shells(count):
 
 
 @pytest.mark.slow
-def test_two_perfused_shells_at_second_order(switched):
+def test_two_perfused_shells_at_second_order():
     errors = []
     for count in (50, 100):
         model, case = shells(count)
@@ -174,7 +176,7 @@ def test_two_perfused_shells_at_second_order(switched):
 
 
 @pytest.mark.slow
-def test_two_perfused_shells_over_time(switched):
+def test_two_perfused_shells_over_time():
     model, case = shells(100)
     found = solve(model, switched((0, 300), [1.0]))
     r = float(model.grid.centers[10])
@@ -183,7 +185,7 @@ def test_two_perfused_shells_over_time(switched):
 
 
 @pytest.mark.slow
-def test_a_cut_cell_needs_its_share(switched):
+def test_a_cut_cell_needs_its_share():
     """Trap: with whole cells in or out the error is tens of times larger."""
     model, case = shells(107)
     whole = jnp.round(model.grid.ball(0.01))
@@ -209,7 +211,7 @@ def test_a_cut_cell_needs_its_share(switched):
 
 
 @pytest.mark.slow
-def test_a_point_source(medium, switched):
+def test_a_point_source():
     grid = RadialGrid.sphere(0.05, 400)
     first = jnp.zeros(400).at[0].set(0.1 / grid.volumes[0])
     model = medium(grid, first)
@@ -221,7 +223,7 @@ def test_a_point_source(medium, switched):
 
 
 @pytest.mark.slow
-def test_a_gaussian_spot_in_the_plane(medium, switched):
+def test_a_gaussian_spot_in_the_plane():
     """Second order in space on a Cartesian grid."""
     errors = []
     for count in (24, 48):
@@ -237,7 +239,7 @@ def test_a_gaussian_spot_in_the_plane(medium, switched):
 
 
 @pytest.mark.slow
-def test_decay_in_the_box_at_every_stage(medium, switched):
+def test_decay_in_the_box_at_every_stage():
     """Trap: perfusion frozen over a call cools the tissue below its arteries."""
     x = (np.arange(64) - 32) * 1e-3
     start = np.exp(-(x[:, None] ** 2 + x[None] ** 2) / 0.004**2)
@@ -269,7 +271,7 @@ def test_decay_in_the_box_at_every_stage(medium, switched):
 
 
 @pytest.mark.slow
-def test_the_heated_sphere_in_three_dimensions(medium, switched):
+def test_the_heated_sphere_in_three_dimensions():
     """With four cells to its radius: 2e-2 K of a rise of 6 K."""
     grid = CartesianGrid.cubes((32, 32, 32), 1.25e-3)
     model = medium(grid, 4e5 * grid.ball(0.005))
@@ -281,7 +283,7 @@ def test_the_heated_sphere_in_three_dimensions(medium, switched):
         assert rise(found)[cell] == pytest.approx(true, abs=2e-2)
 
 
-def lumped(medium, perfusion=1.05):
+def lumped(perfusion=1.05):
     return medium(
         RadialGrid.slab(0.01, 3), 3e4, (Sides(Insulated(), Insulated()),), perfusion
     )
@@ -292,10 +294,10 @@ STEPPERS = {"RKL2": lambda dt: RKL2(5, dt), "Rosenbrock": Rosenbrock}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", STEPPERS.values(), ids=STEPPERS)
-def test_second_order_in_time_under_changing_power(medium, make):
+def test_second_order_in_time_under_changing_power(make):
     """Trap: a first stage of RKL2 at c₂/4 would leave first order."""
     wave = Waveform(lambda t: 1e4 * jnp.sin(jnp.pi * t / 600.0), (0.0, 1400.0), 1e5)
-    model = lumped(medium)
+    model = lumped()
     true = exact.lumped_forced(1400.0, SET_S, 3e4, 600.0)
     # a grid of 3 cells of 3.3 mm is stable at 50 s even for RKL2
     errors = [
@@ -307,10 +309,10 @@ def test_second_order_in_time_under_changing_power(medium, make):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", STEPPERS.values(), ids=STEPPERS)
-def test_switch_times_are_hit(medium, switched, make):
+def test_switch_times_are_hit(make):
     """Second order across switches that no step divides."""
     edges, powers = (0.0, 132.0, 408.0, 772.0), (1.0, 0.2, 0.7)
-    model = lumped(medium)
+    model = lumped()
     true = 0.0
     for begin, end, power in zip(edges[:-1], edges[1:], powers, strict=True):
         true *= np.exp(-SET_S.rate * (end - begin))
@@ -324,10 +326,10 @@ def test_switch_times_are_hit(medium, switched, make):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", STEPPERS.values(), ids=STEPPERS)
-def test_nonlinear_perfusion_at_second_order(medium, switched, make):
+def test_nonlinear_perfusion_at_second_order(make):
     model = eqx.tree_at(
         lambda m: (m.perfusion, m.tissue),
-        lumped(medium),
+        lumped(),
         (lang("muscle"), Tissue(0.5, 1090.0, 3421.0)),
     )
 
@@ -345,10 +347,10 @@ def test_nonlinear_perfusion_at_second_order(medium, switched, make):
 
 
 @pytest.mark.slow
-def test_on_and_off_become_periodic(medium, switched):
+def test_on_and_off_become_periodic():
     edges = np.cumsum([0.0] + [50.0, 100.0] * 120)
     found = solve(
-        lumped(medium),
+        lumped(),
         switched(edges, [1.0, 0.0] * 120),
         save_at=edges[-3:].tolist(),
         stepper=Rosenbrock(5.0),
@@ -369,7 +371,7 @@ def test_the_shares_of_a_ball_have_its_volume():
         assert volume == pytest.approx(4 / 3 * np.pi * radius**3, rel=tolerance)
 
 
-def test_an_eigenmode_decays_as_the_grid_says(medium, switched):
+def test_an_eigenmode_decays_as_the_grid_says():
     """Space and time apart: the amplitude is that of differences, not of cosines."""
     grid = RadialGrid.slab(0.03, 64)
     model = medium(grid, 0.0, (Sides(Insulated(), Insulated()),))

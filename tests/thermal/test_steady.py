@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from validation.heat import exact
 from validation.heat.checks import AMPLITUDE, powers
+from validation.heat.checks import reference_model as medium
 from validation.heat.exact import SET_S
 
 from pinav.errors import InputError
@@ -18,14 +19,18 @@ from pinav.thermal.perfusion import MixedPerfusion, lang
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import solve
 from pinav.thermal.sources import DistantEddySource, axis_distance
-from pinav.thermal.starts import AtSteadyState, HeatState
-from pinav.thermal.steady import find_steady_state, steady_state
+from pinav.thermal.starts import (
+    AtSteadyState,
+    HeatState,
+    find_steady_state,
+    steady_state,
+)
 from pinav.thermal.tissues import Blood, Tissue
 
 ENDS = (Sides(Insulated(), Robin(10.0, 25.0)),)
 
 
-def test_the_steady_slab_converges_at_second_order(medium):
+def test_the_steady_slab_converges_at_second_order():
     errors = []
     for cells in (40, 80):
         slab = medium(RadialGrid.slab(0.03, cells), 2e4)
@@ -39,7 +44,7 @@ def test_the_steady_slab_converges_at_second_order(medium):
 
 
 @pytest.mark.slow
-def test_a_steady_state_with_nonlinear_perfusion_is_where_a_run_ends(medium):
+def test_a_steady_state_with_nonlinear_perfusion_is_where_a_run_ends():
     grid = RadialGrid.sphere(0.04, 40)
     share = grid.ball(0.01)
     model = eqx.tree_at(
@@ -56,7 +61,7 @@ def test_a_steady_state_with_nonlinear_perfusion_is_where_a_run_ends(medium):
 
 
 @pytest.mark.slow
-def test_the_derivative_of_a_steady_state_in_both_modes(medium):
+def test_the_derivative_of_a_steady_state_in_both_modes():
     slab = medium(RadialGrid.slab(0.03, 40), 2e4)
 
     def hottest(numbers):
@@ -74,7 +79,7 @@ def test_the_derivative_of_a_steady_state_in_both_modes(medium):
 
 
 @pytest.mark.slow
-def test_a_box_with_periodic_and_insulated_sides_is_a_slab(medium):
+def test_a_box_with_periodic_and_insulated_sides_is_a_slab():
     grid = CartesianGrid.cubes((30, 4, 3), 1e-3)
     across = Sides(Insulated(), Insulated())
     box = medium(grid, 2e4, (*ENDS, Periodic(), across))
@@ -85,7 +90,7 @@ def test_a_box_with_periodic_and_insulated_sides_is_a_slab(medium):
 
 
 @pytest.mark.slow
-def test_a_periodic_box_does_not_know_where_it_begins(medium):
+def test_a_periodic_box_does_not_know_where_it_begins():
     grid = CartesianGrid.cubes((12, 10), 2e-3)
     shape = 1e5 * np.exp(-0.5 * (np.asarray(grid.distances()) / 4e-3) ** 2)
     ends = (Periodic(), Sides(Insulated(), Dirichlet(37.0)))
@@ -97,19 +102,19 @@ def test_a_periodic_box_does_not_know_where_it_begins(medium):
     assert float(first.energy.imbalance) < 1e-10
 
 
-def test_ends_that_meet_need_another_axis(medium):
+def test_ends_that_meet_need_another_axis():
     with pytest.raises(InputError, match="ends that do not meet on a grid with one"):
         medium(RadialGrid.slab(0.03, 10), 2e4, (Periodic(),))
 
 
-def test_heat_that_cannot_leave_has_no_steady_state(medium):
+def test_heat_that_cannot_leave_has_no_steady_state():
     closed = (Sides(Insulated(), Insulated()),)
     model = medium(RadialGrid.slab(0.03, 10), 2e4, closed, 0.0)
     with pytest.raises(InputError, match="heat must be able to leave"):
         find_steady_state(model, AMPLITUDE)
 
 
-def test_a_run_from_the_steady_state_without_a_field_stays_there(medium):
+def test_a_run_from_the_steady_state_without_a_field_stays_there():
     model = medium(RadialGrid.slab(0.03, 20), 2e4, ENDS)
     off = powers((0.0, 600.0), [0.0])
     rest = AtSteadyState().state(model).temperature
@@ -120,7 +125,7 @@ def test_a_run_from_the_steady_state_without_a_field_stays_there(medium):
         solve(model, off, start=HeatState.at(jnp.ones(9)))
 
 
-def test_damage_is_accumulated_beside_the_dose(medium):
+def test_damage_is_accumulated_beside_the_dose():
     closed = (Sides(Insulated(), Insulated()),)
     model = medium(RadialGrid.slab(0.03, 3), 0.0, closed, 0.0)
     off = powers((0.0, 600.0), [0.0])

@@ -9,13 +9,14 @@ from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Sides
 from pinav.thermal.grids import CartesianGrid
+from pinav.thermal.images import phase_turn
 from pinav.thermal.learning import learn, read_residuals
 from pinav.thermal.perfusion import ConstantPerfusion, RegionalPerfusion
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.readings import Readings
 from pinav.thermal.solve import solve
 from pinav.thermal.sources import PowerSource, ShiftedSource
 from pinav.thermal.steppers import RKL2
-from pinav.thermal.thermometry import Thermometry, phase_turn, thermometry_residuals
 from pinav.thermal.tissues import Blood, Tissue
 
 GRID = CartesianGrid((12, 10), (4e-3, 5e-3))
@@ -53,7 +54,7 @@ def frames(noise=0.2, drift="linear"):
     values += np.cumsum(random.normal(size=(8, 1, 1)), axis=0) * (2 + 0.3 * slopes)
     values = 37 + (values - 37 + TURN / 2) % TURN - TURN / 2
     values[:, 3, 4], values[5, :4] = np.nan, np.nan
-    return Thermometry(TIMES, values, sd, TURN, drift)
+    return Readings(TIMES, values, noise=sd, turn=TURN, drift=drift)
 
 
 def picked(one):
@@ -78,11 +79,11 @@ def test_perfusion_power_and_place_come_back(fit):
 
 def test_what_a_drift_explains_is_no_residual():
     data = frames()
-    residuals = thermometry_residuals(TRUTH, FIELD, data, stepper=STEPPER)
+    residuals = read_residuals(TRUTH, FIELD, data, stepper=STEPPER)
     before = residuals(TRUTH)
     moved = data.values + np.linspace(-1, 1, 10)[None, None, :] + 1.0
     other = eqx.tree_at(lambda d: d.values, data, moved)
-    after = thermometry_residuals(TRUTH, FIELD, other, stepper=STEPPER)(TRUTH)
+    after = read_residuals(TRUTH, FIELD, other, stepper=STEPPER)(TRUTH)
     assert jnp.allclose(before, after, atol=1e-8)
     assert before.shape == (int(data.observed.sum()),)
     assert residuals.num_projected == 8 * 3
@@ -90,7 +91,7 @@ def test_what_a_drift_explains_is_no_residual():
 
 def test_without_drift_or_turns_residuals_are_those_of_probes():
     clean = np.asarray(solve(TRUTH, FIELD, stepper=STEPPER, save_at=TIMES).observed)
-    data = Thermometry(TIMES, clean + 0.5, np.full(GRID.shape, 0.25))
+    data = Readings(TIMES, clean + 0.5, noise=np.full(GRID.shape, 0.25))
     residuals = read_residuals(TRUTH, FIELD, data, stepper=STEPPER)
     assert jnp.allclose(residuals(TRUTH), -2.0)
 
@@ -134,12 +135,12 @@ def test_frames_up_to_a_time():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"values": np.zeros((8, 3, 3))}, "expected frames of shape"),
+        ({"values": np.zeros((8, 3, 3))}, "expected values of shape"),
         ({"times": TIMES - 30.0}, "increasing times > 0 s"),
         ({"values": np.full((8, 12, 10), np.nan)}, "expected a reading, got none"),
-        ({"noise": np.zeros(GRID.shape)}, "expected > 0 K at every voxel"),
-        ({"turn": -1.0}, "turn: expected > 0 K"),
-        ({"drift": "cubic"}, "drift: expected none, constant, linear"),
+        ({"noise": np.zeros(GRID.shape)}, "expected a noise > 0 K at every voxel"),
+        ({"turn": -1.0}, "expected a turn > 0 K"),
+        ({"drift": "cubic"}, "expected a drift, none, constant, linear"),
     ],
 )
 def test_bad_frames(changes, message):
@@ -151,15 +152,15 @@ def test_bad_frames(changes, message):
         "drift": "none",
     }
     with pytest.raises(InputError, match=message):
-        Thermometry(**(data | changes))
+        Readings(**(data | changes))
 
 
 def test_frames_of_another_grid_or_without_a_drift():
-    other = Thermometry(TIMES, np.full((8, 3, 3), 37.0), np.ones((3, 3)))
+    other = Readings(TIMES, np.full((8, 3, 3), 37.0))
     with pytest.raises(InputError, match="expected frames of shape"):
-        thermometry_residuals(TRUTH, FIELD, other, stepper=STEPPER)
+        read_residuals(TRUTH, FIELD, other, stepper=STEPPER)
     values = np.full((8, 12, 10), np.nan)
     values[:, 0, 0] = 37.0
-    one = Thermometry(TIMES, values, np.ones(GRID.shape), None, "linear")
+    one = Readings(TIMES, values, drift="linear")
     with pytest.raises(InputError, match="voxels in every frame that tell its drift"):
-        thermometry_residuals(TRUTH, FIELD, one, stepper=STEPPER)
+        read_residuals(TRUTH, FIELD, one, stepper=STEPPER)

@@ -16,7 +16,7 @@ from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import ConstantPerfusion
 from pinav.thermal.solve import probes_at
 from pinav.thermal.sources import PowerSource
-from pinav.thermal.steady import steady_state
+from pinav.thermal.starts import steady_state
 from pinav.thermal.tissues import Blood, Tissue, mix
 
 Comparison = tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -36,13 +36,12 @@ from pinav.thermal.boundaries import (
 )
 from pinav.thermal.dose import cem43_segment
 from pinav.thermal.grids import CartesianGrid, RadialGrid
-from pinav.thermal.magnetics import LinearResponse
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
 from pinav.thermal.protocols import plan_steps
 from pinav.thermal.quantities import Number
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import probes_at, run, solve
-from pinav.thermal.sources import PowerSource
+from pinav.thermal.sources import LinearResponse, PowerSource
 from pinav.thermal.starts import HeatState
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix

@@ -86,5 +86,5 @@ def sections_of(command: Command, folder: RunFolder) -> list[Section]:
         return [] if command.report is None else resolve(command.report)(folder)
     if not folder.has(f"{command.file}.json"):
         return []
-    result = folder.load(command.file, resolve(command.result))
-    return resolve(command.sections)(result)
+    sections = resolve(command.sections)  # imports all classes that a result may have
+    return sections(folder.load(command.file, resolve(command.result)))

@@ -6,7 +6,6 @@ from pinav.figures.analysis import influence_figure as influence_figure
 from pinav.figures.analysis import lyapunov_figure as lyapunov_figure
 from pinav.figures.analysis import potential_figure as potential_figure
 from pinav.figures.analysis import sobol_figure as sobol_figure
-from pinav.figures.bands import band as band
 from pinav.figures.errors import evaluation_errors_figure as evaluation_errors_figure
 from pinav.figures.errors import residuals_figure as residuals_figure
 from pinav.figures.images import FigureFiles as FigureFiles
@@ -22,6 +21,7 @@ from pinav.figures.maps import map_panel as map_panel
 from pinav.figures.recordings import observed_paths as observed_paths
 from pinav.figures.recordings import overlay_figure as overlay_figure
 from pinav.figures.recordings import recording_figure as recording_figure
+from pinav.figures.style import band as band
 from pinav.figures.trajectories import acceleration_figure as acceleration_figure
 from pinav.figures.trajectories import decomposition as decomposition
 from pinav.figures.trajectories import figure1 as figure1

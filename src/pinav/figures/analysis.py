@@ -1,15 +1,17 @@
 """Figures of what was learned: potential, parts, trust, influence and sensitivity.
 
-They return the picture with its words, which is drawn when somebody looks at it.
+They return the picture with its words, which is drawn when somebody looks at it. A map
+is drawn on the grid of `field`, with the positions `path` [L] over it.
 """
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from pinav.analysis import HelmholtzSplit, LyapunovMap, SobolIndices
 from pinav.evaluation import FieldMap
@@ -23,24 +25,16 @@ from pinav.figures.maps import (
     above_least,
     largest_near,
     map_panel,
-    one_legend,
     trust_map,
 )
-from pinav.figures.palette import (
-    BLACK,
-    BLUE,
-    ORANGE,
-    VERMILLION,
-)
+from pinav.figures.palette import BLACK, BLUE, ORANGE, VERMILLION
 from pinav.figures.style import (
     DIMENSIONLESS,
     TEXT,
     add_legend,
+    draw_panels,
     label_axes,
-    new_figure,
     prepare_axes,
-    share_legend,
-    title_panel,
     with_unit,
 )
 from pinav.report import quantity
@@ -52,41 +46,36 @@ def potential_figure(
     *,
     origin: str,
     sd: Float[np.ndarray, "rows columns 2"] | None = None,
-    path: Path | None = None,
-    units: Mapping[str, str] = DIMENSIONLESS,
+    **shown: Any,
 ) -> Picture:
-    """A potential, and where the field is known.
+    """A potential, and the signal to noise of its field.
 
     Args:
-        potential: positions to overlay [L].
-        field: as there.
+        potential: at the points of the map [L² T⁻²].
+        field: the force that it belongs to.
         origin: of the potential, in words.
-        sd: of the field; without it the signal to noise is left out.
-        path: as there.
-        units: as there.
+        sd: standard deviation of the field; without it the signal to noise is left out.
+        shown: `path` and `units`, as of `map_panel`.
     """
-
-    def draw() -> Figure:
-        figure = new_figure(3.8 if sd is None else 7.5, 4.6)
-        axes = np.ravel(figure.subplots(1, 1 if sd is None else 2))
-        shown = {"path": path, "units": units}
-        map_panel(field, above_least(potential, field), POTENTIAL, **shown, ax=axes[0])
-        title_panel(axes[0], f"(a) potential, {origin}")
-        if sd is not None:
-            trust_map(field, sd, **shown, ax=axes[1])
-            title_panel(axes[1], "(b) signal to noise")
-        one_legend(figure, axes)
-        return figure
-
-    known = (
-        " Right: size of the field over its standard deviation; outside the marked "
-        "line it is not significantly different from zero. Away from the data the "
-        "standard deviation is that of the assumed prior and is not to be trusted."
-    )
+    lifted = above_least(potential, field)
+    panels = {
+        f"(a) potential, {origin}": partial(
+            map_panel, field, lifted, POTENTIAL, **shown
+        )
+    }
+    caption = "Potential up to a constant."
+    if sd is not None:
+        panels["(b) signal to noise"] = partial(trust_map, field, sd, **shown)
+        caption += (
+            " Right: size of the field over its standard deviation; outside the marked "
+            "line it is not significantly different from zero. Away from the data the "
+            "standard deviation is that of the assumed prior and is not to be trusted."
+        )
+    size = 3.8 if sd is None else 7.5, 4.6
     return Picture(
         "analysis-potential",
-        draw,
-        "Potential up to a constant." + ("" if sd is None else known),
+        partial(draw_panels, size, panels, legend=2),
+        caption,
         "Potential, and where the field is known",
     )
 
@@ -101,37 +90,26 @@ def helmholtz_figure(
 ) -> Picture:
     """Gradient part, rotational part and potential of a force, with their fractions.
 
-    Args:
-        split: of the force.
-        field: the force that was split.
-        spread: standard deviation of the fraction over posterior samples.
-        path: positions to overlay [L].
-        units: unit of each channel; "1" means dimensionless.
+    `spread` is the standard deviation of the fraction over posterior samples.
     """
-    fractions = (
-        (split.gradient, f"(a) gradient: {split.gradient_fraction:.1%}"),
-        (split.rotational, f"(b) rotational: {split.rotational_fraction:.1%}"),
-    )
-
-    def draw() -> Figure:
-        figure = new_figure(7.5, 3.9)
-        axes = figure.subplots(1, 3)
-        top = largest_near(np.linalg.norm(field.force, axis=-1), field)
-        plus = "" if spread is None else f" ± {spread:.1%}"
-        shown = {"path": path, "units": units}
-        for ax, (part, title) in zip(axes, fractions, strict=False):
-            map_panel(field, part, FORCE, limits=(0.0, top), **shown, ax=ax)
-            title_panel(ax, title + plus)
-        lifted = above_least(split.potential, field)
-        map_panel(field, lifted, POTENTIAL, **shown, ax=axes[2])
-        title_panel(axes[2], "(c) potential of (a)")
-        one_legend(figure, axes)
-        return figure
-
+    plus = "" if spread is None else f" ± {spread:.1%}"
+    shown: dict[str, Any] = {"path": path, "units": units}
+    top = largest_near(np.linalg.norm(field.force, axis=-1), field)
+    part = partial(map_panel, field, look=FORCE, limits=(0.0, top), **shown)
+    lifted = above_least(split.potential, field)
+    panels = {
+        f"(a) gradient: {split.gradient_fraction:.1%}{plus}": partial(
+            part, values=split.gradient
+        ),
+        f"(b) rotational: {split.rotational_fraction:.1%}{plus}": partial(
+            part, values=split.rotational
+        ),
+        "(c) potential of (a)": partial(map_panel, field, lifted, POTENTIAL, **shown),
+    }
     reach = quantity(field.regions.near, units.get("x", ""))
     return Picture(
         "analysis-helmholtz",
-        draw,
+        partial(draw_panels, (7.5, 3.9), panels, legend=2),
         "Helmholtz split of the learned field, by least squares in the region within "
         f"{reach} of the data. Fractions are of the square of the field there. "
         "Harmonic fields are both; they are shared equally.",
@@ -147,37 +125,26 @@ def influence_figure(
     most: int = 4,
     units: Mapping[str, str] = DIMENSIONLESS,
 ) -> Picture:
-    """How the force would change without each of the most influential trajectories.
+    """Change of the force [L T⁻²] without each of the `most` influential trajectories.
 
-    Args:
-        changes: of the force, where one trajectory is left out [L T⁻²].
-        field: the force, for the grid and its distances.
-        paths: observed positions of each trajectory [L].
-        most: how many trajectories are shown.
-        units: unit of each channel; "1" means dimensionless.
+    `paths` are the observed positions of each trajectory [L].
     """
     near = field.distance <= field.regions.near
     sizes = np.linalg.norm(changes, axis=-1)
     order = np.argsort(-(sizes[:, near] ** 2).sum(axis=1))[:most]
     top = float(sizes[order][:, near].max()) or 1.0
+    shown: dict[str, Any] = {"limits": (0.0, top), "units": units}
+    panels = {
+        f"without trajectory {index}": partial(
+            map_panel, field, changes[index], CHANGE, path=paths[index], **shown
+        )
+        for index in order
+    }
     columns = min(2, len(order))
-    rows = -(-len(order) // columns)
-
-    def draw() -> Figure:
-        figure = new_figure(2.9 * 2, 3.6 * rows)
-        axes = np.ravel(figure.subplots(rows, columns))
-        for ax, index in zip(axes, order, strict=False):
-            shown = {"path": paths[index], "units": units, "ax": ax}
-            map_panel(field, changes[index], CHANGE, limits=(0.0, top), **shown)
-            title_panel(ax, f"without trajectory {index}")
-        for ax in axes[len(order) :]:
-            ax.set_visible(False)
-        one_legend(figure, axes)
-        return figure
-
+    size = 2.9 * 2, 3.6 * -(-len(order) // columns)
     return Picture(
         "analysis-influence",
-        draw,
+        partial(draw_panels, size, panels, columns=columns, legend=2),
         "Change of the learned field where the trajectory that is drawn is left out of "
         "the fit, to first order, the hyperparameters held.",
         "Change of the field where one trajectory is left out",
@@ -187,32 +154,23 @@ def influence_figure(
 def constants_figure(
     slopes: Mapping[str, Float[np.ndarray, "rows columns 2"]],
     field: FieldMap,
-    *,
-    path: Path | None = None,
-    units: Mapping[str, str] = DIMENSIONLESS,
+    **shown: Any,
 ) -> Picture:
-    """How the force changes where a constant is one percent larger.
+    """Change of the force [L T⁻²] where a constant is one percent larger.
 
     Args:
-        slopes: change of the force per percent of each constant [L T⁻²].
+        slopes: change of the force per percent of each constant.
         field: the force, for the grid and its distances.
-        path: positions to overlay [L].
-        units: unit of each channel; "1" means dimensionless.
+        shown: `path` and `units`, as of `map_panel`.
     """
     look = dataclasses.replace(CHANGE, quantity=f"{CHANGE.quantity} per percent")
-
-    def draw() -> Figure:
-        figure = new_figure(max(2.7 * len(slopes), 4.0), 3.9)
-        axes = np.ravel(figure.subplots(1, len(slopes)))
-        for ax, (name, change) in zip(axes, slopes.items(), strict=True):
-            map_panel(field, change, look, path=path, units=units, ax=ax)
-            title_panel(ax, f"{name} one percent larger")
-        one_legend(figure, axes)
-        return figure
-
+    panels = {
+        f"{name} one percent larger": partial(map_panel, field, change, look, **shown)
+        for name, change in slopes.items()
+    }
     return Picture(
         "analysis-constants",
-        draw,
+        partial(draw_panels, (max(2.7 * len(slopes), 4.0), 3.9), panels, legend=2),
         "Change of the learned field where a constant is one percent larger and "
         "everything else is fitted anew.",
         "Change of the field with known constants",
@@ -228,25 +186,15 @@ def lyapunov_figure(
 ) -> Picture:
     r"""Growth $e^{\lambda T}$ of separations, over the starts of rollouts.
 
-    $\lambda$ is the finite-time Lyapunov exponent.
-
-    Args:
-        exponents: the map.
-        trajectory: index of the one whose first velocity all starts have.
-        path: positions to overlay [L].
-        units: unit of each channel; "1" means dimensionless.
+    $\lambda$ is the finite-time Lyapunov exponent; all starts have the first velocity
+    of the trajectory of this index.
     """
-
-    def draw() -> Figure:
-        figure = new_figure(4.2, 4.6)
-        ax = growth_map(exponents, path=path, units=units, ax=figure.subplots())
-        horizon = with_unit(f"$T$ = {exponents.horizon:.4g}", units.get("t", "1"))
-        title_panel(ax, f"Growth of separations, {horizon}")
-        return figure
-
+    horizon = with_unit(f"$T$ = {exponents.horizon:.4g}", units.get("t", "1"))
+    draw = partial(growth_map, exponents, path=path, units=units)
+    panels = {f"Growth of separations, {horizon}": draw}
     return Picture(
         "analysis-lyapunov",
-        draw,
+        partial(draw_panels, (4.2, 4.6), panels),
         "Growth of the separation of two rollouts of the model that start side by "
         f"side, with the velocity of trajectory {trajectory} at its start; its "
         "logarithm over the time is the finite-time Lyapunov exponent. Ridges separate "
@@ -263,14 +211,7 @@ def growth_map(
     units: Mapping[str, str] = DIMENSIONLESS,
     ax: Axes | None = None,
 ) -> Axes:
-    """The map of `lyapunov_figure`.
-
-    Args:
-        exponents: as there.
-        path: as there.
-        units: as there.
-        ax: where to draw; a new figure unless given.
-    """
+    """The map of `lyapunov_figure`."""
     values = np.where(exponents.separation > 0, exponents.separation, np.nan)
     low, high = (float(f(values)) for f in (np.nanmin, np.nanmax))
     limits = min(low, 0.9 * high), max(high, 1.1 * low)
@@ -286,32 +227,23 @@ def growth_map(
 def sobol_figure(indices: SobolIndices, caption: str = "") -> Picture:
     """First-order and total Sobol' indices with intervals, one panel per outcome.
 
-    Args:
-        indices: of all outcomes; those that do not vary are left out.
-        caption: what was varied, and what the outcomes are.
+    Outcomes that do not vary are left out; the caption says what was varied.
     """
-
-    def draw() -> Figure:
-        varying = np.flatnonzero(np.isfinite(indices.total).all(axis=1))
-        count = max(len(varying), 1)
-        height = 1.2 + 0.34 * len(indices.factors)
-        columns = min(count, 2)
-        rows = -(-count // columns)
-        figure = new_figure(2.9 * 2, height * rows)
-        axes = np.ravel(figure.subplots(rows, columns, sharey=True))
-        for ax, outcome in zip(axes, varying, strict=False):
-            _bars(prepare_axes(ax), indices, int(outcome))
-        for ax in axes[len(varying) :]:
-            ax.set_visible(False)
-        handles, labels = axes[0].get_legend_handles_labels()
-        share_legend(figure, handles, labels=labels)
-        return figure
-
-    alt = "Sobol' indices of the outcome of a rollout"
-    return Picture("analysis-sobol", draw, caption, alt)
+    varying = np.flatnonzero(np.isfinite(indices.total).all(axis=1))
+    panels = {indices.outcomes[i]: partial(_bars, indices, i) for i in varying}
+    columns = min(max(len(varying), 1), 2)
+    height = 1.2 + 0.34 * len(indices.factors)
+    size = 2.9 * 2, height * max(-(-len(varying) // columns), 1)
+    return Picture(
+        "analysis-sobol",
+        partial(draw_panels, size, panels, columns=columns, legend=2, sharey=True),
+        caption,
+        "Sobol' indices of the outcome of a rollout",
+    )
 
 
-def _bars(ax: Axes, indices: SobolIndices, outcome: int) -> None:
+def _bars(indices: SobolIndices, outcome: np.intp, *, ax: Axes) -> None:
+    prepare_axes(ax)
     places = np.arange(len(indices.factors))
     for shift, name, color, values, interval in (
         (-0.2, "first order", BLUE, indices.first, indices.first_interval),
@@ -331,5 +263,4 @@ def _bars(ax: Axes, indices: SobolIndices, outcome: int) -> None:
     ax.set_yticks(places, indices.factors, fontsize=TEXT)
     ax.set_ylim(len(places) - 0.5, -0.5)
     ax.axvline(0.0, color=BLACK, lw=0.6)
-    label_axes(ax, "fraction of the variance", "")
-    title_panel(ax, indices.outcomes[outcome])
+    label_axes(ax, "fraction of the variance", "", legend=1)

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,17 +13,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pinav.figures.navigation import paths_map
-from pinav.figures.palette import (
-    BLACK,
-)
+from pinav.figures.navigation import controller_keys, paths_map
+from pinav.figures.palette import BLACK
 from pinav.figures.style import (
     DIMENSIONLESS,
     SMALL,
-    new_figure,
+    draw_panels,
     share_legend,
     style_of,
-    title_panel,
 )
 from pinav.files import atomic_write
 from pinav.navigation.maps import Course, ForceMaps
@@ -66,14 +64,8 @@ def save_animation(
 ) -> Path:
     """Write runs over the true and the learned force as a GIF that repeats.
 
-    The file appears whole or not at all; the same runs give the same bytes.
-
-    Args:
-        course: start, goal and obstacles.
-        maps: the forces.
-        trails: what moves.
-        path: of the file; its folder is made.
-        units: unit of each channel; "1" means dimensionless.
+    The file appears whole or not at all, its folder is made; the same runs give the
+    same bytes.
     """
     figure, axes = _stage(course, maps, trails, units)
     canvas = FigureCanvasAgg(figure)
@@ -86,12 +78,13 @@ def save_animation(
     time = units.get("t", "1")
     unit = "" if time in ("1", "?") else f" {time}"
     frames = []
-    for step in _frame_steps(trails.steps):
+    count = min(FRAMES, trails.steps + 1)
+    for step in np.unique(np.linspace(0, trails.steps, count).round().astype(int)):
         canvas.restore_region(still)
         clock.set_text(f"t = {step * trails.step:.2f}{unit}")
         figure.draw_artist(clock)
         for ax, actors in zip(axes, moving, strict=True):
-            _move(actors, trails, step)
+            _move(actors, trails, int(step))
             for artist in itertools.chain(*actors.values()):
                 ax.draw_artist(artist)
         image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
@@ -113,21 +106,17 @@ def _stage(
     course: Course, maps: ForceMaps, trails: Trails, units: Mapping[str, str]
 ) -> tuple[Figure, list[Axes]]:
     """The maps on which the runs are shown."""
-    both = {"true": maps.truth, "learned": maps.learned}
+    both = {"true force": maps.truth, "learned force": maps.learned}
     fields = {name: field for name, field in both.items() if field is not None}
-    figure = new_figure(3.2 * len(fields), 4.0)
-    axes = list(np.ravel(figure.subplots(1, len(fields))))
     forces = [np.linalg.norm(field.force, axis=-1) for field in fields.values()]
     limit = max(float(np.max(forces)), 1e-12)
-    for ax, (name, field) in zip(axes, fields.items(), strict=True):
-        paths_map(field, course, {}, limit=limit, units=units, ax=ax)
-        title_panel(ax, f"{name} force")
-    keys = [
-        axes[0].plot([], [], color=style_of(name).color, lw=1.5, label=name)[0]
-        for name in trails.paths
-    ]
-    share_legend(figure, keys, columns=len(keys))
-    return figure, axes
+    panels = {
+        name: partial(paths_map, field, course, {}, limit=limit, units=units)
+        for name, field in fields.items()
+    }
+    figure = draw_panels((3.2 * len(fields), 4.0), panels)
+    share_legend(figure, controller_keys(trails.paths), columns=len(trails.paths))
+    return figure, figure.axes[: len(fields)]
 
 
 def _actors(ax: Axes, trails: Trails) -> dict:
@@ -147,9 +136,3 @@ def _move(actors: dict, trails: Trails, step: int) -> None:
         observed = trails.paths[name][: step + 1]
         line.set_data(*observed.T)
         dot.set_data(*observed[-1:].T)
-
-
-def _frame_steps(steps: int) -> list[int]:
-    """Steps of which there is a frame."""
-    count = min(FRAMES, steps + 1)
-    return sorted(set(np.linspace(0, steps, count).round().astype(int).tolist()))

@@ -1,7 +1,9 @@
 """Figures of a fit: its paths, its force, the profiles of terms, learning."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pinav.evaluation import normal_interval
-from pinav.figures.bands import band
 from pinav.figures.images import Picture
 from pinav.figures.maps import force_comparison
 from pinav.figures.navigation import greatest_force, paths_map, spread_map
@@ -18,21 +19,20 @@ from pinav.figures.recordings import observed_paths, positions_over_time
 from pinav.figures.style import (
     DIMENSIONLESS,
     add_legend,
+    band,
     channel_label,
+    draw_panels,
     label_axes,
     new_figure,
     title_panel,
     with_unit,
 )
 from pinav.figures.trajectories import loss_curve
-from pinav.learning.findings import Findings, FoundTerm, Rollouts
+from pinav.learning.findings import Findings, FoundTerm, Profile, Rollouts
 from pinav.navigation.adaptive.swimmer import ShownFlight
 from pinav.navigation.maps import Course
 from pinav.trajectories import POSITION_CHANNELS
 from pinav.units import force_unit
-
-SMALL = (4.2, 2.6)
-"""Width and height of the figure of one band [inch]."""
 
 STRAIGHT = ("wall", "shear layer")
 """Terms whose coordinate is no distance."""
@@ -40,28 +40,29 @@ STRAIGHT = ("wall", "shear layer")
 
 def fit_figure(fit: Findings) -> Picture:
     """All trajectories with rollouts, and the loss where the recipe has one."""
-    losses, rollouts = fit.losses, fit.rollouts
-    pieces = list(_pieces(rollouts))
+    rollouts, losses, units = fit.rollouts, fit.losses, fit.units
+    observed, predicted = _observed(rollouts), _pieces(rollouts, rollouts.predicted)
+    if sum(name in POSITION_CHANNELS for name in rollouts.channels) == 1:
+        name = rollouts.channels[0]
+        paths = partial(
+            positions_over_time,
+            _pieces(rollouts, rollouts.times),
+            [one[:, 0] for one in observed],
+            [one[:, 0] for one in predicted],
+            labels=(
+                with_unit("time", units.get("t", "1")),
+                with_unit(name, units.get(name, "1")),
+            ),
+        )
+    else:
+        paths = partial(
+            observed_paths, observed, [ys[:, :2] for ys in predicted], units=units
+        )
 
     def draw() -> Figure:
         figure = new_figure(4.2 if losses is None else 7.5, 3.4)
         axes = figure.subplots(1, 1 if losses is None else 2, squeeze=False)[0]
-        observed = [positions for _, positions, _ in pieces]
-        predicted = [ys[:, :2] for _, _, ys in pieces]
-        if sum(name in POSITION_CHANNELS for name in rollouts.channels) == 1:
-            name = rollouts.channels[0]
-            positions_over_time(
-                [times for times, _, _ in pieces],
-                [one[:, 0] for one in observed],
-                [one[:, 0] for one in predicted],
-                labels=(
-                    with_unit("time", fit.units.get("t", "1")),
-                    with_unit(name, fit.units.get(name, "1")),
-                ),
-                ax=axes[0],
-            )
-        else:
-            observed_paths(observed, predicted, units=fit.units, ax=axes[0])
+        paths(ax=axes[0])
         if losses is not None:
             loss_curve(losses.values, losses.phases, ax=axes[1])
         return figure
@@ -74,18 +75,15 @@ def fit_figure(fit: Findings) -> Picture:
     )
 
 
-def _pieces(
-    rollouts: Rollouts,
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Times, observed positions and predicted states of each trajectory."""
-    for index, length in enumerate(rollouts.lengths):
-        states, seen = rollouts.states[index, :length], rollouts.observed[index]
-        observed = np.where(seen[:length, :2], states[:, :2], np.nan)
-        yield (
-            rollouts.times[index, :length],
-            observed,
-            rollouts.predicted[index, :length],
-        )
+def _pieces(rollouts: Rollouts, values: np.ndarray) -> list[np.ndarray]:
+    """The values of each trajectory without the padding."""
+    return [one[:n] for one, n in zip(values, rollouts.lengths, strict=True)]
+
+
+def _observed(rollouts: Rollouts) -> list[np.ndarray]:
+    """The positions of each trajectory, NaN where there is none."""
+    seen = np.where(rollouts.observed, rollouts.states, np.nan)
+    return _pieces(rollouts, seen[..., :2])
 
 
 def learned_force_figure(fit: Findings) -> Picture | None:
@@ -93,86 +91,69 @@ def learned_force_figure(fit: Findings) -> Picture | None:
     maps = fit.force
     if maps is None:
         return None
-    learned = maps.learned
-    gap = np.full((1, 2), np.nan)
-    path = [part for _, seen, _ in _pieces(fit.rollouts) for part in (seen, gap)]
-
-    def draw() -> Figure:
-        return force_comparison(
-            learned,
-            true=maps.truth,
-            sd=maps.sd,
-            path=np.concatenate(path),
-            units=fit.units,
-        )
-
+    learned, gap = maps.learned, np.full((1, 2), np.nan)
+    pieces = [part for seen in _observed(fit.rollouts) for part in (seen, gap)]
+    shown = {"true": maps.truth, "sd": maps.sd, "units": fit.units}
+    shown["path"] = np.concatenate(pieces)
     unit = fit.units.get("x", "1")
     return Picture(
         "force",
-        draw,
+        partial(force_comparison, learned, **shown),
         "The force of the environment on a swimmer at rest. Hatched: unvisited, an "
         f"extrapolation ({learned.regions.definition(unit)}).",
         "Maps of the learned force and of how well it is known",
     )
 
 
+def _small_picture(
+    name: str, draw: Callable[..., Any], caption: str, alt: str
+) -> Picture:
+    """The picture of one band."""
+    return Picture(name, partial(draw_panels, (4.2, 2.6), [draw]), caption, alt)
+
+
 def force_line_figures(fit: Findings) -> list[Picture]:
     """The force along lines through data that are not planar."""
-    return [_force_line_figure(fit, name) for name in fit.lines or {}]
-
-
-def _force_line_figure(fit: Findings, name: str) -> Picture:
-    assert fit.lines is not None
-    line = fit.lines[name]
-
-    def draw() -> Figure:
-        figure = new_figure(*SMALL)
-        axes = figure.add_subplot()
+    pictures = []
+    for name, line in (fit.lines or {}).items():
         sd = np.zeros_like(line.force) if line.sd is None else line.sd
         units = fit.units.get(name, "1"), fit.units.get("force", "?")
-        _force_band(axes, name, line.places, line.force, sd, units)
-        if line.true is not None:
-            axes.plot(line.places, line.true, color=TRUTH, lw=1.0, ls="--")
-        return figure
-
-    caption = f"The force along {name} through the middle of the data"
-    if line.true is not None:
-        caption += "; dashed: the truth"
-    return Picture(f"force-{name}", draw, f"{caption}.", f"Force over {name}")
+        curve, true = Profile(line.places, line.force, sd), line.true
+        caption = f"The force along {name} through the middle of the data"
+        caption += "." if true is None else "; dashed: the truth."
+        draw = partial(_force_band, name, curve, units, true)
+        pictures.append(
+            _small_picture(f"force-{name}", draw, caption, f"Force over {name}")
+        )
+    return pictures
 
 
 def _force_band(
-    ax: Axes,
     coordinate: str,
-    places: np.ndarray,
-    mean: np.ndarray,
-    sd: np.ndarray,
+    curve: Profile,
     units: tuple[str, str],
+    true: np.ndarray | None = None,
+    *,
+    ax: Axes,
 ) -> None:
     """A force along a coordinate with its band; units of length and of force."""
     labels = with_unit(coordinate, units[0]), with_unit("force", units[1])
-    band(places, mean, normal_interval(mean, sd), labels=labels, ax=ax)
+    interval = normal_interval(curve.force, curve.sd)
+    band(curve.places, curve.force, interval, labels=labels, ax=ax)
     ax.axhline(0.0, color=GREY, lw=0.6)
+    if true is not None:
+        ax.plot(curve.places, true, color=TRUTH, lw=1.0, ls="--")
 
 
 def profile_figure(index: int, term: FoundTerm, fit: Findings) -> Picture | None:
     """The profile of a term with its band; None of a term that has none."""
-    profile = term.profile
-    if profile is None:
+    if term.profile is None:
         return None
-    length = fit.units.get("x", "1")
-
-    def draw() -> Figure:
-        figure = new_figure(*SMALL)
-        coordinate = "along the normal" if term.name in STRAIGHT else "distance"
-        curve = profile.places, profile.force, profile.sd
-        units = length, force_unit(fit.units)
-        _force_band(figure.add_subplot(), coordinate, *curve, units)
-        return figure
-
-    return Picture(
+    coordinate = "along the normal" if term.name in STRAIGHT else "distance"
+    units = fit.units.get("x", "1"), force_unit(fit.units)
+    return _small_picture(
         f"profile-{index}",
-        draw,
+        partial(_force_band, coordinate, term.profile, units),
         f"The force of the term '{term.name}' with its band of 95 %.",
         f"Profile of the term {term.name}",
     )
@@ -180,28 +161,21 @@ def profile_figure(index: int, term: FoundTerm, fit: Findings) -> Picture | None
 
 def thermal_figures(fit: Findings) -> list[Picture]:
     """Diffusion along lines through the data, and the path of a reference."""
-    thermal = fit.thermal
+    thermal, (length, time) = fit.thermal, (fit.units.get(name, "1") for name in "xt")
     if thermal is None:
         return []
     pictures = [_diffusion_figure(fit, name) for name in thermal.lines]
     path = thermal.reference
     if path is None:
         return pictures
-    length, time = fit.units.get("x", "1"), fit.units.get("t", "1")
-
-    def draw() -> Figure:
-        figure = new_figure(*SMALL)
-        band(
-            path.times,
-            path.values,
-            normal_interval(path.values, path.sd),
-            labels=(with_unit("time", time), with_unit("reference", length)),
-            ax=figure.add_subplot(),
-        )
-        return figure
-
+    labels = with_unit("time", time), with_unit("reference", length)
+    interval = normal_interval(path.values, path.sd)
+    draw = partial(band, path.times, path.values, interval, labels=labels)
     caption = "Path of the frame of reference, about its mean, with its 95 % band."
-    return [*pictures, Picture("reference", draw, caption, "Path of the reference")]
+    return [
+        *pictures,
+        _small_picture("reference", draw, caption, "Path of the reference"),
+    ]
 
 
 def _diffusion_figure(fit: Findings, name: str) -> Picture:
@@ -216,9 +190,7 @@ def _diffusion_figure(fit: Findings, name: str) -> Picture:
     for index, column in enumerate(line.values.T):
         columns.setdefault(column.tobytes(), []).append(index)
 
-    def draw() -> Figure:
-        figure = new_figure(*SMALL)
-        ax = figure.add_subplot()
+    def draw(ax: Axes) -> None:
         colors = LEARNED, GREEN, PURPLE
         for color, group in zip(colors, columns.values(), strict=False):
             along = ", ".join(channels[index] for index in group)
@@ -228,10 +200,9 @@ def _diffusion_figure(fit: Findings, name: str) -> Picture:
         ax.set_ylim(bottom=0.0)
         if len(columns) > 1:
             add_legend(ax)
-        return figure
 
     caption = f"Diffusion along {name} through the middle of the data, 95 % bands."
-    return Picture(f"diffusion-{name}", draw, caption, f"Diffusion over {name}")
+    return _small_picture(f"diffusion-{name}", draw, caption, f"Diffusion over {name}")
 
 
 def moments_figure(
@@ -245,13 +216,7 @@ def moments_figure(
 ) -> Figure:
     """Path so far over mean and standard deviation of the force, at some moments.
 
-    Args:
-        course: start, goal and obstacles.
-        shown: what the flight has learned.
-        path: its positions [L].
-        step: time between two of them [T].
-        thrust: greatest thrust of the swimmer [L T⁻²].
-        units: unit of each channel; "1" means dimensionless.
+    `step` is the time between two positions [T], `thrust` the greatest [L T⁻²].
     """
     maps, limit = shown.maps, greatest_force(shown.maps)
     figure = new_figure(2.3 * len(shown.times), 5.2)
@@ -274,10 +239,7 @@ def bands_figure(
 ) -> Figure:
     """Both components of the force along a path, with their bands of 95 %.
 
-    Args:
-        shown: what the flight has learned.
-        step: time between two positions of the path [T].
-        units: unit of each channel; "1" means dimensionless.
+    `step` is the time between two positions [T].
     """
     truth, mean, sd = shown.truth, shown.mean, shown.sd
     t = step * np.arange(len(truth))

@@ -5,6 +5,7 @@ result with its words.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -31,11 +32,12 @@ from pinav.figures.style import (
     SPARE,
     THIN,
     add_legend,
+    draw_panels,
     label_axes,
-    new_figure,
+    mark_line,
     prepare_axes,
+    scale_log,
     style_of,
-    title_panel,
 )
 from pinav.thermal.heated_run import HeatedRun
 
@@ -50,69 +52,51 @@ def profiles(
     radius: Float[np.ndarray, " cell"],
     temperatures: Mapping[str, Float[np.ndarray, " cell"]],
     *,
-    edge: float | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Temperature along the radius, one line for each time.
-
-    Args:
-        radius: centres of the cells [m].
-        temperatures: [°C], by what the legend says.
-        edge: radius of the tumour [m], marked unless None.
-        ax: where to draw; a new figure unless given.
-    """
-    ax = prepare_axes(ax)
+    edge: float,
+    ax: Axes,
+) -> None:
+    """Temperature along the radius, one line a time, and the edge of the tumour [m]."""
+    prepare_axes(ax)
     shades = colormaps[GRADED](np.linspace(0.0, 0.85, len(temperatures)))
     for shade, (name, values) in zip(shades, temperatures.items(), strict=True):
         ax.plot(1e3 * radius, values, color=shade, lw=THIN, label=name)
-    _mark_edge(ax, edge)
-    label_axes(ax, "radius [mm]", "temperature [°C]")
-    add_legend(ax)
-    return ax
+    mark_line(ax, 1e3 * edge)
+    label_axes(ax, "radius [mm]", "temperature [°C]", legend=1)
 
 
-def dose_profile(
-    radius: Float[np.ndarray, " cell"],
-    dose: Float[np.ndarray, " cell"],
+LEAST_DOSE = 1e-3
+"""Doses below this are left out of logarithmic axes [CEM43 min]."""
+
+
+def dose_curves(
+    places: Float[np.ndarray, " place"],
+    doses: Mapping[str, Float[np.ndarray, " place"]],
+    colors: Sequence[str],
+    labels: tuple[str, str],
     *,
-    edge: float | None = None,
-    ax: Axes | None = None,
+    ax: Axes,
 ) -> Axes:
-    """Dose along the radius on a logarithmic scale.
-
-    Args:
-        radius: centres of the cells [m].
-        dose: CEM43 [min]; what is below a thousandth is left out.
-        edge: radius of the tumour [m], marked unless None.
-        ax: where to draw; a new figure unless given.
-    """
-    ax = prepare_axes(ax)
-    ax.plot(1e3 * radius, np.where(dose > 1e-3, dose, np.nan), color=BLUE, lw=THIN)
-    if np.any(dose > 1e-3):
-        ax.set_yscale("log")
-        ax.tick_params(which="both", labelsize=SMALL)
-    _mark_edge(ax, edge)
-    label_axes(ax, "radius [mm]", "dose [CEM43 min]")
-    return ax
-
-
-def _mark_edge(ax: Axes, edge: float | None) -> None:
-    if edge is not None:
-        ax.axvline(1e3 * edge, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
+    """Doses [CEM43 min] on a logarithmic scale, if there are any."""
+    prepare_axes(ax)
+    for color, (name, dose) in zip(colors, doses.items(), strict=True):
+        shown = np.where(dose > LEAST_DOSE, dose, np.nan)
+        ax.plot(places, shown, color=color, lw=THIN, label=name)
+    scale_log(ax, *(np.where(dose > LEAST_DOSE, dose, 0.0) for dose in doses.values()))
+    return label_axes(ax, *labels)
 
 
 def plane_map(
     values: Float[np.ndarray, "row column"],
-    spacing: tuple[float, float],
+    spacing: tuple[float, ...],
     *,
     levels: Sequence[float],
     label: str,
-    axes: tuple[str, str] = ("x", "y"),
     outline: Float[np.ndarray, "row column"] | None = None,
     logarithmic: bool = False,
     limits: tuple[float, float] | None = None,
-    ax: Axes | None = None,
-) -> Axes:
+    title: str = "",
+    ax: Axes,
+) -> None:
     """A field in a plane with contours, and the outline of the target.
 
     Args:
@@ -120,14 +104,14 @@ def plane_map(
         spacing: of the cells [m].
         levels: of the contours.
         label: of the colour bar.
-        axes: names of both axes.
         outline: volume fraction of the target in each cell; outlined at one half.
         logarithmic: colour the logarithm; values below a thousandth as that.
         limits: of the colours; those of the values unless given. About zero, blue is
             below and red above it.
-        ax: where to draw; a new figure unless given.
+        title: of the panel.
+        ax: where to draw.
     """
-    ax = prepare_axes(ax)
+    prepare_axes(ax)
     shown = np.log10(np.maximum(values, 1e-3)) if logarithmic else values
     lowest, highest = np.nanmin(shown), np.nanmax(shown)
     extent = [1e3 * n * h for n, h in zip(values.shape, spacing, strict=True)]
@@ -141,27 +125,23 @@ def plane_map(
         vmax=high,
     )
     at = np.log10(levels) if logarithmic else np.asarray(levels)
-    within = [(a, v) for a, v in zip(at, levels, strict=True)]
-    within = [(a, v) for a, v in within if lowest < a < highest]
+    drawn = {a: v for a, v in zip(at, levels, strict=True) if lowest < a < highest}
     centers = [
         1e3 * h * (np.arange(n) + 0.5)
         for n, h in zip(values.shape, spacing, strict=True)
     ]
     if outline is not None and outline.min() < 0.5 < outline.max():
         ax.contour(*centers, outline.T, [0.5], colors=TARGET, linewidths=1.4)
-    if within:
-        lines = ax.contour(
-            *centers, shown.T, [a for a, _ in within], colors=PAPER, linewidths=0.8
-        )
-        names = ax.clabel(lines, fmt={a: f"{v:g}" for a, v in within}, fontsize=SMALL)
-        for name in names:  # readable on light ground, too
+    if drawn:
+        lines = ax.contour(*centers, shown.T, [*drawn], colors=PAPER, linewidths=0.8)
+        words = {a: f"{value:g}" for a, value in drawn.items()}
+        for name in ax.clabel(lines, fmt=words, fontsize=SMALL):
+            # readable on light ground, too
             name.set_path_effects([withStroke(linewidth=2.0, foreground=BLACK)])
-    figure = ax.figure
-    bar = figure.colorbar(image, ax=ax, shrink=0.85)
+    bar = ax.figure.colorbar(image, ax=ax, shrink=0.85)
     bar.set_label(f"log10 of {label}" if logarithmic else label, fontsize=SMALL)
     bar.ax.tick_params(labelsize=SMALL)
-    label_axes(ax, f"{axes[0]} [mm]", f"{axes[1]} [mm]")
-    return ax
+    label_axes(ax, "x [mm]", "y [mm]", title=title)
 
 
 def probe_curves(
@@ -190,9 +170,7 @@ def probe_curves(
             ax.plot(at / 60, values[:, index], ".", color=color, ms=2, alpha=0.5)
         line = predicted[:, index]
         ax.plot(times / 60, line, dash, color=color, lw=THIN, label=name)
-    label_axes(ax, "time [min]", "temperature [°C]")
-    add_legend(ax, columns=2)
-    return ax
+    return label_axes(ax, "time [min]", "temperature [°C]", legend=2)
 
 
 def fields_figure(run: HeatedRun) -> Picture:
@@ -224,40 +202,32 @@ NUM_PROFILES = 6
 def _radial_figure(run: HeatedRun) -> Figure:
     assert run.radius is not None
     assert run.profiles is not None
-    figure = new_figure(7.5, 3.4)
-    left, right = figure.subplots(1, 2)
     inside, step = run.radius[run.target > 0.5], float(np.diff(run.radius)[0])
     # the volume fraction of the tumour passes one half at its edge
     edge = float(inside.max() + step / 2) if inside.size else 0.0
     last = len(run.times) - 1
     steps = np.unique(np.linspace(0, last, NUM_PROFILES + 1).astype(int)[1:])
     lines = {duration(float(run.times[i])): run.profiles[i] for i in steps}
-    profiles(run.radius, lines, edge=edge, ax=left)
-    dose_profile(run.radius, run.dose, edge=edge, ax=right)
-    return figure
+    labels = "radius [mm]", "dose [CEM43 min]"
+    dose = partial(dose_curves, 1e3 * run.radius, {"": run.dose}, [BLUE], labels)
+    panels = [
+        partial(profiles, run.radius, lines, edge=edge),
+        lambda ax: mark_line(dose(ax=ax), 1e3 * edge),
+    ]
+    return draw_panels((7.5, 3.4), panels)
 
 
 def _maps(run: HeatedRun) -> Figure:
     """Sections through the hottest cell and through the middle of the tumour."""
     cuts = sections_through(run.target, run.temperature, run.spacing)
-    figure = new_figure(7.5, 3.2 * len(cuts))
-    panels = figure.subplots(len(cuts), 2, squeeze=False)
-    for row, cut in zip(panels, cuts, strict=True):
-        for ax, values, levels, label in (
-            (row[0], run.temperature, ISOTHERMS, "temperature [°C]"),
-            (row[1], run.dose, DOSES, "CEM43 [min]"),
-        ):
-            plane_map(
-                cut.of(values),
-                (run.spacing[0], run.spacing[1]),
-                levels=levels,
-                label=label,
-                outline=cut.of(run.target),
-                logarithmic=values is run.dose,
-                ax=ax,
-            )
-        title_panel(row[0], cut.name)
-    return figure
+    panels = []
+    for cut in cuts:
+        shown = {"spacing": run.spacing[:2], "outline": cut.of(run.target)}
+        heat = partial(plane_map, levels=ISOTHERMS, label="temperature [°C]", **shown)
+        dose = partial(plane_map, levels=DOSES, label="CEM43 [min]", **shown)
+        panels.append(partial(heat, cut.of(run.temperature), title=cut.name))
+        panels.append(partial(dose, cut.of(run.dose), logarithmic=True))
+    return draw_panels((7.5, 3.2 * len(cuts)), panels, columns=2)
 
 
 class MapSection(NamedTuple):
@@ -315,14 +285,10 @@ def duration(seconds: float) -> str:
 
 def probes_figure(run: HeatedRun) -> Picture:
     """Temperature of each probe of a run."""
-    probes = run.probes
-    assert probes is not None
-    return titled_picture(
-        "probes",
-        run.title,
-        lambda: figure_of(probe_curves(run.times, probes, place_names(run.points))),
-        "Temperature of each probe.",
-    )
+    assert run.probes is not None
+    draw = partial(probe_curves, run.times, run.probes, place_names(run.points))
+    caption = "Temperature of each probe."
+    return titled_picture("probes", run.title, lambda: figure_of(draw()), caption)
 
 
 def place_names(points: Float[np.ndarray, "probe axis"]) -> list[str]:
@@ -338,12 +304,7 @@ def figure_of(ax: Axes) -> Figure:
 
 
 def protocol_figure(run: HeatedRun, bound: float | None = None) -> Picture:
-    """Field, temperatures, shares and doses of a run.
-
-    Args:
-        run: the run.
-        bound: bound of the temperature [°C], marked unless None.
-    """
+    """Field, temperatures, shares and doses of a run, and a bound [°C]."""
     caption = (
         "Peak amplitude of the field; the hottest cell and the temperatures that 10, "
         "50 and 90 % of the tumour exceed; the fraction of it above 43 °C; doses so "
@@ -354,44 +315,47 @@ def protocol_figure(run: HeatedRun, bound: float | None = None) -> Picture:
 
 def _protocol(run: HeatedRun, bound: float | None) -> Figure:
     """Panels below each other on one axis of time."""
-    names = {"hottest": "hottest cell"}
-    temperatures = {names.get(n, n): curve for n, curve in run.temperatures.items()}
-    names = {"D90": "D90 of the tumour", "outside": "largest outside it"}
-    doses = {names[name]: curve for name, curve in run.doses.items()}
-    fractions = {"V43, of the tumour above 43 °C": run.above}
-    figure = new_figure(5.0, 7.5)
-    panels = figure.subplots(4, 1, sharex=True)
-    for ax in panels:
-        prepare_axes(ax)
-    above, middle, share_axes, below = panels
+    panels = {
+        "(a) field": partial(_field, run),
+        "(b) temperature": partial(_temperatures, run, bound),
+        "(c) volume": partial(_volume, run),
+        "(d) dose so far": partial(_doses, run),
+    }
+    return draw_panels((5.0, 7.5), panels, columns=1, sharex=True)
+
+
+def _field(run: HeatedRun, *, ax: Axes) -> None:
+    prepare_axes(ax)
     field = run.protocol
     at = np.repeat(np.asarray(field.edges) / 60, 2)[1:-1]
     values = np.stack([field.starts, field.ends], axis=1).reshape(-1)
-    above.plot(at, values / 1e3, color=FIELD, lw=THIN)
-    above.set_ylim(bottom=0.0)
-    label_axes(above, "", "amplitude H [kA/m]")
-    for index, (name, curve) in enumerate(temperatures.items()):
-        color = style_of(name, index).color
-        middle.plot(run.times / 60, curve, color=color, lw=THIN, label=name)
+    ax.plot(at, values / 1e3, color=FIELD, lw=THIN)
+    ax.set_ylim(bottom=0.0)
+    label_axes(ax, "", "amplitude H [kA/m]")
+
+
+def _temperatures(run: HeatedRun, bound: float | None, *, ax: Axes) -> None:
+    prepare_axes(ax)
+    for index, (name, curve) in enumerate(run.temperatures.items()):
+        label = {"hottest": "hottest cell"}.get(name, name)
+        color = style_of(label, index).color
+        ax.plot(run.times / 60, curve, color=color, lw=THIN, label=label)
     if bound is not None:
-        middle.axhline(bound, color=GREY, lw=0.8, ls=(0, (4, 2)))
-    label_axes(middle, "", "temperature [°C]")
-    for color, (name, curve) in zip(SPARE, fractions.items(), strict=False):
-        share_axes.plot(run.times / 60, curve, color=color, lw=THIN, label=name)
-    share_axes.set_ylim(-0.05, 1.05)
-    label_axes(share_axes, "", "fraction")
-    for index, (name, curve) in enumerate(doses.items()):
-        shown = np.where(curve > 1e-3, curve, np.nan)
-        color = style_of(name, index).color
-        below.plot(run.times / 60, shown, color=color, lw=THIN, label=name)
-    if any(np.any(curve > 1e-3) for curve in doses.values()):
-        below.set_yscale("log")
-        below.tick_params(which="both", labelsize=SMALL)
-    label_axes(below, "time [min]", "dose [CEM43 min]")
-    add_legend(middle, columns=2)
-    add_legend(share_axes)
-    add_legend(below)
-    names = "(a) field", "(b) temperature", "(c) volume", "(d) dose so far"
-    for ax, title in zip(panels, names, strict=True):
-        title_panel(ax, title)
-    return figure
+        ax.axhline(bound, color=GREY, lw=0.8, ls=(0, (4, 2)))
+    label_axes(ax, "", "temperature [°C]", legend=2)
+
+
+def _volume(run: HeatedRun, *, ax: Axes) -> None:
+    prepare_axes(ax)
+    label = "V43, of the tumour above 43 °C"
+    ax.plot(run.times / 60, run.above, color=SPARE[0], lw=THIN, label=label)
+    ax.set_ylim(-0.05, 1.05)
+    label_axes(ax, "", "fraction", legend=1)
+
+
+def _doses(run: HeatedRun, *, ax: Axes) -> None:
+    names = {"D90": "D90 of the tumour", "outside": "largest outside it"}
+    doses = {names[name]: curve for name, curve in run.doses.items()}
+    colors = [style_of(name, index).color for index, name in enumerate(doses)]
+    labels = "time [min]", "dose [CEM43 min]"
+    add_legend(dose_curves(run.times / 60, doses, colors, labels, ax=ax))

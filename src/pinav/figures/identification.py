@@ -1,6 +1,7 @@
 """Figures of recordings: rollouts with bands, error by horizon, speed by frequency."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -9,31 +10,35 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 
 from pinav.evaluation import normal_interval, normal_quantile
-from pinav.figures.bands import band
 from pinav.figures.images import Picture
-from pinav.figures.palette import (
-    BLACK,
-    LEARNED,
-    PAPER,
-    TRACK,
-)
+from pinav.figures.palette import BLACK, LEARNED, PAPER, TRACK
 from pinav.figures.style import (
     SMALL,
     TEXT,
     THIN,
     WIDE,
     add_legend,
+    band,
+    draw_panels,
     label_axes,
     label_plane,
-    new_figure,
     prepare_axes,
     share_legend,
     style_of,
     title_panel,
     with_unit,
 )
-from pinav.identification import ErrorGrowth, Identification, Paths, SpeedLaw
+from pinav.identification import (
+    ErrorGrowth,
+    Identification,
+    IdentifiedTrack,
+    Paths,
+    SpeedLaw,
+)
 from pinav.identification.rollouts import HORIZONS, ShownRollout
+
+START = {"mfc": PAPER, "mec": BLACK, "markersize": 4, "zorder": 4}
+"""The mark of an observed start."""
 
 DRAWN = (
     "drift only",
@@ -51,13 +56,7 @@ HALF_WIDTH_90 = normal_quantile(0.9)
 def rollout_paths(
     paths: Paths, *, units: Mapping[str, str], ax: Axes | None = None
 ) -> Axes:
-    """Observed paths, rollouts from observed starts, and bands at their ends.
-
-    Args:
-        paths: the observed segments, and rollouts of them.
-        units: unit of each channel.
-        ax: where to draw; a new figure unless given.
-    """
+    """Observed paths, rollouts from observed starts, and bands at their ends."""
     ax = prepare_axes(ax)
     for index, path in enumerate(paths.whole):
         label = "observed" if index == 0 else "_"
@@ -65,7 +64,7 @@ def rollout_paths(
     for index, one in enumerate(paths.rollouts):
         label = "predicted from ○" if index == 0 else "_"
         ax.plot(*one.predicted.T, color=LEARNED, lw=THIN, label=label)
-        ax.plot(*one.predicted[0], "o", mfc=PAPER, mec=BLACK, markersize=4, zorder=4)
+        ax.plot(*one.predicted[0], "o", **START)
     if paths.rollouts:
         ends = np.array([one.predicted[-1] for one in paths.rollouts])
         _draw_end_bands(ax, ends, np.array([one.sd for one in paths.rollouts]))
@@ -81,58 +80,53 @@ def _draw_end_bands(
 ) -> None:
     """Ellipses that hold 90 % of each coordinate of the ends."""
     sizes = 2 * HALF_WIDTH_90 * sd
-    ax.add_collection(
-        EllipseCollection(
-            widths=sizes[:, 0],
-            heights=sizes[:, 1],
-            angles=np.zeros(len(sizes)),
-            units="xy",
-            offsets=ends,
-            transOffset=ax.transData,
-            facecolor=LEARNED,
-            edgecolor="none",
-            alpha=0.35,
-        )
+    bands = EllipseCollection(
+        sizes[:, 0],
+        sizes[:, 1],
+        np.zeros(len(sizes)),
+        units="xy",
+        offsets=ends,
+        transOffset=ax.transData,
+        facecolor=LEARNED,
+        edgecolor="none",
+        alpha=0.35,
     )
+    ax.add_collection(bands)
     ax.plot([], [], "o", color=LEARNED, alpha=0.35, label="90 % of each coordinate")
 
 
 def single_rollouts(
     rollouts: Sequence[ShownRollout], *, units: Mapping[str, str]
 ) -> Figure:
-    """Rollouts one by one, each from its start at the origin, on one scale.
-
-    Args:
-        rollouts: the rollouts.
-        units: units of length, x, and of time, t.
-    """
-    figure = new_figure(4.6, 2.1 * -(-len(rollouts) // 3) + 0.7)
+    """Rollouts one by one, each from its start at the origin, on one scale."""
     columns = min(3, len(rollouts))
-    shape = -(-len(rollouts) // columns), columns
-    panels = list(figure.subplots(*shape, sharex=True, sharey=True, squeeze=False).flat)
-    for ax, one in zip(panels, rollouts, strict=False):
-        seen, path = one.observed, one.predicted
-        prepare_axes(ax)
-        ax.plot(*(seen - seen[0]).T, color=TRACK, lw=WIDE, label="observed")
-        ax.plot(*(path - seen[0]).T, color=LEARNED, lw=THIN, label="predicted from ○")
-        _draw_end_bands(ax, (path[-1:] - seen[0]), one.sd[None])
-        ax.plot(0, 0, "o", mfc=PAPER, mec=BLACK, markersize=4, zorder=4)
-        end = seen[-1] - seen[0]
-        ax.plot(*end, "x", color=BLACK, ms=6, mew=1.2, label="observed end", zorder=5)
-        title_panel(ax, f"from {one.start:.0f} {units['t']}", pad=2.0)
-        ax.set_aspect("equal", adjustable="box")  # shared axes allow no other
-        ax.locator_params(nbins=4)
-    for ax in panels[len(rollouts) :]:
-        ax.set_visible(False)
+    panels = [partial(_single_rollout, one, units["t"]) for one in rollouts]
+    size = 4.6, 2.1 * -(-len(rollouts) // 3) + 0.7
+    figure = draw_panels(size, panels, columns=columns, sharex=True, sharey=True)
+    axes = figure.axes[: len(rollouts)]
     low, high = _limits(rollouts)
-    panels[0].set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    for ax in panels[::columns]:
+    axes[0].set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    for ax in axes[::columns]:
         ax.set_ylabel(with_unit("$y$", units["x"]), fontsize=TEXT)
-    for ax in panels[max(len(rollouts) - columns, 0) : len(rollouts)]:
+    for ax in axes[max(len(rollouts) - columns, 0) :]:
         ax.set_xlabel(with_unit("$x$", units["x"]), fontsize=TEXT)
         ax.tick_params(labelbottom=True)
-    share_legend(figure, panels[0].get_legend_handles_labels()[0], columns=2)
+    share_legend(figure, axes[0].get_legend_handles_labels()[0], columns=2)
     return figure
+
+
+def _single_rollout(one: ShownRollout, time: str, *, ax: Axes) -> None:
+    prepare_axes(ax)
+    origin = one.observed[0]
+    seen, path = one.observed - origin, one.predicted - origin
+    ax.plot(*seen.T, color=TRACK, lw=WIDE, label="observed")
+    ax.plot(*path.T, color=LEARNED, lw=THIN, label="predicted from ○")
+    _draw_end_bands(ax, path[-1:], one.sd[None])
+    ax.plot(0, 0, "o", **START)
+    ax.plot(*seen[-1], "x", color=BLACK, ms=6, mew=1.2, label="observed end", zorder=5)
+    title_panel(ax, f"from {one.start:.0f} {time}", pad=2.0)
+    ax.set_aspect("equal", adjustable="box")  # shared axes allow no other
+    ax.locator_params(nbins=4)
 
 
 def _limits(
@@ -153,13 +147,7 @@ def _limits(
 def error_growth(
     growth: ErrorGrowth, *, units: Mapping[str, str], ax: Axes | None = None
 ) -> Axes:
-    """End-point error of rollouts over their length, with least squares beside it.
-
-    Args:
-        growth: the errors.
-        units: of positions, x, and of time, t.
-        ax: where to draw; a new figure unless given.
-    """
+    """End-point error of rollouts over their length, with least squares beside it."""
     ax = prepare_axes(ax)
     lengths, (low, middle, high) = growth.lengths, growth.errors
     ax.plot([], [], color=LEARNED, alpha=0.25, lw=6, label="10 to 90 % of rollouts")
@@ -174,13 +162,8 @@ def error_growth(
     ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     ax.xaxis.minorticks_off()
     ax.tick_params(which="minor", labelsize=SMALL)
-    label_axes(
-        ax,
-        with_unit("length of the rollout", units["t"]),
-        with_unit("end-point error", units["x"]),
-    )
-    add_legend(ax)
-    return ax
+    length = with_unit("length of the rollout", units["t"])
+    return label_axes(ax, length, with_unit("end-point error", units["x"]), legend=1)
 
 
 def horizon_errors(
@@ -201,32 +184,22 @@ def horizon_errors(
     ax = prepare_axes(ax)
     for index, (name, values) in enumerate(relative.items()):
         style = style_of(name, index)
-        ax.plot(
-            horizons,
-            values,
-            marker="o",
-            ls=style.dash,
-            color=style.color,
-            lw=THIN,
-            ms=3,
-            label=style.label,
-        )
+        line = {
+            "color": style.color,
+            "ls": style.dash,
+            "lw": THIN,
+            "label": style.label,
+        }
+        ax.plot(horizons, values, marker="o", ms=3, **line)
     ax.set(xscale="log", yscale="log")
     ax.set_xticks(list(horizons), [f"{h:g}" for h in horizons])
     ax.minorticks_off()
-    label_axes(ax, with_unit("rollout", time_unit), "end-point error / path length")
-    add_legend(ax)
-    return ax
+    labels = with_unit("rollout", time_unit), "end-point error / path length"
+    return label_axes(ax, *labels, legend=1)
 
 
 def speed_law(law: SpeedLaw, *, unit: str = "um/s", ax: Axes | None = None) -> Axes:
-    """Speed along the command against frequency, with the fitted response.
-
-    Args:
-        law: the observed speeds, and the response.
-        unit: of the speed.
-        ax: where to draw; a new figure unless given.
-    """
+    """Speed along the command against frequency, with the fitted response."""
     ax = prepare_axes(ax)
     dots = {"color": TRACK, "markersize": 2.5, "label": "observed, blocks"}
     ax.plot(law.frequency, law.speed, ".", **dots)
@@ -240,15 +213,13 @@ def speed_law(law: SpeedLaw, *, unit: str = "um/s", ax: Axes | None = None) -> A
 
 def horizons_figure(result: Identification) -> Picture:
     """Errors by the length of rollouts, medians over tracks."""
-
-    def draw() -> Figure:
-        figure = new_figure(5.0, 3.4)
-        horizon_errors(HORIZONS, errors_by_horizon(result), ax=figure.subplots())
-        return figure
-
-    caption = "Error over horizon, medians over tracks."
-    alt = "Rollout error over the horizon for each model"
-    return Picture("horizons", draw, caption, alt)
+    draw = partial(horizon_errors, HORIZONS, errors_by_horizon(result))
+    return Picture(
+        "horizons",
+        partial(draw_panels, (5.0, 3.4), [draw]),
+        "Error over horizon, medians over tracks.",
+        "Rollout error over the horizon for each model",
+    )
 
 
 def errors_by_horizon(result: Identification) -> dict[str, list[float]]:
@@ -260,59 +231,57 @@ def errors_by_horizon(result: Identification) -> dict[str, list[float]]:
     }
 
 
-def rollouts_figure(paths: Paths, name: str, units: Mapping[str, str]) -> Picture:
-    """Rollouts one by one."""
-    caption = (
-        f"Held-out part: {len(paths.rollouts)} rollouts of 10 s, evenly spread over "
-        "it, each from an observed position (○) that is put at the origin. × is where "
-        "the robot was 10 s later, the ellipse where the model expects 90 % of each "
-        "coordinate."
-    )
-    alt = "Observed and predicted paths, one by one"
-    return Picture(
-        name, lambda: single_rollouts(paths.rollouts, units=units), caption, alt
-    )
+def track_figures(
+    index: int, track: IdentifiedTrack, units: Mapping[str, str]
+) -> list[Picture]:
+    """Rollouts one by one, their errors by length, the speed law, and the image."""
+    pictures = []
+    if track.paths is not None and track.paths.rollouts:
+        pictures.append(
+            Picture(
+                f"track-{index}",
+                partial(single_rollouts, track.paths.rollouts, units=units),
+                f"Held-out part: {len(track.paths.rollouts)} rollouts of 10 s, evenly "
+                "spread over it, each from an observed position (○) that is put at the "
+                "origin. × is where the robot was 10 s later, the ellipse where the "
+                "model expects 90 % of each coordinate.",
+                "Observed and predicted paths, one by one",
+            )
+        )
+    if track.growth is not None and len(track.growth.lengths) > 1:
+        draw = partial(error_growth, track.growth, units=units)
+        pictures.append(
+            Picture(
+                f"growth-{index}",
+                partial(draw_panels, (4.2, 3.4), [draw]),
+                "Held-out part: end-point error of rollouts over their length, median "
+                "and the middle 80 %, with the median of least squares. Dotted: the "
+                "distance within which the model's own bands expect 90 % of the ends; "
+                "it should run along the upper edge.",
+                "End-point error over the length of rollouts",
+            )
+        )
+    if track.law is not None:
+        draw = partial(speed_law, track.law, unit=f"{units['x']}/{units['t']}")
+        pictures.append(
+            Picture(
+                f"speed-{index}",
+                partial(draw_panels, (4.2, 3.4), [draw]),
+                "Speed along the command over blocks of the whole track, by frequency.",
+                "Speed along the command against frequency",
+            )
+        )
+    if track.image_paths is not None:
+        pictures.append(
+            Picture(
+                f"image-{index}",
+                partial(draw_panels, (4.2, 3.6), [partial(_image, track.image_paths)]),
+                "The same in the pixels of the image, y down: to lay over a frame.",
+                "Paths of a track in image coordinates",
+            )
+        )
+    return pictures
 
 
-def growth_figure(growth: ErrorGrowth, name: str, units: Mapping[str, str]) -> Picture:
-    """Errors over the length of rollouts."""
-
-    def draw() -> Figure:
-        figure = new_figure(4.2, 3.4)
-        error_growth(growth, units=units, ax=figure.subplots())
-        return figure
-
-    caption = (
-        "Held-out part: end-point error of rollouts over their length, median and the "
-        "middle 80 %, with the median of least squares. Dotted: the distance within "
-        "which the model's own bands expect 90 % of the ends; it should run along the "
-        "upper edge."
-    )
-    return Picture(name, draw, caption, "End-point error over the length of rollouts")
-
-
-def speed_figure(law: SpeedLaw, name: str, units: Mapping[str, str]) -> Picture:
-    """Speed by frequency."""
-
-    def draw() -> Figure:
-        figure = new_figure(4.2, 3.4)
-        unit = f"{units['x']}/{units['t']}"
-        speed_law(law, unit=unit, ax=figure.subplots())
-        return figure
-
-    caption = "Speed along the command over blocks of the whole track, by frequency."
-    return Picture(name, draw, caption, "Speed along the command against frequency")
-
-
-def pixels_figure(paths: Paths, name: str) -> Picture:
-    """Rollouts as they lie on the recorded image."""
-
-    def draw() -> Figure:
-        figure = new_figure(4.2, 3.6)
-        ax = figure.subplots()
-        rollout_paths(paths, units={"x": "px", "y": "px"}, ax=ax)
-        ax.invert_yaxis()
-        return figure
-
-    caption = "The same in the pixels of the image, y down: to lay over a frame."
-    return Picture(name, draw, caption, "Paths of a track in image coordinates")
+def _image(paths: Paths, *, ax: Axes) -> None:
+    rollout_paths(paths, units={"x": "px", "y": "px"}, ax=ax).invert_yaxis()

@@ -1,11 +1,12 @@
 """Figures of what was learned of a tissue: readings and their fit, laws, forecasts."""
 
+from functools import partial
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from pinav.figures.bands import band
 from pinav.figures.heat import (
     ISOTHERMS,
     duration,
@@ -17,21 +18,27 @@ from pinav.figures.heat import (
     titled_picture,
 )
 from pinav.figures.images import Picture
-from pinav.figures.palette import BLACK, GREY, LEARNED
+from pinav.figures.palette import BLACK, LEARNED
 from pinav.figures.style import (
     SMALL,
     SPARE,
     THIN,
     WIDE,
     add_legend,
+    band,
+    draw_panels,
     label_axes,
+    mark_line,
     new_figure,
     prepare_axes,
-    title_panel,
 )
-from pinav.thermal.forecast import Forecast
 from pinav.thermal.heated_run import FOLLOWED
-from pinav.thermal.learned_tissue import FittedFrames, FittedProbes, LearnedTissue
+from pinav.thermal.learned_tissue import (
+    FittedFrames,
+    FittedProbes,
+    Forecast,
+    LearnedTissue,
+)
 from pinav.thermal.learning import PerfusionCurve
 
 
@@ -40,6 +47,7 @@ def fitted_probes_figure(title: str, fitted: FittedProbes) -> Picture:
 
     def draw() -> Figure:
         data = fitted.data
+        assert data.points is not None
         names, readings = place_names(data.points), (data.times, data.values)
         curves = probe_curves(data.times, fitted.predicted, names, readings=readings)
         return figure_of(curves)
@@ -79,30 +87,23 @@ def last_frame_figure(title: str, frames: FittedFrames) -> Picture:
 def _last_frame(frames: FittedFrames) -> Figure:
     cut = sections_through(frames.target, frames.fitted, frames.spacing)[0]
     reading, fitted = cut.of(frames.read), cut.of(frames.fitted)
-    figure = new_figure(7.5, 2.5)
-    panels = figure.subplots(1, 3)
     shared = float(np.nanmin(fitted)) - 1.0, float(np.nanmax(fitted)) + 1.0
     widest = float(np.nanmax(np.abs(reading - fitted)))
-    shown: tuple[tuple[np.ndarray, tuple[float, ...], str, tuple[float, float]], ...]
-    shown = (
-        (reading, (), "reading [°C]", shared),  # noise has no contours
-        (fitted, ISOTHERMS, "fit [°C]", shared),
-        (reading - fitted, (), "difference [K]", (-widest, widest)),
-    )
-    for ax, (values, levels, label, limits) in zip(panels, shown, strict=True):
-        plane_map(
-            values,
-            (frames.spacing[0], frames.spacing[1]),
-            levels=levels,
-            label=label,
-            outline=cut.of(frames.target),
-            limits=limits,
-            ax=ax,
-        )
-    for ax in panels[1:]:
+    outline, spacing = cut.of(frames.target), frames.spacing[:2]
+    panel = partial(
+        plane_map, spacing=spacing, outline=outline, levels=()
+    )  # noise has no contours
+    title = cut.name.replace(", ", ",\n")  # else into the next panel
+    panels = [
+        partial(panel, reading, title=title, label="reading [°C]", limits=shared),
+        partial(panel, fitted, levels=ISOTHERMS, label="fit [°C]", limits=shared),
+        partial(
+            panel, reading - fitted, label="difference [K]", limits=(-widest, widest)
+        ),
+    ]
+    figure = draw_panels((7.5, 2.5), panels)
+    for ax in figure.axes[1:3]:
         ax.set_ylabel("")
-    # else into the next panel
-    title_panel(panels[0], cut.name.replace(", ", ",\n"))
     return figure
 
 
@@ -122,10 +123,7 @@ def _forecast(found: Forecast) -> Figure:
     above, below = figure.subplots(2, 1, sharex=True)
     minutes = found.times / 60
     for ax in (above, below):
-        prepare_axes(ax)
-        ax.axvline(
-            found.fitted_until / 60, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1
-        )
+        mark_line(prepare_axes(ax), found.fitted_until / 60)
     for index, curve in enumerate(() if true is None else true.T):
         name = "" if index else "truth"
         above.plot(minutes, curve, color=BLACK, lw=WIDE, alpha=0.5, label=name)
@@ -139,12 +137,11 @@ def _forecast(found: Forecast) -> Figure:
             below.plot(minutes, side, color=color, lw=0.6, ls=(0, (1, 1)))
         if true is not None:
             below.plot(minutes, true[:, index] - curve, color=color, lw=THIN)
-    label_axes(above, "", "temperature [°C]")
+    title = "(a) temperature of the target"
+    label_axes(above, "", "temperature [°C]", legend=3, title=title)
     off = "95 % band" if true is None else "truth less predicted"
-    label_axes(below, "time [min]", f"{off} [K]")
-    add_legend(above, columns=3)
-    title_panel(above, "(a) temperature of the target")
-    title_panel(below, "(b) 95 % bands about the prediction")
+    title = "(b) 95 % bands about the prediction"
+    label_axes(below, "time [min]", f"{off} [K]", title=title)
     return figure
 
 
@@ -154,14 +151,11 @@ MANY_TIMES = 4.0
 
 def laws_figure(found: LearnedTissue) -> Picture:
     """Learned perfusion with its 95 % band; pale where the tissue was not."""
+    panels = {name: partial(perfusion_law, law) for name, law in found.laws.items()}
 
     def draw() -> Figure:
-        figure = new_figure(3.8 * len(found.laws), 3.2)
-        panels = figure.subplots(1, len(found.laws), squeeze=False)[0]
-        for ax, (name, law) in zip(panels, found.laws.items(), strict=True):
-            perfusion_law(law, ax=ax)
-            title_panel(ax, name)
-        add_legend(panels[0])
+        figure = draw_panels((3.8 * len(panels), 3.2), panels)
+        add_legend(figure.axes[0])
         return figure
 
     caption = (
@@ -173,12 +167,7 @@ def laws_figure(found: LearnedTissue) -> Picture:
 
 
 def perfusion_law(law: PerfusionCurve, *, ax: Axes | None = None) -> Axes:
-    """The learned perfusion of one tissue with its band, dotted where it was not.
-
-    Args:
-        law: the law.
-        ax: where to draw; a new figure unless given.
-    """
+    """The learned perfusion of one tissue with its band, dotted where it was not."""
     ax = prepare_axes(ax)
     temperatures, drawn = law.temperatures, {"line": ":", "width": THIN, "alpha": 0.2}
     low, high = law.band
@@ -190,8 +179,7 @@ def perfusion_law(law: PerfusionCurve, *, ax: Axes | None = None) -> Axes:
         ax.yaxis.set_major_formatter("{x:g}")
         ax.yaxis.set_minor_formatter(FuncFormatter(_even_tick))
     ax.tick_params(which="both", labelsize=SMALL)
-    label_axes(ax, "temperature [°C]", "perfusion [kg/(m³ s)]")
-    return ax
+    return label_axes(ax, "temperature [°C]", "perfusion [kg/(m³ s)]")
 
 
 def _even_tick(value: float, _: int | None = None) -> str:

@@ -1,13 +1,12 @@
 """Maps of quantities in the plane, which show where there was data and where not."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LogNorm, Normalize
@@ -24,7 +23,7 @@ from matplotlib.ticker import (
 )
 
 from pinav.analysis import LyapunovMap
-from pinav.evaluation import FieldMap, Regions
+from pinav.evaluation import FieldMap
 from pinav.figures.palette import (
     BEYOND,
     BLACK,
@@ -39,12 +38,10 @@ from pinav.figures.style import (
     DIMENSIONLESS,
     SMALL,
     TEXT,
+    draw_panels,
     file_settings,
     label_plane,
-    new_figure,
     prepare_axes,
-    share_legend,
-    title_panel,
     with_unit,
 )
 from pinav.units import force_unit
@@ -89,17 +86,10 @@ DEVIATION = Look(UNCERTAIN, r"$\mathrm{sd}(F)$")
 CHANGE = Look(WRONG, r"$|\Delta F|$", has_arrows=True)
 POTENTIAL = Look(GRADED, "$U$ above its least value", lengths=2, contours=7)
 TRUST = Look(
-    UNCERTAIN,
-    r"$|F| / \mathrm{sd}(F)$",
-    lengths=None,
-    marked=SIGNIFICANT,
-    is_logarithmic=True,
+    UNCERTAIN, r"$|F| / \mathrm{sd}(F)$", None, marked=SIGNIFICANT, is_logarithmic=True
 )
 GROWTH = Look(
-    UNCERTAIN,
-    r"growth of separations, $e^{\lambda T}$",
-    lengths=None,
-    is_logarithmic=True,
+    UNCERTAIN, r"growth of separations, $e^{\lambda T}$", None, is_logarithmic=True
 )
 
 
@@ -148,14 +138,8 @@ def map_panel(
     label = look.quantity
     if look.lengths is not None:
         label = with_unit(label, force_unit(units, lengths=look.lengths))
-    bar = ax.figure.colorbar(
-        image,
-        ax=ax,
-        location="bottom",
-        aspect=30,
-        pad=0.02,
-        extend=_extend(size, norm),
-    )
+    place = {"location": "bottom", "aspect": 30, "pad": 0.02}
+    bar = ax.figure.colorbar(image, ax=ax, extend=_extend(size, norm), **place)
     bar.set_label(label, fontsize=TEXT)
     bar.ax.tick_params(labelsize=SMALL, length=2.5, width=0.6)
     bar.ax.xaxis.get_offset_text().set_fontsize(SMALL)
@@ -232,53 +216,23 @@ def force_comparison(
         path: positions to overlay [L].
         units: unit of each channel; "1" means dimensionless.
     """
-    sizes = [np.linalg.norm(f.force, axis=-1) for f in (true, learned) if f is not None]
-    top = (
-        float(np.nanmax(sizes[0]))
-        if true is not None
-        else largest_near(sizes[0], learned)
-    )
-    limits = 0.0, top
-    panels = {"learned": partial(map_panel, learned, learned.force, FORCE)}
-    panels["learned"] = partial(panels["learned"], limits=limits)
+    field = learned if true is None else true
+    size = np.linalg.norm(field.force, axis=-1)
+    top = float(np.nanmax(size)) if true is not None else largest_near(size, learned)
+    panel = partial(map_panel, path=path, units=units)
+    shared = partial(panel, look=FORCE, limits=(0.0, top))
+    panels = {"learned": partial(shared, learned, learned.force)}
     if true is not None:
-        truth = partial(map_panel, true, true.force, FORCE, limits=limits, shade=False)
-        error = partial(map_panel, true, learned.force - true.force, ERROR)
-        panels = {"true": truth, **panels, "error": error}
+        panels = {"true": partial(shared, true, true.force, shade=False), **panels}
+        panels["error"] = partial(panel, true, learned.force - true.force, ERROR)
     if sd is not None:
-        panels["standard deviation"] = partial(map_panel, learned, sd, DEVIATION)
+        panels["standard deviation"] = partial(panel, learned, sd, DEVIATION)
     columns = 2 if len(panels) == 4 else len(panels)
-    rows = -(-len(panels) // columns)
-    figure = new_figure(2.5 * max(columns, 2), 3.5 * rows)
-    axes = np.ravel(figure.subplots(rows, columns))
-    for letter, ax, (name, draw) in zip("abcd", axes, panels.items(), strict=False):
-        draw(path=path, units=units, ax=ax)
-        title_panel(ax, f"({letter}) {name}")
-    one_legend(figure, axes, columns=4 if columns > 2 else 2)
-    return figure
-
-
-def one_legend(
-    figure: Figure, axes: Sequence[Axes] | np.ndarray, *, columns: int = 2
-) -> None:
-    """The longest legend of the panels, once, below all of them.
-
-    Args:
-        figure: that holds the panels.
-        axes: the panels.
-        columns: of the legend.
-    """
-    legends = [legend for ax in axes if (legend := ax.get_legend()) is not None]
-    longest = max(legends, key=lambda legend: len(legend.get_texts()))
-    handles = [handle for handle in longest.legend_handles if handle is not None]
-    labels = [text.get_text() for text in longest.get_texts()]
-    for legend in legends:
-        legend.remove()
-    left = min(ax.get_position().x0 for ax in axes)
-    for ax in axes:
-        if ax.get_position().x0 > left + 1e-6:
-            ax.set_ylabel("")
-    share_legend(figure, handles, labels=labels, columns=columns)
+    shape = 2.5 * max(columns, 2), 3.5 * -(-len(panels) // columns)
+    lettered = zip("abcd", panels.items(), strict=False)
+    panels = {f"({letter}) {name}": draw for letter, (name, draw) in lettered}
+    legend = 4 if columns > 2 else 2
+    return draw_panels(shape, panels, columns=columns, legend=legend)
 
 
 def largest_near(magnitude: np.ndarray, field: FieldMap) -> float:
@@ -323,12 +277,7 @@ def draw_arrows(
 ) -> None:
     """Arrows on a coarser grid, none longer than the distance between two.
 
-    Args:
-        ax: the map.
-        x: coordinates of the grid [L].
-        y: the same along the other axis.
-        vectors: at the grid points.
-        top: size of the longest arrow; larger vectors are drawn like it.
+    Vectors larger than `top` are drawn like it.
     """
     rows, columns = (
         slice((n - 1) % stride // 2, None, stride)
@@ -342,8 +291,7 @@ def draw_arrows(
     ax.quiver(
         x,
         y,
-        force[..., 0],
-        force[..., 1],
+        *np.moveaxis(force, -1, 0),
         color=PAPER,
         edgecolor=BLACK,
         linewidth=0.3,
@@ -363,29 +311,35 @@ def _mark_data(
     *,
     shade: bool,
 ) -> None:
-    """Grey regions without data, contours of visited and near ones, the path."""
+    """Grey regions without data, contours of visited and near ones, the path, keys."""
     lowest, highest = float(field.distance.min()), float(field.distance.max())
-    visited, near = field.regions.visited, field.regions.near
+    places, near = (field.x, field.y, field.distance), field.regions.near
+    length = with_unit("", units.get("x", "1")).strip(" []")
+    outline = [withStroke(linewidth=1.8, foreground=FAINT)]
     with file_settings():
+        label = "no data: extrapolation"
+        beyond = Patch(facecolor=BEYOND, hatch="////", label=label)
         if shade and highest > near:
-            beyond = (field.x, field.y, field.distance, [near, highest])
-            ax.contourf(*beyond, colors=[BEYOND], alpha=0.85)
-            ax.contourf(*beyond, colors="none", hatches=["////"])
-    for level, dash in ((visited, "solid"), (near, "dashed")):
+            levels = [near, highest]
+            ax.contourf(*places, levels, colors=[BEYOND], alpha=0.85)
+            ax.contourf(*places, levels, colors="none", hatches=["////"])
+    keys: list[Line2D | Patch] = []
+    for name, level, color, dash, effects in (
+        ("visited", field.regions.visited, PAPER, "solid", outline),
+        ("near", near, BLACK, "dashed", []),
+    ):
         if lowest < level < highest:
-            ax.contour(
-                field.x,
-                field.y,
-                field.distance,
-                [level],
-                colors=PAPER if level == visited else BLACK,
-                linewidths=0.8,
-                linestyles=dash,
-            )
+            line = {"colors": color, "linestyles": dash, "linewidths": 0.8}
+            ax.contour(*places, [level], **line)
+        label = f"{name} ({f'within {level:.3g} {length}'.strip()})"
+        drawn = {"color": color, "ls": dash, "lw": 0.8, "path_effects": effects}
+        keys.append(Line2D([], [], label=label, **drawn))
     if path is not None:
         ax.plot(*path.T, **_PATH)
-    handles = _keys(field.regions, units, path=path is not None, shade=shade)
-    ax.legend(handles=handles, loc="upper left", fontsize=SMALL, framealpha=0.9)
+        keys.insert(0, Line2D([], [], label="trajectory", **_PATH))
+    if shade:
+        keys.append(beyond)
+    ax.legend(handles=keys, loc="upper left", fontsize=SMALL, framealpha=0.9)
 
 
 _PATH = {
@@ -393,26 +347,3 @@ _PATH = {
     "lw": 1.0,
     "path_effects": [withStroke(linewidth=2.2, foreground=BLACK)],
 }
-
-
-def _keys(
-    regions: Regions, units: Mapping[str, str], *, path: bool, shade: bool
-) -> list[Artist]:
-    """Legend entries of what `_mark_data` draws."""
-    length = with_unit("", units.get("x", "1")).strip(" []")
-    visited, near = (
-        f"within {d:.3g} {length}".strip() for d in (regions.visited, regions.near)
-    )
-    outline = [withStroke(linewidth=1.8, foreground=FAINT)]
-    keys: list[Artist] = []
-    if path:
-        keys.append(Line2D([], [], label="trajectory", **_PATH))
-    observed = {"color": PAPER, "lw": 0.8, "path_effects": outline}
-    keys.append(Line2D([], [], label=f"visited ({visited})", **observed))
-    dashed = {"color": BLACK, "lw": 0.8, "ls": "dashed"}
-    keys.append(Line2D([], [], label=f"near ({near})", **dashed))
-    if shade:
-        with file_settings():
-            label = "no data: extrapolation"
-            keys.append(Patch(facecolor=BEYOND, hatch="////", label=label))
-    return keys

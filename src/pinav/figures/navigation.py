@@ -1,9 +1,11 @@
 """Figures of navigation and of designs: plans, routes over the force, outcomes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -32,8 +34,11 @@ from pinav.figures.style import (
     THIN,
     WIDE,
     add_legend,
+    channel_label,
+    draw_panels,
     file_settings,
     label_axes,
+    label_plane,
     new_figure,
     prepare_axes,
     share_legend,
@@ -52,27 +57,13 @@ def draw_course(ax: Axes, course: Course) -> None:
     ax.add_patch(frame)
     for x, y, radius in course.discs:
         ax.add_patch(Circle((x, y), radius, fc=WALL, ec=BLACK, lw=0.8))
-    halo = [withStroke(linewidth=2.5, foreground=PAPER)]
     x, y = course.goal.tolist()
     ring = {"fill": False, "ec": BLACK, "lw": 1.2, "zorder": 5}
     ax.add_patch(Circle((x, y), course.tolerance, **ring))
-    ax.plot(x, y, "x", color=BLACK, ms=5, zorder=6, path_effects=halo)
+    ax.plot(x, y, "x", color=BLACK, ms=5, zorder=6, path_effects=_halo(PAPER, 2.5))
     ax.plot(*course.start, "o", mfc=PAPER, mec=BLACK, ms=5, zorder=6)
     margin = 0.02 * float(max(x1 - x0, y1 - y0))
     ax.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin))
-
-
-def plan_grid(arena: Float[np.ndarray, "2 2"], shape: tuple[int, ...]) -> FieldMap:
-    """Equally spaced points of an arena as a map without a force.
-
-    Args:
-        arena: lower and upper corner [L].
-        shape: points along x and y.
-    """
-    (x0, y0), (x1, y1) = arena
-    x, y = np.linspace(x0, x1, shape[0]), np.linspace(y0, y1, shape[1])
-    nothing = np.zeros((shape[1], shape[0]))
-    return FieldMap(x, y, np.stack([nothing, nothing], axis=-1), nothing)
 
 
 def plan_map(
@@ -93,35 +84,30 @@ def plan_map(
         units: unit of each channel; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
-    grid, values = plan_grid(course.arena, time.shape), time.T
+    x, y = map(np.linspace, *course.arena, time.shape)
+    values, nothing = time.T, np.zeros((y.size, x.size))
+    grid = FieldMap(x, y, np.stack([nothing, nothing], axis=-1), nothing)
     known = values[np.isfinite(values)]
     top = float(np.quantile(known, 0.98)) if known.size else 1.0
     label = with_unit("time to go from rest", units.get("t", "1"))
     look = Look(f"{GRADED}_r", label, lengths=None, contours=9)
     shown = {"limits": (0.0, top), "shade": None, "units": units}
     ax = map_panel(grid, values, look, **shown, ax=ax)
-    hatch_where(ax, grid, ~np.isfinite(values))
+    closed = ~np.isfinite(values)
+    if closed.any():
+        ground = x, y, closed.astype(float), [0.5, 1.5]
+        with file_settings():
+            ax.contourf(*ground, colors=[BEYOND], alpha=0.9)
+            ax.contourf(*ground, colors="none", hatches=["///"])
     if route is not None:
-        halo = [withStroke(linewidth=2.6, foreground=PAPER)]
-        ax.plot(*route.T, color=BLACK, lw=1.2, path_effects=halo, zorder=4)
+        ax.plot(*route.T, color=BLACK, lw=1.2, path_effects=_halo(PAPER, 2.6), zorder=4)
     draw_course(ax, course)
     return ax
 
 
-def hatch_where(ax: Axes, grid: FieldMap, ground: Bool[np.ndarray, "y x"]) -> None:
-    """Hatch a part of a map, if there is any.
-
-    Args:
-        ax: the map.
-        grid: its points.
-        ground: what is hatched.
-    """
-    if not ground.any():
-        return
-    with file_settings():
-        filled = ground.astype(float)
-        ax.contourf(grid.x, grid.y, filled, [0.5, 1.5], colors=[BEYOND], alpha=0.9)
-        ax.contourf(grid.x, grid.y, filled, [0.5, 1.5], colors="none", hatches=["///"])
+def _halo(color: str, width: float) -> list[withStroke]:
+    """A ground that keeps a line visible on any map."""
+    return [withStroke(linewidth=width, foreground=color)]
 
 
 def paths_map(
@@ -133,15 +119,9 @@ def paths_map(
     units: Mapping[str, str] = DIMENSIONLESS,
     ax: Axes | None = None,
 ) -> Axes:
-    """Closed-loop paths of controllers over a force.
+    """Closed-loop paths [L] of controllers over a force.
 
-    Args:
-        field: the force.
-        course: start, goal and obstacles.
-        paths: positions of the runs of each controller [L].
-        limit: top of the colour scale [L T⁻²].
-        units: unit of each channel; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
+    `limit` is the top of the colour scale [L T⁻²].
     """
     size = np.linalg.norm(field.force, axis=-1)
     shown = {"limits": (0.0, 1.6 * limit), "shade": None, "units": units}
@@ -183,7 +163,7 @@ def spread_map(
     top = min(thrust, max(float(np.nanmax(np.linalg.norm(sd, axis=-1))), 1e-12))
     shown = {"limits": (0.0, top), "shade": None, "units": units}
     ax = map_panel(field, sd, DEVIATION, **shown, ax=ax)
-    halo = [withStroke(linewidth=2.4, foreground=BLACK)]
+    halo = _halo(BLACK, 2.4)
     ax.plot(*route.T, color=PLAN, lw=1.2, path_effects=halo, label="planned route")
     if suggestion is not None:
         line = {"color": NEXT, "lw": 1.2, "ls": "--", "path_effects": halo}
@@ -213,24 +193,29 @@ def closed_loop_figure(
         suggestion: predicted path of the suggested trajectory [L].
         units: unit of each channel; "1" means dimensionless.
     """
-    fields = {"true force": maps.truth, "learned force": maps.learned}
-    shown = {title: field for title, field in fields.items() if field is not None}
-    panels = len(shown) + (maps.sd is not None)
-    figure = new_figure(2.7 * panels, 3.7) if panels > 1 else new_figure(4.2, 4.8)
-    axes = np.ravel(figure.subplots(1, panels))
-    limit = greatest_force(maps)
-    for ax, field in zip(axes, shown.values(), strict=False):
-        paths_map(field, course, paths, limit=limit, units=units, ax=ax)
+    limit, panels = greatest_force(maps), {}
+    for name, field in (("true force", maps.truth), ("learned force", maps.learned)):
+        if field is not None:
+            shown = {"limit": limit, "units": units}
+            panels[name] = partial(paths_map, field, course, paths, **shown)
     if maps.sd is not None:
-        known = {"thrust": thrust, "route": route, "suggestion": suggestion}
-        spread_map(maps.learned, maps.sd, course, units=units, ax=axes[-1], **known)
-    titles = [*shown, "its standard deviation"]
-    for ax, letter, title in zip(axes, "abc", titles, strict=False):
-        title_panel(ax, f"({letter}) {title}")
-    keys = [Line2D([], [], color=style_of(n).color, lw=1.5, label=n) for n in paths]
-    keys += figure.axes[panels - 1].get_legend_handles_labels()[0]
-    share_legend(figure, keys, columns=min(max(len(keys), 1), 2 * panels))
+        known = {"route": route, "suggestion": suggestion, "units": units}
+        panels["its standard deviation"] = partial(
+            spread_map, maps.learned, maps.sd, course, thrust=thrust, **known
+        )
+    count = len(panels)
+    lettered = zip("abc", panels.items(), strict=False)
+    panels = {f"({letter}) {name}": draw for letter, (name, draw) in lettered}
+    figure = draw_panels((2.7 * count, 3.7) if count > 1 else (4.2, 4.8), panels)
+    keys = controller_keys(paths)
+    keys += figure.axes[count - 1].get_legend_handles_labels()[0]
+    share_legend(figure, keys, columns=min(max(len(keys), 1), 2 * count))
     return figure
+
+
+def controller_keys(names: Iterable[str]) -> list[Any]:
+    """Entries of a legend for controllers."""
+    return [Line2D([], [], color=style_of(n).color, lw=1.5, label=n) for n in names]
 
 
 def greatest_force(maps: ForceMaps) -> float:
@@ -242,27 +227,17 @@ def greatest_force(maps: ForceMaps) -> float:
 def outcome_bars(
     successes: Mapping[str, Interval], regrets: Mapping[str, Interval]
 ) -> Figure:
-    """Success of each controller, and its regret, with 95 % intervals.
-
-    Args:
-        successes: proportion of each controller, with its interval.
-        regrets: the same of its regret.
-    """
+    """Success of each controller, and its regret, with 95 % intervals."""
     names = list(successes)
     figure = new_figure(6.4, 0.9 + 0.32 * len(names))
-    left, right = figure.subplots(1, 2, sharey=True)
-    for ax in (left, right):
-        prepare_axes(ax)
+    left, right = map(prepare_axes, figure.subplots(1, 2, sharey=True))
     places = list(reversed(range(len(names))))
     for place, name in zip(places, names, strict=True):
-        color = style_of(name).color
-        success = successes[name]
-        value, lower, upper = (
-            100 * part for part in (success.value, success.lower, success.upper)
-        )
-        left.barh(place, value, color=color, height=0.6)
-        left.hlines(place, lower, upper, color=BLACK)
-        _draw_regret(right, place, regrets.get(name), color)
+        color, success = style_of(name).color, successes[name]
+        left.barh(place, 100 * success.value, color=color, height=0.6)
+        left.hlines(place, 100 * success.lower, 100 * success.upper, color=BLACK)
+        if name in regrets:
+            _draw_regret(right, place, regrets[name], color)
     left.set_yticks(places, names, fontsize=SMALL)
     left.set_xlim(0, 100)
     right.axvline(1.0, color=GREY, lw=0.8, ls="--")
@@ -274,9 +249,7 @@ def outcome_bars(
     return figure
 
 
-def _draw_regret(ax: Axes, place: int, ratio: Interval | None, color: str) -> None:
-    if ratio is None:
-        return
+def _draw_regret(ax: Axes, place: int, ratio: Interval, color: str) -> None:
     if not np.isfinite(ratio.value):
         beside = ax.get_yaxis_transform()
         ax.text(0.97, place, "∞", transform=beside, ha="right", va="center", c=color)
@@ -297,12 +270,7 @@ LOOKS: Mapping[str, tuple[str, str]] = {
 def bounds_figure(
     bounds: Mapping[str, Sequence[Float[np.ndarray, " count"]]], accuracy: float
 ) -> Figure:
-    """How well the force along the way is known after each trajectory.
-
-    Args:
-        bounds: of each design, one curve a campaign.
-        accuracy: what was asked for.
-    """
+    """The bound of each campaign after each trajectory, and what was asked for."""
     figure = new_figure(5.2, 3.2)
     ax = prepare_axes(figure.add_subplot())
     for name, curves in bounds.items():
@@ -316,8 +284,7 @@ def bounds_figure(
     ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.yaxis.set_major_formatter("{x:g}")
     ax.yaxis.set_minor_formatter("")
-    label_axes(ax, "trajectories", "bound of the error [%]")
-    add_legend(ax)
+    label_axes(ax, "trajectories", "bound of the error [%]", legend=1)
     return figure
 
 
@@ -330,31 +297,109 @@ def recordings_figure(
     thrust: float,
     units: Mapping[str, str] = DIMENSIONLESS,
 ) -> Figure:
-    """What was recorded, over what is not known of the force, and the planned way.
-
-    Args:
-        course: start, goal and obstacles.
-        maps: the learned force, and its standard deviation.
-        paths: positions of the trajectories [L].
-        way: the planned way [L].
-        thrust: greatest thrust of the swimmer [L T⁻²].
-        units: unit of each channel.
-    """
-    figure = new_figure(4.8, 4.8)
-    ax = figure.add_subplot()
+    """What was recorded, over what is not known of the force, and the planned way."""
     assert maps.sd is not None
-    spread_map(
-        maps.learned,
-        maps.sd,
-        course,
-        thrust=thrust,
-        route=way,
-        units=units,
-        ax=ax,
-    )
-    halo = [withStroke(linewidth=2.0, foreground=BLACK)]
+    figure = new_figure(4.8, 4.8)
+    ax, shown = figure.add_subplot(), {"thrust": thrust, "route": way, "units": units}
+    spread_map(maps.learned, maps.sd, course, **shown, ax=ax)
     for index, path in enumerate(paths):
         label = "recorded" if index == 0 else None
-        ax.plot(*path.T, color=TRACK, lw=0.9, path_effects=halo, label=label)
+        line = {"color": TRACK, "lw": 0.9, "path_effects": _halo(BLACK, 2.0)}
+        ax.plot(*path.T, label=label, **line)
     add_legend(ax)
     return figure
+
+
+Paths = Mapping[str, Sequence[Float[np.ndarray, "_ 3"]]]
+"""Positions of the runs of each controller [L]."""
+
+PROJECTIONS = {"(b)": (0, 1), "(c)": (0, 2), "(d)": (1, 2)}
+"""Axes of the projections, drawn to the right and upwards."""
+
+ALONG = 24
+"""Points along a circle of latitude of a ball in perspective."""
+
+
+def space_figure(
+    course: Course,
+    paths: Paths,
+    *,
+    route: Float[np.ndarray, "_ 3"],
+    units: Mapping[str, str] = DIMENSIONLESS,
+) -> Figure:
+    """Paths [L] in perspective, and their projections along the three axes.
+
+    All panels show the arena whole, lengths along all axes alike.
+    """
+    figure = new_figure(7.2, 7.4)
+    perspective = figure.add_subplot(2, 2, 1, projection="3d")
+    _draw_perspective(perspective, course, paths, route, units)
+    for panel, (letter, axes) in enumerate(PROJECTIONS.items(), start=2):
+        ax = prepare_axes(figure.add_subplot(2, 2, panel))
+        _draw_projection(ax, course, paths, route, axes)
+        names = "".join("xyz"[axis] for axis in axes)
+        label_plane(ax, units, adjustable="box", axes=names)
+        title_panel(ax, f"{letter} projection on {names}")
+    keys = controller_keys(paths)
+    keys.append(Line2D([], [], color=PLAN, lw=1.5, ls="--", label="planned route"))
+    share_legend(figure, keys, columns=len(keys))
+    return figure
+
+
+def _draw_ways(
+    ax: Any, paths: Paths, route: Float[np.ndarray, "_ 3"], axes: Sequence[int]
+) -> None:
+    """Runs and the planned way along some of the axes."""
+    for name, runs in paths.items():
+        for path in runs:
+            color = style_of(name).color
+            ax.plot(*path[:, axes].T, color=color, lw=THIN, alpha=0.75)
+    ax.plot(*route[:, axes].T, color=PLAN, lw=1.2, ls="--")
+
+
+def _draw_perspective(
+    ax: Any,
+    course: Course,
+    paths: Paths,
+    route: Float[np.ndarray, "_ 3"],
+    units: Mapping[str, str],
+) -> None:
+    lower, upper = course.arena
+    turn, height = np.meshgrid(
+        np.linspace(0, 2 * np.pi, ALONG), np.linspace(-np.pi / 2, np.pi / 2, ALONG // 2)
+    )
+    across = np.cos(height)
+    ball = np.stack([across * np.cos(turn), across * np.sin(turn), np.sin(height)])
+    for *center, radius in course.discs:
+        surface = np.reshape(center, (3, 1, 1)) + radius * ball
+        ax.plot_surface(*surface, color=WALL, alpha=0.5)
+    _draw_ways(ax, paths, route, [0, 1, 2])
+    ax.plot(*course.start[:, None], "o", mfc=PAPER, mec=BLACK, ms=5)
+    ax.plot(*course.goal[:, None], "x", color=BLACK, ms=6)
+    ax.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]))
+    ax.set_zlim(lower[2], upper[2])
+    ax.set_box_aspect(upper - lower)
+    for name in "xyz":
+        getattr(ax, f"set_{name}label")(channel_label(name, units))
+    ax.tick_params(labelsize=SMALL)
+    title_panel(cast(Axes, ax), "(a) in perspective")
+
+
+def _draw_projection(
+    ax: Axes,
+    course: Course,
+    paths: Paths,
+    route: Float[np.ndarray, "_ 3"],
+    axes: tuple[int, int],
+) -> None:
+    shown = list(axes)
+    for ball in course.discs:
+        x, y = ball[shown].tolist()
+        ax.add_patch(Circle((x, y), float(ball[3]), fc=WALL, ec=BLACK, alpha=0.5))
+    _draw_ways(ax, paths, route, shown)
+    x, y = course.goal[shown].tolist()
+    ax.add_patch(Circle((x, y), course.tolerance, fill=False, ec=GREY))
+    ax.plot(*course.start[shown], "o", mfc=PAPER, mec=BLACK, ms=5, zorder=6)
+    ax.plot(x, y, "x", color=BLACK, ms=5, zorder=6)
+    (left, low), (right, high) = course.arena[:, shown]
+    ax.set(xlim=(left, right), ylim=(low, high))

@@ -1,6 +1,7 @@
 """Figures of a recording: paths, speeds, clock, commands, and what a model makes."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from pinav.figures.bands import band
 from pinav.figures.images import Picture
 from pinav.figures.palette import (
     BLACK,
@@ -29,19 +29,20 @@ from pinav.figures.style import (
     DIMENSIONLESS,
     THIN,
     add_legend,
+    band,
     channel_label,
+    draw_panels,
     label_axes,
     label_plane,
     new_figure,
     prepare_axes,
     round_ticks,
     share_legend,
-    title_panel,
     with_unit,
 )
 from pinav.recordings import image_positions, labels
-from pinav.recordings.quality.commands import vector
-from pinav.recordings.quality.report import Quality, positions
+from pinav.recordings.drive import vector
+from pinav.recordings.quality import Quality, positions
 from pinav.trajectories import Trajectories
 
 
@@ -54,11 +55,7 @@ def observed_paths(
 ) -> Axes:
     """Observed positions as dots, rollouts of the model as lines, starts marked.
 
-    Args:
-        observed: positions of each trajectory [L]; NaN where not observed.
-        predicted: positions of its rollout [L].
-        units: unit of each channel; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
+    Positions [L] that were not observed are NaN.
     """
     ax = prepare_axes(ax)
     dots = {"color": TRACK, "markersize": 2.0, "label": "observed"}
@@ -84,21 +81,12 @@ def positions_over_time(
     labels: tuple[str, str],
     ax: Axes | None = None,
 ) -> Axes:
-    """Observed positions on a line as dots, rollouts of the model as lines.
-
-    Args:
-        times: of each trajectory [T].
-        observed: positions [L]; NaN where not observed.
-        predicted: positions of its rollout [L].
-        labels: of the axes.
-        ax: where to draw; a new figure unless given.
-    """
+    """The same of positions on a line, over time."""
     ax = prepare_axes(ax)
     for ts, measured, path in zip(times, observed, predicted, strict=True):
         ax.plot(ts, measured, ".", color=TRACK, markersize=1.5)
         ax.plot(ts, path, color=LEARNED, lw=0.8)
-    label_axes(ax, *labels)
-    return ax
+    return label_axes(ax, *labels)
 
 
 def _limits(observed: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -117,57 +105,40 @@ _DOTS = 4000
 
 
 def recording_figure(recording: Trajectories, quality: Quality) -> Picture:
-    """Four panels; those of the commands give way where there are none.
-
-    Args:
-        recording: what was read.
-        quality: the report on its quality.
-    """
-    panels = {"paths": paths}
+    """Four panels; those of the commands give way where there are none."""
+    second = "(b) median speed over half a second"
     if any(run.speeds for run in quality.runs):
-        panels |= {"speed against frequency": speeds}
-        panels |= {"intervals between rows": intervals, "commands": commands}
+        panels = {"(a) paths": paths, "(b) speed against frequency": speeds}
+        panels |= {"(c) intervals between rows": intervals, "(d) commands": commands}
+        second += (
+            " at each commanded frequency; the band holds 80 % where there is one run"
+        )
+        last = "(d) commanded frequency and heading."
     else:
-        panels |= {"speed of each particle": speeds_of_tracks}
-        panels |= {"intervals between rows": intervals}
-        panels |= {"scatter of each particle": errors_of_tracks}
+        panels = {"(a) paths": paths, "(b) speed of each particle": speeds_of_tracks}
+        panels["(c) intervals between rows"] = intervals
+        panels["(d) scatter of each particle"] = errors_of_tracks
+        last = (
+            "(d) scatter of a row from all causes, and what of it is independent from "
+            "row to row, the localisation error."
+        )
+    drawn = {name: partial(draw, recording, quality) for name, draw in panels.items()}
 
     def draw() -> Figure:
-        figure = new_figure(7.5, 6.6)
-        axes = [prepare_axes(ax) for ax in np.ravel(figure.subplots(2, 2))]
-        named = zip(axes, "abcd", panels.items(), strict=True)
-        for ax, letter, (title, draw_panel) in named:
-            draw_panel(recording, quality, ax)
-            title_panel(ax, f"({letter}) {title}")
+        figure = draw_panels((7.5, 6.6), drawn, columns=2)
         _name_runs(figure, [run.name for run in quality.runs])
         return figure
 
-    caption = _caption(quality)
-    return Picture("recording", draw, caption, "Four panels", has_many_points=True)
-
-
-def _caption(quality: Quality) -> str:
-    driven = any(run.speeds for run in quality.runs)
-    second = (
-        "(b) median speed over half a second at each commanded frequency; the band "
-        "holds 80 % where there is one run; "
-        if driven
-        else "(b) median speed over half a second; "
-    )
-    last = (
-        "(d) commanded frequency and heading."
-        if driven
-        else "(d) scatter of a row from all causes, and what of it is independent from "
-        "row to row, the localisation error."
-    )
-    return (
+    caption = (
         "(a) Paths, y up, a mark at each start; segments are not joined; "
-        f"{second}(c) intervals between rows; {last}"
+        f"{second}; (c) intervals between rows; {last}"
     )
+    return Picture("recording", draw, caption, "Four panels", has_many_points=True)
 
 
 def paths(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """Every segment as a line, its first position as a dot; y up."""
+    prepare_axes(ax)
     names = [run.name for run in quality.runs]
     for label, segment in zip(labels(recording), recording, strict=True):
         color, mark = _look(names, str(label["run"]))
@@ -181,9 +152,7 @@ def paths(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
 def overlay_figure(recording: Trajectories, image: np.ndarray) -> Picture:
     """The segments over a still image of the film, in its pixels, y down.
 
-    Args:
-        recording: read from pixels.
-        image: grey (row, column) or coloured (row, column, channel).
+    The image is grey (row, column) or coloured (row, column, channel).
 
     Raises:
         InputError: the recording was not read from pixels.
@@ -207,6 +176,7 @@ def overlay_figure(recording: Trajectories, image: np.ndarray) -> Picture:
 
 def speeds(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """Median speed at each frequency, and 80 % of the windows of a single run."""
+    prepare_axes(ax)
     names = [run.name for run in quality.runs]
     for run in quality.runs:
         color, mark = _look(names, run.name)
@@ -222,25 +192,25 @@ def speeds(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
         else:
             ax.plot(frequency, middle, line, color=color, lw=0.8, ms=3)
     ax.set_ylim(bottom=0)
-    label_axes(ax, "frequency [Hz]", with_unit("speed", _speed_unit(recording)))
-    return ax
+    return label_axes(ax, "frequency [Hz]", _speed_label(recording))
 
 
 def intervals(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """How often which interval between rows occurs, within segments."""
+    prepare_axes(ax)
     steps = np.concatenate([np.diff(segment.times) for segment in recording])
     middle = float(np.median(steps))
     ax.hist(steps, bins=60, range=(0.0, max(2 * middle, steps.max())), color=GREY)
     ax.set_yscale("log")
     ax.set_ylim(bottom=0.5)
     ax.axvline(middle, color=BLACK, lw=0.8, ls="--", label="median")
-    label_axes(ax, with_unit("interval", recording.units["t"]), "rows")
-    add_legend(ax, loc="upper right")
-    return ax
+    interval = with_unit("interval", recording.units["t"])
+    return label_axes(ax, interval, "rows", legend=1, loc="upper right")
 
 
 def commands(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """The drive, as points in the plane: frequency outwards, heading around."""
+    prepare_axes(ax)
     names = [run.name for run in quality.runs]
     every = max(1, int(recording.lengths.sum()) // _DOTS)
     for label, segment in zip(labels(recording), recording, strict=True):
@@ -249,22 +219,21 @@ def commands(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
         ax.plot(*drives.T, mark, ms=1.6, mew=0, color=color, alpha=0.6)
     ax.set_aspect("equal", adjustable="datalim")
     round_ticks(ax)
-    label_axes(ax, "f cos(heading) [Hz]", "f sin(heading) [Hz]")
-    return ax
+    return label_axes(ax, "f cos(heading) [Hz]", "f sin(heading) [Hz]")
 
 
 def speeds_of_tracks(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """Median speed of each particle, in the order of the file."""
+    prepare_axes(ax)
     values = [np.nan if t.speed is None else t.speed for t in quality.tracks]
     ax.plot(np.arange(1, len(values) + 1), values, "o", ms=3, color=BLUE)
     ax.set_ylim(bottom=0)
-    _count(ax)
-    label_axes(ax, "particle", with_unit("speed", _speed_unit(recording)))
-    return ax
+    return _label_particles(ax, _speed_label(recording))
 
 
 def errors_of_tracks(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """Scatter and localisation error of each particle, the latter with its error."""
+    prepare_axes(ax)
     rows = [
         (number, error.scatter, error.deviation, error.error)
         for number, track in enumerate(quality.tracks, start=1)
@@ -273,26 +242,17 @@ def errors_of_tracks(recording: Trajectories, quality: Quality, ax: Axes) -> Axe
     if rows:
         number, scatter, deviation, error = np.array(rows).T
         ax.plot(number, scatter, "x", ms=4, color=GREY, label="from all causes")
-        ax.errorbar(
-            number,
-            deviation,
-            error,
-            fmt="o",
-            ms=3,
-            color=BLUE,
-            elinewidth=0.8,
-            label="independent",
-        )
+        bars = {"fmt": "o", "ms": 3, "color": BLUE, "elinewidth": 0.8}
+        ax.errorbar(number, deviation, error, label="independent", **bars)
         add_legend(ax)
     ax.set_ylim(bottom=0)
-    _count(ax)
-    label_axes(ax, "particle", with_unit("deviation", recording.units["x"]))
-    return ax
+    return _label_particles(ax, with_unit("deviation", recording.units["x"]))
 
 
-def _count(ax: Axes) -> None:
-    """Whole numbers along the horizontal axis."""
+def _label_particles(ax: Axes, quantity: str) -> Axes:
+    """Labels of a quantity over the numbers of the particles."""
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    return label_axes(ax, "particle", quantity)
 
 
 def _look(names: Sequence[str], name: str) -> tuple[str, str]:
@@ -307,17 +267,14 @@ def _name_runs(figure: Figure, names: Sequence[str]) -> None:
     """Runs by mark and colour below the panels, where they are told apart."""
     if not 1 < len(names) <= len(_COLORS):
         return
-    handles = [
-        Line2D([], [], color=color, marker=mark, lw=0.8, ms=3, label=_short(name))
-        for name in names
-        for color, mark in [_look(names, name)]
-    ]
+    handles = []
+    for name in names:
+        color, mark = _look(names, name)
+        short = name if len(name) <= 24 else f"{name[:12]}…{name[-10:]}"
+        line = {"color": color, "marker": mark, "lw": 0.8, "ms": 3}
+        handles.append(Line2D([], [], label=short, **line))
     share_legend(figure, handles, columns=4)
 
 
-def _short(name: str) -> str:
-    return name if len(name) <= 24 else f"{name[:12]}…{name[-10:]}"
-
-
-def _speed_unit(recording: Trajectories) -> str:
-    return f"{recording.units['x']}/{recording.units['t']}"
+def _speed_label(recording: Trajectories) -> str:
+    return with_unit("speed", f"{recording.units['x']}/{recording.units['t']}")

@@ -1,15 +1,16 @@
-"""How every figure looks: colours, labels with their units, axes and files' fonts.
+"""The look of every figure: colours, labels with units, panels, bands, files' fonts.
 
 Nothing here touches matplotlib's global settings.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Literal
 
 import matplotlib
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -22,6 +23,7 @@ from pinav.figures.palette import (
     GREY,
     HATCH,
     HOTTEST,
+    LEARNED,
     ORANGE,
     OUTSIDE,
     PURPLE,
@@ -29,6 +31,7 @@ from pinav.figures.palette import (
     T10,
     T50,
     T90,
+    TRUTH,
     VERMILLION,
 )
 
@@ -40,6 +43,8 @@ WIDE, THIN = 2.4, 1.1
 
 DIMENSIONLESS: Mapping[str, str] = {}
 """Units of a scenario without any: a channel that is not listed has the unit "1"."""
+
+Points = Float[np.ndarray, " point"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,15 +150,44 @@ def prepare_axes(ax: Axes | None, *, width: float = 4.0, height: float = 3.2) ->
     return ax
 
 
-def label_axes(ax: Axes, x: str, y: str) -> None:
-    """Set both axis labels."""
+LegendPlace = Literal["best", "upper left", "upper right"]
+
+
+def label_axes(
+    ax: Axes,
+    x: str,
+    y: str,
+    *,
+    title: str = "",
+    legend: int = 0,
+    loc: LegendPlace = "best",
+) -> Axes:
+    """Set both axis labels, the title and a legend of some columns."""
     ax.set_xlabel(x, fontsize=TEXT)
     ax.set_ylabel(y, fontsize=TEXT)
+    if title:
+        title_panel(ax, title)
+    if legend:
+        add_legend(ax, columns=legend, loc=loc)
+    return ax
 
 
 def title_panel(ax: Axes, title: str, *, pad: float = 5.0) -> None:
     """Set the title of one panel, flush left, `pad` points above it."""
     ax.set_title(title, fontsize=TEXT, loc="left", pad=pad)
+
+
+def scale_log(ax: Axes, *groups: Any) -> None:
+    """A vertical log scale, if a number is positive: it needs one to begin at."""
+    if any((finite(group) > 0).any() for group in groups):
+        ax.set_yscale("log")
+        ax.tick_params(which="both", labelsize=SMALL)
+
+
+def mark_line(ax: Axes, *places: float | int) -> None:
+    """Vertical dashed lines, such as the end of the training data."""
+    for place in places:
+        ax.axvline(place, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
 
 
 def round_ticks(ax: Axes) -> None:
@@ -167,14 +201,12 @@ def label_plane(
     units: Mapping[str, str],
     *,
     adjustable: Literal["box", "datalim"] = "datalim",
+    axes: str = "xy",
 ) -> None:
-    """Equal scales, round ticks and the labels of the coordinates x and y."""
+    """Equal scales, round ticks and the labels of the coordinates."""
     ax.set_aspect("equal", adjustable=adjustable)
     round_ticks(ax)
-    label_axes(ax, channel_label("x", units), channel_label("y", units))
-
-
-LegendPlace = Literal["best", "upper left", "upper right"]
+    label_axes(ax, *(channel_label(name, units) for name in axes))
 
 
 def add_legend(ax: Axes, *, columns: int = 1, loc: LegendPlace = "best") -> None:
@@ -204,20 +236,104 @@ def share_legend(
     labels: Sequence[str] | None = None,
     columns: int = 2,
 ) -> None:
-    """One legend below all panels.
-
-    Args:
-        figure: that holds the panels.
-        handles: what is explained: artists, or bars.
-        labels: their texts; their own labels unless given.
-        columns: in how many columns they stand.
-    """
+    """One legend of artists or bars below all panels, by their own labels or these."""
     names = [str(h.get_label()) for h in handles] if labels is None else labels
     place = {"loc": "outside lower center", "ncols": columns, "fontsize": SMALL}
     figure.legend(handles, names, frameon=False, **place)
 
 
-def finite(values: np.ndarray) -> np.ndarray:
+def one_legend(
+    figure: Figure, axes: Sequence[Axes] | np.ndarray, *, columns: int = 2
+) -> None:
+    """The longest legend of some panels, once, below all of them."""
+    legends = [legend for ax in axes if (legend := ax.get_legend()) is not None]
+    if not legends:
+        return
+    longest = max(legends, key=lambda legend: len(legend.get_texts()))
+    handles = [handle for handle in longest.legend_handles if handle is not None]
+    labels = [text.get_text() for text in longest.get_texts()]
+    for legend in legends:
+        legend.remove()
+    left = min(ax.get_position().x0 for ax in axes)
+    for ax in axes:
+        if ax.get_position().x0 > left + 1e-6:
+            ax.set_ylabel("")
+    share_legend(figure, handles, labels=labels, columns=columns)
+
+
+def draw_panels(
+    size: tuple[float, float],
+    panels: Mapping[str, Callable[..., Any]] | Sequence[Callable[..., Any]],
+    *,
+    columns: int | None = None,
+    legend: int = 0,
+    sharex: bool = False,
+    sharey: bool = False,
+) -> Figure:
+    """Panels in rows, each with its title, if they have any.
+
+    Args:
+        size: width and height of the figure [inch].
+        panels: what draws each panel on its argument `ax`, by title.
+        columns: panels in a row; all of them unless given.
+        legend: columns of one legend for all panels; 0 leaves each panel its own.
+        sharex: one horizontal axis for all.
+        sharey: one vertical axis for all.
+    """
+    columns = columns or max(len(panels), 1)
+    figure, rows = new_figure(*size), max(-(-len(panels) // columns), 1)
+    grid = figure.subplots(rows, columns, sharex=sharex, sharey=sharey, squeeze=False)
+    axes = grid.ravel()
+    titled = dict(panels) if isinstance(panels, Mapping) else dict(enumerate(panels))
+    for ax, (title, draw) in zip(axes, titled.items(), strict=False):
+        draw(ax=ax)
+        if isinstance(title, str):
+            title_panel(ax, title)
+    for ax in axes[len(panels) :]:
+        ax.set_visible(False)
+    if legend:
+        one_legend(figure, axes, columns=legend)
+    return figure
+
+
+def band(
+    places: Points,
+    mean: Points,
+    interval: tuple[Points, Points],
+    *,
+    truth: Points | None = None,
+    color: str = LEARNED,
+    name: str | None = None,
+    line: str = "-",
+    width: float = 1.2,
+    alpha: float = 0.25,
+    labels: tuple[str, str] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """A line within its band, over the truth.
+
+    Args:
+        places: along the coordinate.
+        mean: the line.
+        interval: lower and upper end of the band, such as `normal_interval` gives.
+        truth: drawn below, where it is known.
+        color: of line and band.
+        name: of the line in a legend.
+        line: format of the line, such as "o-".
+        width: of the line [pt].
+        alpha: opacity of the band.
+        labels: of the axes; left alone unless given.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepare_axes(ax)
+    if truth is not None:
+        ax.plot(places, truth, color=TRUTH, lw=WIDE, label="truth")
+    ax.fill_between(places, *interval, color=color, alpha=alpha, lw=0)
+    ax.plot(places, mean, line, color=color, lw=width, ms=4, label=name)
+    return ax if labels is None else label_axes(ax, *labels)
+
+
+def finite(values: np.ndarray | Sequence[float]) -> np.ndarray:
     """The values as float64, NaN where they are not finite, so that lines break."""
     values = np.asarray(values, float)
     return np.where(np.isfinite(values), values, np.nan)

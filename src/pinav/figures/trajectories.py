@@ -37,6 +37,7 @@ from pinav.figures.style import (
     finite,
     label_axes,
     label_plane,
+    mark_line,
     new_figure,
     pale,
     prepare_axes,
@@ -76,7 +77,11 @@ def trajectory(
     """
     ax = prepare_axes(ax)
     if barrier is not None:
-        _outline(ax, *barrier)
+        x, y = map(float, barrier[0])
+        look = {"facecolor": SHADE, "edgecolor": GREY, "linestyle": (0, (1, 1.5))}
+        look |= {"linewidth": 0.8, "zorder": 0, "label": "barrier (1σ)"}
+        ax.add_patch(Circle((x, y), float(barrier[1]), **look))
+        ax.plot(x, y, "+", color=GREY, markersize=5, zorder=0.5)
     truth = finite(truth)
     frame = _frame(truth, models.values())
     _draw_path(ax, truth, style_of("truth"), WIDE)
@@ -95,23 +100,6 @@ def trajectory(
     return ax
 
 
-def _outline(ax: Axes, center: Sequence[float], width: float) -> None:
-    x, y = (float(value) for value in center)
-    ax.add_patch(
-        Circle(
-            (x, y),
-            float(width),
-            facecolor=SHADE,
-            edgecolor=GREY,
-            linewidth=0.8,
-            linestyle=(0, (1, 1.5)),
-            zorder=0,
-            label="barrier (1σ)",
-        )
-    )
-    ax.plot(x, y, "+", color=GREY, markersize=5, zorder=0.5)
-
-
 def _draw_path(ax: Axes, positions: np.ndarray, style: LineStyle, width: float) -> None:
     (line,) = ax.plot(
         *positions.T, style.dash, color=style.color, lw=width, label=style.label
@@ -124,14 +112,8 @@ def _mark(
     ax: Axes, point: np.ndarray, marker: str, name: str, offset: tuple[int, int]
 ) -> None:
     """A white marker with its name beside it, `offset` points away."""
-    ax.plot(
-        *point[:, None],
-        marker,
-        markerfacecolor=PAPER,
-        markeredgecolor=BLACK,
-        markersize=5,
-        zorder=3,
-    )
+    look = {"mfc": PAPER, "mec": BLACK, "markersize": 5, "zorder": 3}
+    ax.plot(*point[:, None], marker, **look)
     ax.annotate(
         name,
         (float(point[0]), float(point[1])),
@@ -184,12 +166,7 @@ def velocity(
 ) -> Axes:
     """Both velocity components over time: vx in full colour, vy in a pale one.
 
-    Args:
-        times: times [T].
-        truth: true velocities [L T⁻¹].
-        models: velocities of each model [L T⁻¹]; not-finite ones are left out.
-        units: unit of each channel; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
+    Velocities of models that are not finite are left out.
     """
     ax = prepare_axes(ax, width=5.0)
     styles = [style_of("truth")]
@@ -204,10 +181,8 @@ def velocity(
             label = f"{symbol(channel)} {style.label}{note}"
             ax.plot(times, values, style.dash, color=color, lw=width, label=label)
     ax.set_ylim(*_value_range(curves[0], curves[1:]))
-    unit = units.get("vx", "1")
-    label_axes(ax, channel_label("t", units), with_unit("velocity", unit))
-    add_legend(ax, columns=len(curves), loc="upper right")
-    return ax
+    labels = channel_label("t", units), with_unit("velocity", units.get("vx", "1"))
+    return label_axes(ax, *labels, legend=len(curves), loc="upper right")
 
 
 def _value_range(
@@ -252,16 +227,12 @@ def loss_curve(
     ax.set_yscale("log")
     ax.set_xlim(0, max(len(steps) - 1, 1))
     _mark_phases(ax, phases, len(steps) - 1)
-    label_axes(ax, "step", "training loss")
-    if len(rows) > 1:
-        add_legend(ax)
-    return ax
+    return label_axes(ax, "step", "training loss", legend=int(len(rows) > 1))
 
 
 def _mark_phases(ax: Axes, phases: Sequence[tuple[str, int]], end: int) -> None:
     """A line where each later phase begins, and its name above its steps."""
-    for _, begin in phases[1:]:
-        ax.axvline(begin, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
+    mark_line(ax, *(begin for _, begin in phases[1:]))
     begins = [begin for _, begin in phases]
     middles = [(a + b) / 2 for a, b in zip(begins, [*begins[1:], end], strict=True)]
     top = ax.secondary_xaxis("top")
@@ -282,12 +253,7 @@ def decomposition(
 ) -> Axes:
     """One component of a(t) = propulsion + environment + drag along a trajectory.
 
-    Args:
-        learned: the terms of the model.
-        component: 0 for x, 1 for y.
-        true: terms of the truth, of which the environment is drawn below.
-        units: unit of each channel; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
+    Of the truth the environment is drawn below.
 
     References:
         PI-NAV paper, addendum 3 (structural interpretability).
@@ -302,17 +268,11 @@ def decomposition(
     for index, (name, values) in enumerate(learned.terms.items()):
         style = style_of(name, index)
         suffix = ", learned" if name == "environment" and true is not None else ""
-        ax.plot(
-            learned.times,
-            finite(values[:, component]),
-            color=style.color,
-            lw=THIN,
-            label=style.label + suffix,
-        )
+        line = {"color": style.color, "lw": THIN, "label": style.label + suffix}
+        ax.plot(learned.times, finite(values[:, component]), **line)
     label = with_unit(f"$a_{'xyz'[component]}$", force_unit(units))
-    label_axes(ax, channel_label("t", units), label)
-    add_legend(ax, columns=2, loc="upper right")
-    return ax
+    time = channel_label("t", units)
+    return label_axes(ax, time, label, legend=2, loc="upper right")
 
 
 def acceleration_figure(

@@ -14,19 +14,13 @@ from pinav.identification.commanded_fit import fit_commanded as fit_commanded
 from pinav.identification.estimates import estimates as estimates
 from pinav.identification.findings import DelayFindings as DelayFindings
 from pinav.identification.findings import delay_findings as delay_findings
-from pinav.identification.findings import finding_sentences as finding_sentences
-from pinav.identification.findings import interval as interval
-from pinav.identification.findings import positive_interval as positive_interval
 from pinav.identification.fit import fit_track as fit_track
-from pinav.identification.forecast import Forecast as Forecast
-from pinav.identification.forecast import FrameJitter as FrameJitter
 from pinav.identification.forecast import Predictor as Predictor
 from pinav.identification.forecast import path_of as path_of
 from pinav.identification.identify import Identification as Identification
 from pinav.identification.identify import IdentifiedTrack as IdentifiedTrack
 from pinav.identification.identify import identify as identify
 from pinav.identification.identify import identify_track as identify_track
-from pinav.identification.residual_field import ResidualFit as ResidualFit
 from pinav.identification.residual_field import fit_residual as fit_residual
 from pinav.identification.rollouts import Coverage as Coverage
 from pinav.identification.rollouts import ErrorGrowth as ErrorGrowth
@@ -37,7 +31,6 @@ from pinav.identification.rollouts import SpeedLaw as SpeedLaw
 from pinav.identification.rollouts import coverage as coverage
 from pinav.identification.rollouts import errors as errors
 from pinav.identification.selection import Row as Row
-from pinav.identification.selection import Selection as Selection
 from pinav.identification.selection import select_model as select_model
 from pinav.identification.selection import split as split
 from pinav.identification.tracks import Blocks as Blocks

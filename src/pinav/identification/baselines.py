@@ -1,4 +1,4 @@
-"""Least squares of the velocity, the baseline of every recording."""
+"""What plain regressions say of a track: gain and drift, or a force that pulls back."""
 
 import time
 from collections.abc import Callable
@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from pinav.errors import InputError
 from pinav.identification.forecast import Displacement
 from pinav.identification.tracks import Track, commands_of
 from pinav.trajectories import Trajectory
@@ -19,9 +20,7 @@ class Baseline(eqx.Module):
     """A fitted baseline.
 
     Attributes:
-        name: name in tables.
         velocity: velocity at each sample of a segment [L T⁻¹].
-        seconds: duration of the fit [s].
     """
 
     name: str = eqx.field(static=True)
@@ -39,14 +38,7 @@ class Baseline(eqx.Module):
 
 
 class Samples(eqx.Module):
-    """Velocities of a track beside the commands.
-
-    Attributes:
-        velocity: central differences [L T⁻¹].
-        position: [L].
-        frequency: [Hz].
-        heading: [rad].
-    """
+    """Velocities of a track beside the commands."""
 
     velocity: Float[np.ndarray, "sample 2"]
     position: Float[np.ndarray, "sample 2"]
@@ -98,3 +90,141 @@ def least_squares(track: Track) -> Baseline:
         return rows(command_vector(*commands_of(piece))) @ best
 
     return Baseline("least squares", velocity, time.perf_counter() - begin)
+
+
+INTERVAL = 0.5
+"""Time between the positions that are compared [s], as long as a block."""
+
+HORIZON = 10.0
+"""Time over which displacements are predicted [s]."""
+
+LEAST_STEPS = 30
+"""Displacements without which nothing is sought."""
+
+
+class RestoringForce(eqx.Module):
+    r"""A linear force that a track shows, which is not driven.
+
+    Positions every 0.5 s follow
+    $x_{i+1} - x_i = a + \Phi (x_i - x_{i-1}) + B x_i + \epsilon$, in which $\Phi$ is
+    what a wandering velocity does, whatever its memory, and $B$ a linear force:
+    $B = e^{-K \tau} - 1$ for the rates $K$ and the interval $\tau$ where $\Phi$ is 0.
+    Both are fitted together, so that neither takes what belongs to the other.
+
+    Attributes:
+        interval: between the positions that were compared [T].
+        pull: matrix $B$: the displacement in an interval for each unit of position.
+        memory: matrix $\Phi$ of the displacement before.
+        offset: vector $a$ [L].
+        nats: evidence over the same without $B$, by the Bayesian information criterion.
+        explained: share of the variance of held-out displacements over 10 s; NaN where
+            there are none.
+    """
+
+    interval: float
+    pull: Float[np.ndarray, "2 2"]
+    memory: Float[np.ndarray, "2 2"]
+    offset: Float[np.ndarray, "2"]
+    nats: float
+    explained: float
+
+    @property
+    def rates(self) -> Float[np.ndarray, "2"]:
+        """Rates at which the two principal displacements decay [1/T]."""
+        left = np.abs(np.linalg.eigvals(np.eye(2) + self.pull))
+        return np.sort(-np.log(np.clip(left, 1e-12, None)) / self.interval)
+
+    @property
+    def centre(self) -> Float[np.ndarray, "2"]:
+        """Place where nothing pulls [L]."""
+        return -np.linalg.lstsq(self.pull, self.offset)[0]
+
+    def sentence(self, decisive: float) -> str:
+        """The finding in words; it is supported from so many nats on."""
+        if self.nats < decisive:
+            return f"A force that pulls back: not supported ({self.nats:+.1f} nats)."
+        low, high = self.rates
+        x, y = self.centre
+        text = (
+            f"A force that pulls back to ({x:.3g}, {y:.3g}): supported, by "
+            f"{self.nats:.1f} nats, with rates of {low:.2g} and {high:.2g} per unit of "
+            "time"
+        )
+        if np.isfinite(self.explained):
+            text += (
+                f"; it explains {100 * self.explained:.0f} % of the variance of "
+                f"held-out displacements over {HORIZON:g} s"
+            )
+        return text + "."
+
+
+def restoring_force(train: Track, held_out: Track) -> RestoringForce:
+    """Fit a linear force beside a wandering velocity, and judge it on held-out data.
+
+    Raises:
+        InputError: the training part is too short.
+    """
+    positions = [_resample(piece.times, piece.states) for piece in train.pieces]
+    rows = [_rows(path) for path in positions if len(path) > 2]
+    if sum(len(steps) for steps, _ in rows) < LEAST_STEPS:
+        raise InputError(
+            f"track {train.name}: expected {LEAST_STEPS} displacements of {INTERVAL:g} "
+            "s or more; a force is not sought"
+        )
+    steps, columns = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    weights, full = _regress(columns, steps)
+    _, without = _regress(columns[:, :3], steps)
+    count = len(steps)
+    gain = 0.5 * count * (np.linalg.slogdet(without)[1] - np.linalg.slogdet(full)[1])
+    force = RestoringForce(
+        interval=INTERVAL,
+        pull=weights[3:].T,
+        memory=weights[1:3].T,
+        offset=weights[0],
+        nats=float(gain - 0.5 * 4 * np.log(count)),
+        explained=float("nan"),
+    )
+    return eqx.tree_at(
+        lambda f: f.explained, force, _share_of_variance(force, held_out)
+    )
+
+
+def _resample(times: np.ndarray, states: np.ndarray) -> Float[np.ndarray, "time 2"]:
+    """Positions at equal intervals."""
+    at = np.arange(times[0], times[-1], INTERVAL)
+    return np.stack([np.interp(at, times, column) for column in states.T], axis=1)
+
+
+def _rows(path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Displacements, and the columns 1, the displacement before, and the position."""
+    steps = np.diff(path, axis=0)
+    one = np.ones((len(steps) - 1, 1))
+    return steps[1:], np.concatenate([one, steps[:-1], path[1:-1]], axis=1)
+
+
+def _regress(columns: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights, and the covariance of what they leave."""
+    weights = np.linalg.lstsq(columns, steps)[0]
+    left = steps - columns @ weights
+    return weights, left.T @ left / len(steps)
+
+
+def _share_of_variance(force: RestoringForce, held_out: Track) -> float:
+    """Share of the variance of displacements over the horizon, from rollouts."""
+    ahead = round(HORIZON / force.interval)
+    displacements, predicted = [], []
+    for piece in held_out.pieces:
+        path = _resample(piece.times, piece.states)
+        for start in range(1, len(path) - ahead):
+            before, here = path[start - 1], path[start]
+            for _ in range(ahead):
+                step = force.offset + force.memory @ (here - before) + force.pull @ here
+                before, here = here, here + step
+            displacements.append(path[start + ahead] - path[start])
+            predicted.append(here - path[start])
+    if len(displacements) < 2:
+        return float("nan")
+    observed = np.array(displacements)
+    error = observed - np.array(predicted)
+    spread = ((observed - observed.mean(axis=0)) ** 2).sum()
+    return float(1.0 - (error**2).sum() / max(spread, 1e-30))

@@ -5,31 +5,22 @@ in every fit.
 """
 
 import dataclasses
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import ArrayLike
 
-from pinav.actuation import (
-    AbstractResponse,
-    LinearResponse,
-    SaturatingResponse,
-    SlippingResponse,
-    StepOutResponse,
-)
-from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands
+from pinav.dynamics import OverdampedSwimmer, takes_commands
 from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
 from pinav.forces import RollingPropulsion, UniformFlow, ZeroFlow, ZeroForce
+from pinav.identification.drive import RESPONSES
 from pinav.identification.parameters import (
-    CORNER,
     DRIFT,
-    DRIVE,
     GAIN,
-    RESIDUAL,
+    ROLLING,
     Parameter,
     Scale,
 )
@@ -53,12 +44,6 @@ def system_of(
 
     Its environment is unknown. What was learned may be learned again: gain and drift
     with flat priors, delay, corner and residual gain with what the fit says of them.
-
-    Args:
-        fit: fit of a candidate to a track.
-        jitter: standard deviation of single frames about the mean path [L].
-        name: name of the system.
-        units: units of the recording.
     """
     noise = {
         field.name: fit.constants[f"wandering.{field.name}"].value
@@ -80,7 +65,7 @@ def system_of(
 def _free_numbers(fit: EvidenceFit) -> tuple[FreeNumber, ...]:
     drive = (
         FreeNumber(parameter.path, _prior(fit, parameter))
-        for parameter in DRIVE
+        for parameter in ROLLING
         if parameter.path in fit.constants
     )
     gain = (FreeNumber(GAIN, Flat()),) if f"{GAIN}[0, 0]" in fit.constants else ()
@@ -121,14 +106,6 @@ def record_commands(system: System, data: Trajectories) -> Trajectories:
     units = {**data.units, **{name: COMMAND_UNITS[name] for name in stated}}
     return dataclasses.replace(data, commands={**data.commands, **stated}, units=units)
 
-
-RESPONSES: dict[str, AbstractResponse] = {
-    "linear": LinearResponse(),
-    "saturating": SaturatingResponse(1.0),
-    "slipping": SlippingResponse(1.0, 0.5),
-    "step-out": StepOutResponse(1.0),
-}
-"""Responses to high frequencies, with placeholders for their numbers."""
 
 CHANGING = WanderingVelocity(still=1.0, driven=1.0, memory=1.0, slow=1.0)
 """Placeholder of a wandering velocity with a drift that changes."""
@@ -201,7 +178,7 @@ def like(base: System, other: System) -> System:
     """
     drive, propulsion = (), base.swimmer.propulsion
     if isinstance(propulsion, RollingPropulsion):
-        paths = {parameter.path for parameter in DRIVE}
+        paths = {parameter.path for parameter in ROLLING}
         drive = tuple(number for number in other.learn if number.path in paths)
         gain = propulsion.gain
         propulsion = dataclasses.replace(other.swimmer.propulsion, gain=gain)
@@ -213,88 +190,4 @@ def like(base: System, other: System) -> System:
         swimmer=dataclasses.replace(base.swimmer, propulsion=propulsion),
         wandering=other.wandering,
         learn=(*base.learn, *drive),
-    )
-
-
-def response_name(swimmer: Swimmer | OverdampedSwimmer) -> str:
-    """Name of the response of a swimmer among `RESPONSES`; linear without propulsion.
-
-    Raises:
-        InputError: its propulsion is of another kind.
-    """
-    propulsion = swimmer.propulsion
-    if isinstance(propulsion, ZeroForce):
-        return "linear"
-    if not isinstance(propulsion, RollingPropulsion):
-        raise InputError(
-            "system.propulsion: expected RollingPropulsion or no propulsion beside a "
-            f"wandering velocity, got {type(propulsion).__name__}"
-        )
-    names = {type(response): name for name, response in RESPONSES.items()}
-    return names[type(propulsion.response)]
-
-
-def response_place(swimmer: Swimmer | OverdampedSwimmer) -> int:
-    """Place of the response of a swimmer among `RESPONSES`."""
-    return list(RESPONSES).index(response_name(swimmer))
-
-
-def linear_basis(
-    system: System,
-) -> tuple[Float[np.ndarray, "4 2 2"], Float[np.ndarray, "2 2"]]:
-    """Gain matrix by each number of an open gain, and drift by each of an open drift.
-
-    Rows of zeros follow where there are fewer numbers.
-    """
-    paths = {number.path for number in system.learn}
-    gains, drifts = np.zeros((4, 2, 2)), np.zeros((2, 2))
-    if GAIN in paths:
-        propulsion: Any = system.swimmer.propulsion
-        basis = gain_basis(np.ndim(propulsion.gain))
-        gains[: len(basis)] = basis
-    if DRIFT in paths:
-        drifts = np.eye(2)
-    return gains, drifts
-
-
-def gain_basis(ndim: int) -> Float[np.ndarray, "number 2 2"]:
-    """Gain matrix by each number of a gain: one, one for each axis, or a matrix."""
-    if ndim == 2:
-        return np.eye(4).reshape(4, 2, 2)
-    axes = np.array([np.diag([1.0, 0.0]), np.diag([0.0, 1.0])])
-    return axes if ndim else axes.sum(axis=0, keepdims=True)
-
-
-class SwitchedResponse(AbstractResponse):
-    """Any of the responses, by a number that may be traced: one compilation for all.
-
-    Attributes:
-        index: place in `RESPONSES`.
-        log_corner: logarithm of the corner frequency [Hz].
-        logit_residual: logit of the part of the gain that remains above it.
-    """
-
-    index: Int[Array, ""]
-    log_corner: Float[Array, ""]
-    logit_residual: Float[Array, ""]
-
-    def __call__(self, frequency: Array) -> Array:
-        branches = [
-            lambda f, a, b, made=made: _with_numbers(made, a, b)(f)
-            for made in RESPONSES.values()
-        ]
-        return jax.lax.switch(
-            self.index, branches, frequency, self.log_corner, self.logit_residual
-        )
-
-
-def _with_numbers(
-    response: AbstractResponse, log_corner: Array, logit_residual: Array
-) -> AbstractResponse:
-    """A response with its numbers at these coordinates."""
-    numbers = {CORNER: jnp.exp(log_corner), RESIDUAL: jax.nn.sigmoid(logit_residual)}
-    values = {path.rpartition(".")[2]: number for path, number in numbers.items()}
-    names = {field.name for field in dataclasses.fields(response)}
-    return dataclasses.replace(
-        response, **{name: value for name, value in values.items() if name in names}
     )

@@ -12,7 +12,7 @@ over which the field varies.
 """
 
 import dataclasses
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -44,32 +44,26 @@ from pinav.fitting.evidence.weights import (
 )
 from pinav.forces import (
     AbstractLearnedForce,
-    RollingPropulsion,
     UniformFlow,
     ZeroFlow,
     ZeroForce,
     as_learned_force,
     tensor_matrix,
 )
+from pinav.identification.drive import is_open
 from pinav.identification.estimates import (
     constants_of,
     learned_numbers,
     posterior_over,
 )
-from pinav.identification.fit import CandidateSearch
+from pinav.identification.fit import CandidateSearch, stated_coordinates
 from pinav.identification.likelihood import (
     Design,
     Field,
     path_displacement,
     whiten,
 )
-from pinav.identification.parameters import (
-    DRIFT,
-    GAIN,
-    Prior,
-    learned_parameters,
-    stated_coordinates,
-)
+from pinav.identification.parameters import DRIFT, GAIN, Prior
 from pinav.identification.tracks import Blocks, Track, one_track, round_up_to
 from pinav.systems import System
 from pinav.trajectories import Trajectories
@@ -108,25 +102,16 @@ def with_environment(
 
 def displacements_by(
     swimmer: OverdampedSwimmer,
-    learned: Collection[str],
     blocks: Blocks,
-    mobility: Float[Array, "2 2"],
+    gain: Float[Array, "2 2"],
+    *,
+    drift: bool,
 ) -> Field:
-    """Displacements by the weights of the environment and by what is known.
-
-    Args:
-        swimmer: swimmer whose environment has weights, or is none.
-        learned: paths of the numbers that are open.
-        blocks: the observed path.
-        mobility: tensor through which a propulsion moves the swimmer.
-    """
+    """Displacements by the weights of the environment and by what is known."""
     nothing = Field.nothing(blocks)
-    gain, drift = nothing.gain, nothing.drift
-    propulsion, flow = swimmer.propulsion, swimmer.flow
-    if isinstance(propulsion, RollingPropulsion) and GAIN not in learned:
-        gain = mobility @ propulsion.matrix
+    known_drift, flow = nothing.drift, swimmer.flow
     if isinstance(flow, UniformFlow):
-        drift = drift if DRIFT in learned else flow.velocity
+        known_drift = known_drift if drift else flow.velocity
         flow = ZeroFlow()
     passive = eqx.tree_at(
         lambda s: (s.propulsion, s.environment, s.flow),
@@ -138,7 +123,7 @@ def displacements_by(
     if environment is not None:
         free, start = ravel_model(environment, lambda e: e.parameters)
         columns = _weight_columns(free, jnp.zeros_like(start), swimmer, blocks)
-    return Field(columns, path_displacement(passive, blocks), gain, drift)
+    return Field(columns, path_displacement(passive, blocks), gain, known_drift)
 
 
 @eqx.filter_jit
@@ -235,25 +220,24 @@ class _Problem:
     ) -> None:
         _check_order(system)
         design = Design.of(system, Blocks.of(track))
-        stated = stated_coordinates(system)
-        prior = Prior.of(track).about(stated)
+        # Priors of a system are used where nothing else tells the scale of a number.
+        own = [parameter.prior is not None for parameter in design.parameters]
+        stated = np.where(own, np.nan, stated_coordinates(system, design))
+        prior = Prior.of(track, design.parameters).about(stated)
         swimmer = with_environment(system.swimmer, environment)
         # The propulsion is a force: what the gain moves passes through the mobility.
         mobility = tensor_matrix(swimmer.mobility, jnp.zeros(2))
         gains = jnp.einsum("ab,gbc->gac", mobility, design.still.gains)
         self.design = eqx.tree_at(lambda d: d.still.gains, design, gains)
         self.swimmer, self.environment = swimmer, environment
+        known_gain = design.drive.known_gain(system, mobility)
         self.field = displacements_by(
-            swimmer,
-            {number.path for number in system.learn},
-            self.design.blocks,
-            mobility,
+            swimmer, self.design.blocks, known_gain, drift=is_open(system, DRIFT)
         )
         self.weights: AbstractWeights = NoWeights()
         if environment is not None:
             self.weights = GaussianWeights(environment.prior())
-        learned = learned_parameters(system)
-        self.search = CandidateSearch(self.design, learned, prior, stated)
+        self.search = CandidateSearch(system, self.design, prior)
 
     def quadratic(self, learned: np.ndarray) -> tuple[Quadratic, FlatBlock, float]:
         """Squares as a function of the weights, coefficients integrated out."""

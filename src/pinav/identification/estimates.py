@@ -1,7 +1,7 @@
 """Numbers of a fitted swimmer: of its constants, and with a meaning of their own."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -19,96 +19,13 @@ from pinav.forces import (
     mean_gain,
 )
 from pinav.identification.parameters import (
-    DRIFT,
-    DRIVE,
+    ABOUT_GAIN,
+    DRIFTS,
+    NOISE_PLACES,
     PARAMETERS,
-    PLACES,
     Parameter,
 )
 from pinav.systems import FreeNumber
-
-
-class Quantity(NamedTuple):
-    """An estimated number as a reader knows it.
-
-    Attributes:
-        title: name in the table.
-        unit: unit, with `{length}` and `{time}` for those of the recording.
-        meaning: a phrase; empty where the title says all.
-        positive: True where the logarithm was fitted.
-    """
-
-    title: str
-    unit: str
-    meaning: str = ""
-    positive: bool = False
-
-
-SPEED = "{length}/{time}"
-
-QUANTITIES = {
-    "gain": Quantity("gain", "{length}", "displacement per turn of the field"),
-    "gain x/y": Quantity("gain x/y", "1", "ratio of the gains along both axes"),
-    "heading offset": Quantity(
-        "heading offset", "rad", "angle from the commanded heading to the motion"
-    ),
-    "corner": Quantity(
-        "corner frequency", "Hz", "where the gain begins to fall", positive=True
-    ),
-    "residual": Quantity(
-        "residual gain", "1", "part that remains far above the corner frequency"
-    ),
-    "delay": Quantity("delay", "{time}", "from a command to its effect"),
-    "lag": Quantity(
-        "lag",
-        "{time}",
-        "time constant with which the motion follows the command",
-        positive=True,
-    ),
-    "drift x": Quantity("drift x", SPEED),
-    "drift y": Quantity("drift y", SPEED),
-    "still": Quantity(
-        "wandering without a command",
-        SPEED,
-        "standard deviation of the wandering velocity",
-        positive=True,
-    ),
-    "driven": Quantity(
-        "wandering under a command",
-        SPEED,
-        "what a command of 1 Hz adds to it, in quadrature",
-        positive=True,
-    ),
-    "memory": Quantity(
-        "memory of the wandering", "{time}", "its correlation time", positive=True
-    ),
-    "noise": Quantity(
-        "position error",
-        "{length}",
-        "of the mean position of a block of time",
-        positive=True,
-    ),
-    "slow": Quantity(
-        "changing drift", SPEED, "standard deviation of its velocity", positive=True
-    ),
-    "slow memory": Quantity(
-        "memory of the changing drift",
-        "{time}",
-        "its correlation time",
-        positive=True,
-    ),
-    "gain wander": Quantity(
-        "wandering of the gain",
-        "{length}",
-        "its standard deviation, along the heading and across",
-        positive=True,
-    ),
-    "gain memory": Quantity(
-        "memory of the gain", "{time}", "its correlation time", positive=True
-    ),
-}
-"""By the names of the estimates."""
-
 
 WEIGHTS = "environment"
 """Path of all weights of the environment."""
@@ -163,7 +80,7 @@ def learned_numbers(
 
 def is_noise(number: LearnedNumber) -> bool:
     """True of a number that stands in no swimmer."""
-    return PLACES.get(number.path, 0) >= len(DRIVE)
+    return number.path in NOISE_PLACES
 
 
 def constants_of(
@@ -190,13 +107,7 @@ def posterior_over(
     numbers: list[LearnedNumber],
     covariance: Float[np.ndarray, "unknown unknown"],
 ) -> Posterior:
-    """The posterior of a swimmer whose learned numbers have these values.
-
-    Args:
-        swimmer: the numbers that are not learned are right.
-        numbers: all learned ones; those of the noise are no part of it.
-        covariance: that of the unknowns by which the numbers have derivatives.
-    """
+    """The posterior of a swimmer whose learned numbers have these values."""
     numbers = [number for number in numbers if not is_noise(number)]
     free_numbers = [FreeNumber(n.path) for n in numbers if n.path != WEIGHTS]
     has_weights = len(free_numbers) < len(numbers)
@@ -241,27 +152,20 @@ def drift_of(swimmer: OverdampedSwimmer) -> Float[np.ndarray, "2"]:
     return np.asarray(flow.velocity) if isinstance(flow, UniformFlow) else np.zeros(2)
 
 
-GAIN_QUANTITIES = ("gain", "gain x/y", "heading offset")
-"""Numbers that a gain matrix gives."""
-
-
 def estimates(fit: EvidenceFit) -> dict[str, Estimate]:
     """Quantities with a meaning, by name, with their standard deviations."""
     quantities: dict[str, Estimate] = {}
     if isinstance(fit.model.propulsion, RollingPropulsion):
-        rows = zip(GAIN_QUANTITIES, *_with_deviation(fit, _about_gain), strict=True)
-        quantities |= {name: Estimate(float(v), float(sd)) for name, v, sd in rows}
-    for index, axis in enumerate("xy"):
-        drift = fit.constants.get(f"{DRIFT}[{index}]")
-        quantities |= {} if drift is None else {f"drift {axis}": drift}
-    for parameter in PARAMETERS:
-        if parameter.path in fit.constants:
-            quantities[parameter.name] = fit.constants[parameter.path]
-    return quantities
+        rows = zip(ABOUT_GAIN, *_with_deviation(fit, _about_gain), strict=True)
+        quantities |= {one.name: Estimate(float(v), float(sd)) for one, v, sd in rows}
+    several = [(f"{one.path}[{index}]", one.name) for index, one in enumerate(DRIFTS)]
+    several += [(parameter.path, parameter.name) for parameter in PARAMETERS]
+    known = fit.constants
+    return quantities | {name: known[path] for path, name in several if path in known}
 
 
 def _about_gain(swimmer: OverdampedSwimmer) -> Float[Array, "3"]:
-    """`GAIN_QUANTITIES` of a swimmer."""
+    """Numbers of `ABOUT_GAIN` of a swimmer."""
     propulsion: Any = swimmer.propulsion
     gain = propulsion.matrix
     ratio = jnp.linalg.norm(gain[0]) / jnp.linalg.norm(gain[1])

@@ -9,21 +9,20 @@ from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
 from pinav.fitting import Estimate, EvidenceFit
 from pinav.fitting.evidence.model_evidence import DECISIVE
+from pinav.identification.baselines import restoring_force
 from pinav.identification.candidates import (
-    RESPONSES,
     axis_gains,
     drift_only,
     gain_matrix,
     like,
-    response_name,
     scalar_gain,
     with_learned,
     with_response,
 )
+from pinav.identification.drive import RESPONSES, response_name
 from pinav.identification.estimates import estimates as estimates_of
 from pinav.identification.fit import fit_track
 from pinav.identification.parameters import DELAY
-from pinav.identification.restoring import restoring_force
 from pinav.identification.selection import LEAST_SQUARES, Row, Selection
 from pinav.identification.tracks import Track
 from pinav.systems import System
@@ -85,7 +84,6 @@ class DelayFindings(eqx.Module):
         offset_without_delay: the heading offset without a delay [rad].
         zero_offset: the delay with a gain for each axis and no turn [s]; None where
             the offset without delay is not small.
-        turning_rate: median of the commanded heading [rad/s].
         confounded: whether that rate is constant, so that delay and offset are one
             number.
     """
@@ -99,13 +97,7 @@ class DelayFindings(eqx.Module):
 
 
 def delay_findings(track: Track, system: System, fit: EvidenceFit) -> DelayFindings:
-    """The delay with the heading offset fixed at zero, and with both free.
-
-    Args:
-        track: all of a track.
-        system: candidate with a gain, whose response is kept.
-        fit: fit of the candidate to all of the track.
-    """
+    """The delay with the heading offset fixed at zero, and with both free."""
     response = response_name(system.swimmer)
 
     def refit(candidate: System) -> dict[str, Estimate]:
@@ -134,17 +126,15 @@ def delay_findings(track: Track, system: System, fit: EvidenceFit) -> DelayFindi
 def finding_sentences(
     selection: Selection, estimates: dict[str, Estimate], delays: DelayFindings | None
 ) -> list[str]:
-    """The verdict on one track.
-
-    Args:
-        selection: selection on the track.
-        estimates: quantities of the chosen candidate.
-        delays: result of `delay_findings`; None where nothing was commanded.
-    """
-    sentences = [
-        _choice(selection),
-        *_shortcomings(selection),
-    ]
+    """The verdict on one track."""
+    responses = RESPONSES if selection.train.commanded else ()
+    nats = {
+        response: selection.evidence(with_response(gain_matrix(), response).name)
+        for response in responses
+    }
+    response = response_name(selection.system.swimmer)
+    rows = selection.row(selection.chosen), selection.row(LEAST_SQUARES)
+    sentences = [choice(selection.chosen, response, nats), *shortcomings(*rows)]
     if delays is None:
         recorded = "frequency" in selection.train.pieces[0].commands
         idle = "The commands ask for no motion" if recorded else "No commands recorded"
@@ -167,23 +157,8 @@ def finding_sentences(
     return [sentence for sentence in sentences if sentence]
 
 
-def _choice(selection: Selection) -> str:
-    evidence = {
-        response: selection.row(with_response(gain_matrix(), response).name)
-        for response in (RESPONSES if selection.train.commanded else ())
-    }
-    nats = {response: row.log_evidence for response, row in evidence.items()}
-    return choice(selection.chosen, response_name(selection.system.swimmer), nats)
-
-
 def choice(chosen: str, response: str, evidence: dict[str, float]) -> str:
-    """The chosen model, and why it is that one where another has more evidence.
-
-    Args:
-        chosen: name of the chosen candidate.
-        response: name of its response to high frequencies.
-        evidence: log evidence of each response [nats]; empty without commands.
-    """
+    """The chosen model, and why it is that one where another has more evidence."""
     best = max(evidence, key=lambda name: evidence[name], default=response)
     if best == response:
         return f"The evidence chooses: {chosen}."
@@ -202,20 +177,8 @@ HORIZON = 10.0
 """Length of the rollouts by which a model is judged [s]."""
 
 
-def _shortcomings(selection: Selection) -> list[str]:
-    names = [row.name for row in selection.rows]
-    if LEAST_SQUARES not in names:
-        return []
-    return shortcomings(selection.row(selection.chosen), selection.row(LEAST_SQUARES))
-
-
 def shortcomings(row: Row, baseline: Row) -> list[str]:
-    """Sentences on a prediction that is poor, or judged on little; mostly none.
-
-    Args:
-        row: line of the chosen candidate.
-        baseline: line of least squares.
-    """
+    """Sentences on a prediction that is poor, or judged on little; mostly none."""
     sentences = []
     if row.velocity_r2 < FEEBLE:
         sentences.append(
@@ -244,12 +207,7 @@ def shortcomings(row: Row, baseline: Row) -> list[str]:
 
 
 def extrapolation(train: Track, held_out: Track) -> str:
-    """A sentence where the test part is faster than all that trained, or nothing.
-
-    Args:
-        train: the training part of a track.
-        held_out: test part of the track.
-    """
+    """A sentence where the held-out part is faster than all that trained, or ""."""
     observed, asked = (
         max(float(piece.commands["frequency"].max()) for piece in part.pieces)
         for part in (train, held_out)
@@ -267,21 +225,11 @@ BEYOND = 1.05
 """Ratio of frequencies above which a prediction extrapolates."""
 
 
-def _difference(selection: Selection, name: str) -> float:
-    """Evidence of a candidate over the one that it extends."""
-    row = selection.row(name)
-    below = max(
-        (r for r in selection.rows if name.startswith(f"{r.name} + ")),
-        key=lambda r: len(r.name),
-    )
-    return row.log_evidence - below.log_evidence
-
-
 def _propulsion(selection: Selection) -> str:
     """The chosen model against the same without gain, and with one number for it."""
-    evidence = selection.row(selection.chosen).log_evidence
     gain, matrix = (
-        evidence - selection.row(like(base, selection.system).name).log_evidence
+        selection.evidence(selection.chosen)
+        - selection.evidence(like(base, selection.system).name)
         for base in (drift_only(), scalar_gain())
     )
     return (
@@ -291,14 +239,12 @@ def _propulsion(selection: Selection) -> str:
 
 
 def _response(selection: Selection, estimates: dict[str, Estimate]) -> str:
-    linear = selection.row(gain_matrix().name).log_evidence
+    linear = selection.evidence(gain_matrix().name)
     chosen = response_name(selection.system.swimmer)
     if chosen == "linear":
         return "Saturation in frequency: not supported; the speed is linear in it."
-    row = selection.row(with_response(gain_matrix(), chosen).name)
-    text = (
-        f"Loss of gain with frequency ({chosen}): {_words(row.log_evidence - linear)}"
-    )
+    difference = selection.evidence(with_response(gain_matrix(), chosen).name) - linear
+    text = f"Loss of gain with frequency ({chosen}): {_words(difference)}"
     if "corner" in estimates:
         corner = estimates["corner"]
         low, high = positive_interval(corner)
@@ -354,12 +300,17 @@ def _restoring(selection: Selection) -> str:
 
 
 def _gain(selection: Selection, label: str, meaning: str) -> str:
-    names = [r.name for r in selection.rows if r.name.endswith(f"+ {label}")]
-    if not names:
+    rows = [row for row in selection.rows if row.name.endswith(f"+ {label}")]
+    if not rows:
         return ""
-    if selection.row(names[0]).reason:
-        return f"{meaning.capitalize()}: not fitted, {selection.row(names[0]).reason}."
-    difference = _difference(selection, names[0])
+    row = rows[0]
+    if row.reason:
+        return f"{meaning.capitalize()}: not fitted, {row.reason}."
+    below = max(
+        (r for r in selection.rows if row.name.startswith(f"{r.name} + ")),
+        key=lambda r: len(r.name),
+    )
+    difference = row.log_evidence - below.log_evidence
     return f"{meaning[0].upper()}{meaning[1:]}: {_words(difference)}."
 
 

@@ -1,7 +1,7 @@
 """`fit_track`: one candidate on one track, with evidence and intervals."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -13,6 +13,7 @@ from pinav.errors import FitError
 from pinav.fitting import EvidenceFit, Hyperparameters, LinearFit, Outcome
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import NoWeights
+from pinav.identification.drive import fitted_coordinates, is_open
 from pinav.identification.estimates import (
     constants_of,
     learned_numbers,
@@ -22,7 +23,6 @@ from pinav.identification.likelihood import (
     CommandedPath,
     Design,
     Field,
-    commanded_path,
     value_and_slope,
 )
 from pinav.identification.parameters import (
@@ -30,17 +30,14 @@ from pinav.identification.parameters import (
     CORNER,
     DELAY,
     DRIFT,
-    DRIVE,
     GAIN,
     LAG,
-    PLACES,
     RESIDUAL,
     Coordinates,
     Parameter,
     Prior,
-    fitted_coordinates,
-    learned_parameters,
-    stated_coordinates,
+    learned_noise,
+    stated_noise,
 )
 from pinav.identification.tracks import Blocks, Track
 from pinav.systems import System
@@ -50,18 +47,10 @@ def fit_track(
     track: Track,
     system: System,
     *,
-    prior: Prior | None = None,
     start: EvidenceFit | None = None,
     wandering_gain: bool = False,
 ) -> EvidenceFit:
     """Maximise the posterior of a candidate and integrate it.
-
-    Args:
-        track: positions and commands that are fitted.
-        system: candidate, whose `learn` says what is open.
-        prior: prior of all coordinates; `Prior.of(track)` unless given.
-        start: fit of a simpler candidate to the same track, where the search begins.
-        wandering_gain: learn a gain that wanders, too.
 
     Returns:
         The swimmer, its posterior and the log evidence, the nonlinear parameters
@@ -70,11 +59,10 @@ def fit_track(
     Raises:
         FitError: the likelihood is not finite at any start.
     """
-    prior = Prior.of(track) if prior is None else prior
     with jax.enable_x64(new_val=True):
-        learned = learned_parameters(system, wandering_gain=wandering_gain)
         design = Design.of(system, Blocks.of(track))
-        search = CandidateSearch(design, learned, prior, stated_coordinates(system))
+        prior = Prior.of(track, design.parameters)
+        search = CandidateSearch(system, design, prior, wandering_gain=wandering_gain)
         # Starts that coincide are searched once.
         begins = np.unique(search.begins(start), axis=0)
         sizes = search.sizes(start)
@@ -99,13 +87,16 @@ WHITE = ("wandering.memory", BLOCK_NOISE)
 """Noise that is small where the velocity of a track is nearly white."""
 
 
+def stated_coordinates(system: System, design: Design) -> Coordinates:
+    """Coordinates that a system states; NaN for noise of which it says nothing."""
+    drive: Any = system.swimmer
+    return np.concatenate([design.drive.coordinates(drive), stated_noise(system)])
+
+
 class CandidateSearch:
     """The posterior of the nonlinear parameters of a system, by Laplace's method.
 
     Attributes:
-        design: the track, as the system sees it.
-        learned: parameters that are open.
-        prior: prior of all coordinates.
         base: coordinates of those that are not open.
         field: displacements by a field whose weights have unit prior variances.
         evaluations: number of evaluations of the likelihood so far.
@@ -113,19 +104,24 @@ class CandidateSearch:
 
     def __init__(
         self,
+        system: System,
         design: Design,
-        learned: Sequence[Parameter],
         prior: Prior,
-        stated: Coordinates,
-        field: Field | None = None,
+        *,
+        wandering_gain: bool = False,
     ) -> None:
-        self.design, self.learned, self.prior = design, learned, prior
-        self.field = field
-        self.places = np.array([PLACES[parameter.path] for parameter in learned])
+        self.design, self.prior = design, prior
+        self.learned = [p for p in design.drive.parameters if is_open(system, p.path)]
+        self.learned += learned_noise(system, wandering_gain=wandering_gain)
+        paths = [parameter.path for parameter in design.parameters]
+        self.place = {path: place for place, path in enumerate(paths)}
+        self.places = np.array([self.place[p.path] for p in self.learned])
         # What is stated and not open stays as it is stated, noise not stated does not.
+        stated = stated_coordinates(system, design)
         self.base = np.where(np.isfinite(stated), stated, prior.mean)
         self.evaluations = 0
-        self.known, self.known_field = {}, field
+        self.field: Field | None = None
+        self.known, self.known_field = {}, self.field
         self.latest: tuple[bytes, CommandedPath] | None = None
 
     def begins(self, start: EvidenceFit | None) -> list[np.ndarray]:
@@ -138,14 +134,14 @@ class CandidateSearch:
         theta = self.theta(self.prior.mean[self.places])
         known = set() if start is None else {p.path for p in self._shared(start)}
         if start is not None:
-            shared = [PLACES[path] for path in known]
+            shared = [self.place[path] for path in known]
             theta[shared] = fitted_coordinates(start)[shared]
         several = [theta]
         if start is None:
-            white, noise = theta.copy(), [PLACES[path] for path in WHITE]
+            white, noise = theta.copy(), [self.place[path] for path in WHITE]
             white[noise] -= 2 * self.prior.sd[noise]
             several.append(white)
-        delay = PLACES[DELAY]
+        delay = self.place.get(DELAY)
         if delay in self.places and DELAY not in known:
             several = [
                 np.where(np.arange(len(one)) == delay, late, one)
@@ -167,7 +163,7 @@ class CandidateSearch:
         if start is not None:
             coordinates = fitted_coordinates(start)
             for parameter in self._shared(start):
-                place = PLACES[parameter.path]
+                place = self.place[parameter.path]
                 slope = parameter.scale.slope(coordinates[place])
                 sizes[place] = start.constants[parameter.path].sd / slope
         return sizes[self.places]
@@ -217,18 +213,19 @@ class CandidateSearch:
         if key not in self.known:
             self.evaluations += 1
             theta = self.theta(learned)
-            path = self._commanded_path(theta[: len(DRIVE)])
+            path = self._commanded_path(theta[: len(self.design.drive.parameters)])
             self.known[key] = value_and_slope(
                 theta, path, self.design.still, self.field
             )
         return self.known[key]
 
-    def _commanded_path(self, drive: Float[np.ndarray, "4"]) -> CommandedPath:
+    def _commanded_path(
+        self, coordinates: Float[np.ndarray, " parameter"]
+    ) -> CommandedPath:
         """The path at a point, kept for the next one: the noise alone may differ."""
-        key = drive.tobytes()
+        key = coordinates.tobytes()
         if self.latest is None or self.latest[0] != key:
-            design = self.design
-            self.latest = key, commanded_path(drive, design.blocks, design.response)
+            self.latest = key, self.design.commanded_path(coordinates)
         return self.latest[1]
 
     def descend(
@@ -236,12 +233,7 @@ class CandidateSearch:
         begin: Float[np.ndarray, " learned"],
         sizes: Float[np.ndarray, " learned"] | None = None,
     ) -> tuple[Float[np.ndarray, " learned"], float]:
-        """The nearest maximum of the posterior, and minus its logarithm.
-
-        Args:
-            begin: where the search begins.
-            sizes: units of the search; the prior's deviations unless given.
-        """
+        """The nearest maximum of the posterior, and minus its logarithm."""
         units = self.prior.sd[self.places] if sizes is None else sizes
         bounds = self.prior.bounds()[self.places]
         low, high = bounds.T

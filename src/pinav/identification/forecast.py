@@ -11,10 +11,11 @@ from jaxtyping import Array, Complex, Float
 from pinav.actuation import HeldProgramme
 from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting import EvidenceFit
-from pinav.identification.candidates import (
-    SwitchedResponse,
+from pinav.identification.drive import (
+    RollingDrive,
+    fitted_coordinates,
     gain_basis,
-    response_place,
+    rolling_coordinates,
 )
 from pinav.identification.estimates import drift_of, entries, gain_of
 from pinav.identification.kalman import (
@@ -25,14 +26,7 @@ from pinav.identification.kalman import (
     transitions,
 )
 from pinav.identification.likelihood import disturbance_of
-from pinav.identification.parameters import (
-    DRIFT,
-    DRIVE,
-    GAIN,
-    PLACES,
-    drive_coordinates,
-    fitted_coordinates,
-)
+from pinav.identification.parameters import DRIFT, GAIN, ROLLING, Coordinates
 from pinav.identification.tracks import Track, commands_of, round_up_to
 from pinav.trajectories import Trajectory
 
@@ -63,29 +57,19 @@ on, since a program takes longer to compile than to run on twice the samples."""
 
 
 def cycles(
-    swimmer: OverdampedSwimmer, piece: Trajectory
+    swimmer: OverdampedSwimmer,
+    piece: Trajectory,
+    coordinates: Coordinates | None = None,
 ) -> Float[np.ndarray, "time 2"]:
-    """Integral of the delayed response along the heading."""
-    return _cycles_at(drive_coordinates(swimmer), swimmer, piece)
-
-
-def _cycles_at(
-    drive: Float[np.ndarray, "4"], swimmer: OverdampedSwimmer, piece: Trajectory
-) -> Float[np.ndarray, "time 2"]:
-    """The same with the drive at other coordinates."""
+    """Integral of the delayed response of a rolling swimmer along the heading."""
+    at = rolling_coordinates(swimmer) if coordinates is None else coordinates
     with jax.enable_x64(new_val=True):
         # The response is chosen by its place, in one compiled program for all of them.
-        index = jnp.asarray(response_place(swimmer))
-        integral = _cycles(programme_of(piece), index, jnp.asarray(drive))
+        drive = RollingDrive.of(swimmer)
+        integral = eqx.filter_jit(RollingDrive.cycles)(
+            drive, jnp.asarray(at), programme_of(piece)
+        )
     return np.asarray(integral)[: len(piece.times)]
-
-
-@eqx.filter_jit
-def _cycles(programme: HeldProgramme, index: Array, drive: Array) -> Array:
-    corner, residual, delay, lag = drive
-    response = SwitchedResponse(index, corner, residual)
-    times = programme.times - delay
-    return programme.lagged_integral(response, times, jnp.exp(lag))
 
 
 def path_of(swimmer: OverdampedSwimmer) -> Displacement:
@@ -168,14 +152,11 @@ class Forecast(eqx.Module):
     """A model's path through a segment, with what is uncertain about it.
 
     Attributes:
-        piece: segment that is predicted.
         path: displacement from its first sample [L].
         slopes: derivatives of the displacement by gain, drift and drive.
-        covariance: covariance of those unknowns.
         beyond: standard deviation of the displacement that another form of the
             response would add above the frequencies that were fitted [L].
         frame: variance of a single frame about the mean path [L²].
-        disturbance: the noise.
         turned: integral of the response along the heading, x + iy [cycles].
     """
 
@@ -226,7 +207,7 @@ def _wandering_variances(
     intervals: Array, frequency: Array, turned: Array, disturbance: Disturbance
 ) -> Array:
     """Variance of the way after each interval, velocities and gain unknown at first."""
-    strength = disturbance.strength(frequency)
+    strength = disturbance.wandering.strength(frequency)
     steps = transitions(intervals, strength, disturbance, turned)
 
     def step(state: State, inputs: tuple[Array, Array]) -> tuple[State, Array]:
@@ -242,8 +223,6 @@ class Predictor(eqx.Module):
     """A fitted swimmer, and all else from the training part that its bands need.
 
     Attributes:
-        fit: swimmer with its posterior and its noise.
-        jitter: scatter of single frames.
         fastest: highest frequency that was commanded while it was fitted [Hz].
         wandering: the same swimmer fitted beside a gain that wanders, where the
             evidence prefers that; bands are those of this fit about the path of the
@@ -283,14 +262,13 @@ class Predictor(eqx.Module):
         """Slopes of a displacement by each unknown, and the covariance of these."""
         known, swimmer = self.wandering or self.fit, self.fit.model
         columns, places = [], []
-        drive = drive_coordinates(swimmer)
+        drive = rolling_coordinates(swimmer)
         turned = cycles(swimmer, piece)
-        for parameter in DRIVE:
+        for place, parameter in enumerate(ROLLING):
             if parameter.path in known.constants:
-                place = PLACES[parameter.path]
                 # A forward difference is enough: a band needs its slope to per milles.
                 moved = drive + STEP * (np.arange(len(drive)) == place)
-                slope = (_cycles_at(moved, swimmer, piece) - turned) / STEP
+                slope = (cycles(swimmer, piece, moved) - turned) / STEP
                 slope = slope @ gain_of(swimmer).T
                 slope = slope / parameter.scale.slope(drive[place])
                 columns.append(slope[:, :, None])

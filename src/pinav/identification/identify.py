@@ -52,18 +52,14 @@ class IdentifiedTrack:
     """The results of one track.
 
     Attributes:
-        name: run and particle.
         duration: observed time [T].
         reason: why it was not fitted; empty where it was.
-        chosen: name of the candidate that the evidence chose.
         rows: all candidates and baselines.
         gain: gain matrix [L per cycle]; none without a propulsion.
         estimates: numbers of the chosen candidate, fitted to the whole track; their
             names and units are those of `QUANTITIES`.
         coverage: coverage of its bands on the held-out part.
-        findings: sentences on what the track supports.
         delay: delay and heading offset; none where nothing was commanded.
-        seconds: duration of all fits [s].
         system_file: the swimmer that was found, as a file of a system holds it.
         paths: some rollouts of the held-out part, where figures show the track.
         image_paths: the same in pixels of the image; none where there was none.
@@ -106,7 +102,6 @@ class Identification:
         units: unit of positions, x, and of time, t.
         system: name of the track whose swimmer is the one of the recording; none
             where no track was fitted.
-        tracks: results of each track.
         summary: medians over tracks of each candidate and baseline, by its label; the
             log evidence is summed.
         remarks: how the recording was read, and what looks odd about it.

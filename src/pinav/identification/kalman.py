@@ -15,51 +15,35 @@ References:
     E 54, 2084 (1996), the exact integrated Ornstein-Uhlenbeck process.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
+
+from pinav.arguments import Scalar
+from pinav.systems import WanderingVelocity
 
 
 class Disturbance(eqx.Module):
     r"""Noise of a track.
 
     Attributes:
-        still: standard deviation of the quick velocity without drive [L T⁻¹].
-        driven: growth, $\sigma^2 = \mathrm{still}^2 + \mathrm{driven}^2 \sqrt f$.
-        memory: correlation time of the quick velocity [T].
-        slow: standard deviation of the slow velocity [L T⁻¹].
-        slow_memory: correlation time of the slow velocity [T].
+        wandering: the quick velocity, whose strength grows with the drive, and the
+            slow one.
         gain_wander: standard deviation of either part of $\gamma g$ [L per cycle].
         gain_memory: correlation time of that gain [T].
-        noise: standard deviation of the mean position of a block [L].
     """
 
-    still: Float[Array, ""]
-    driven: Float[Array, ""]
-    memory: Float[Array, ""]
-    slow: Float[Array, ""]
-    slow_memory: Float[Array, ""]
+    wandering: WanderingVelocity
     gain_wander: Float[Array, ""]
     gain_memory: Float[Array, ""]
     noise: Float[Array, ""]
 
-    def strength(self, frequency: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        r"""$\sigma$ at these frequencies."""
-        rolling = frequency > 0
-        # The inner choice keeps the root away from 0, where its slope is infinite: the
-        # outer choice alone would make NaN of the gradient.
-        root = jnp.sqrt(jnp.where(rolling, frequency, 1.0))
-        return jnp.sqrt(self.still**2 + self.driven**2 * jnp.where(rolling, root, 0.0))
-
 
 class Transition(eqx.Module):
-    """From one block to the next: state (p, z, u, g).
-
-    Attributes:
-        matrix: matrix of the mean.
-        noise: covariance that is added.
-    """
+    """From one block to the next: state (p, z, u, g), and the covariance it gains."""
 
     matrix: Complex[Array, "*step 4 4"]
     noise: Float[Array, "*step 4 4"]
@@ -76,14 +60,14 @@ def transitions(
     They are exact but for the gain, whose memory is long against an interval.
 
     Args:
-        intervals: between two times.
+        intervals: between two times [T].
         strength: standard deviation of the quick velocity in each [L T⁻¹].
-        disturbance: memories, the slow velocity and the wandering gain.
+        disturbance: noise of the track.
         cycles: turns of the robot in each, along its heading.
     """
-    slow = jnp.broadcast_to(disturbance.slow, strength.shape)
-    quick = _integrate(intervals, disturbance.memory, strength)
-    drift = _integrate(intervals, disturbance.slow_memory, slow)
+    slow = jnp.broadcast_to(disturbance.wandering.slow, strength.shape)
+    quick = _integrate(intervals, disturbance.wandering.memory, strength)
+    drift = _integrate(intervals, disturbance.wandering.slow_memory, slow)
     ratio = intervals / disturbance.gain_memory
     zero, one = jnp.zeros_like(intervals), jnp.ones_like(intervals)
     matrix = [
@@ -108,21 +92,36 @@ def _stack(rows: list[list[Array]]) -> Array:
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _integrate(interval: Array, memory: Array, strength: Array) -> tuple[Array, ...]:
+def _integrate(interval: Array, memory: Scalar, strength: Array) -> tuple[Array, ...]:
     """Reach and decay of one process of variance 1, and three covariances."""
-    ratio = interval / memory
-    decay = jnp.exp(-ratio)
-    # 1 - exp(-ratio) without loss of digits where an interval is short.
-    reach = memory * -jnp.expm1(-ratio)
-    spread = 2 * ratio - 3 + 4 * decay - decay**2
-    spread = jnp.where(ratio < SMALL, 2 * ratio**3 / 3, spread)  # cancellation
+    lost, decay, spread, fresh = ornstein_uhlenbeck(interval / memory)
     return (
-        strength * reach,
+        strength * (memory * lost),
         decay,
         strength**2 * memory**2 * spread,
-        strength * memory * jnp.expm1(-ratio) ** 2,
-        -jnp.expm1(-2 * ratio),
+        strength * memory * lost**2,
+        fresh,
     )
+
+
+def ornstein_uhlenbeck(ratio: Any, xp: Any = jnp) -> tuple[Any, Any, Any, Any]:
+    r"""An Ornstein-Uhlenbeck velocity of variance 1 after a time, exactly.
+
+    Args:
+        ratio: the time over the memory T.
+        xp: `numpy` for arrays of NumPy.
+
+    Returns:
+        $1 - e^{-r}$, which is the way by a velocity at the beginning in units of T;
+        $e^{-r}$; the variance that the way gains, in units of T²; and what the
+        velocity gains. The covariance of both is the square of the first, times T.
+    """
+    decay = xp.exp(-ratio)
+    # 1 - exp(-ratio) without loss of digits where an interval is short.
+    lost = -xp.expm1(-ratio)
+    spread = 2 * ratio - 3 + 4 * decay - decay**2
+    spread = xp.where(ratio < SMALL, 2 * ratio**3 / 3, spread)  # cancellation
+    return lost, decay, spread, -xp.expm1(-2 * ratio)
 
 
 SMALL = 1e-3
@@ -154,7 +153,7 @@ def innovations(
         columns: observed positions and regressors at each block, x + iy.
         present: 1 for a block, 0 for padding, which comes last.
         begins: 1 for the first block of a segment.
-        transition: transition from each block to the next.
+        transition: from each block to the next.
         noise: standard deviation of an observed coordinate.
     """
 

@@ -7,6 +7,7 @@ n innovations, k coefficients whose priors hold the information of one observati
 normal priors of the nonlinear parameters $\theta$.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -14,14 +15,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float, Int
+from jaxtyping import Array, Complex, Float
 
-from pinav.actuation import HeldProgramme
-from pinav.identification.candidates import (
-    SwitchedResponse,
-    linear_basis,
-    response_place,
-)
+from pinav.identification.drive import AbstractDrive, drift_basis, drive_of
 from pinav.identification.kalman import (
     Disturbance,
     Innovations,
@@ -29,20 +25,25 @@ from pinav.identification.kalman import (
     innovations,
     transitions,
 )
-from pinav.identification.parameters import BLOCK_NOISE, DRIVE, PLACES
+from pinav.identification.parameters import (
+    BLOCK_NOISE,
+    DISTURBANCE,
+    NOISE_PLACES,
+    Parameter,
+)
 from pinav.identification.tracks import Blocks
-from pinav.systems import System
+from pinav.systems import System, WanderingVelocity
 
 
 def disturbance_of(theta: Float[Array, " parameter"]) -> Disturbance:
     """The noise at these coordinates."""
-    number = {path: jnp.exp(theta[place]) for path, place in PLACES.items()}
+    number = {path: jnp.exp(theta[place]) for path, place in NOISE_PLACES.items()}
+    wandering = {
+        field.name: number[f"wandering.{field.name}"]
+        for field in dataclasses.fields(WanderingVelocity)
+    }
     return Disturbance(
-        still=number["wandering.still"],
-        driven=number["wandering.driven"],
-        memory=number["wandering.memory"],
-        slow=number["wandering.slow"],
-        slow_memory=number["wandering.slow_memory"],
+        WanderingVelocity(**wandering),
         gain_wander=number["wander of the gain"],
         gain_memory=number["memory of the gain"],
         noise=number[BLOCK_NOISE],
@@ -63,8 +64,6 @@ class Drive(eqx.Module):
     """Motion of the blocks of a track, as far as the noise depends on it.
 
     Attributes:
-        times: mean of each block [T].
-        frequency: commanded [T⁻¹].
         cycles: integral of the response along the heading, x + iy.
     """
 
@@ -89,7 +88,7 @@ def transitions_of(
     """From each block to the next; `within` is 1 for the steps within a segment."""
     # Between segments any positive step does: the filter begins anew there.
     steps = jnp.where(within > 0, jnp.diff(drive.times), 1.0)
-    strength = disturbance.strength(rolling_about(drive.frequency))
+    strength = disturbance.wandering.strength(rolling_about(drive.frequency))
     return transitions(steps, strength, disturbance, jnp.diff(drive.cycles))
 
 
@@ -121,10 +120,7 @@ class Regressors(NamedTuple):
 
     Attributes:
         times: since the first sample [T]; zero in padding, as all of these.
-        positions: observed [L].
-        frequency: commanded [T⁻¹].
         cycles: integral of the response along the heading, delayed and lagged.
-        counts: samples in each block.
         begins: 1 where a segment begins with the block.
         gains: gain matrix by each number of an open gain, zero where absent.
         drifts: drift by each number of an open drift, zero where absent.
@@ -155,34 +151,27 @@ class Regressors(NamedTuple):
 
 
 class CommandedPath(NamedTuple):
-    """The path that the commands ask for, with its derivatives.
-
-    Attributes:
-        cycles: mean of each block.
-        slopes: derivatives by the coordinates of `DRIVE`.
-    """
+    """The path that the commands ask for, with its derivatives."""
 
     cycles: Float[Array, "block 2"]
-    slopes: Float[Array, "block 2 4"]
+    slopes: Float[Array, "block 2 parameter"]
 
 
 class Design(eqx.Module):
     """A track as a candidate sees it, as arrays.
 
     Attributes:
-        blocks: the track.
         still: the regressors before the commands move anything.
-        response: place in `RESPONSES`.
     """
 
     blocks: Blocks
     still: Regressors
-    response: Int[Array, ""]
+    drive: AbstractDrive
 
     @classmethod
     def of(cls, system: System, blocks: Blocks) -> "Design":
         """The design of the gain and drift that a system leaves open."""
-        gains, drifts = linear_basis(system)
+        drive = drive_of(system)
         elapsed = (blocks.times - blocks.times[0])[:, None]
         samples = [elapsed, blocks.positions, blocks.frequency[:, None]]
         means = jnp.asarray(blocks.means(np.concatenate(samples, axis=1)))
@@ -193,30 +182,41 @@ class Design(eqx.Module):
             cycles=jnp.zeros_like(means[:, 1:3]),
             counts=jnp.asarray(blocks.counts),
             begins=jnp.asarray(blocks.begins),
-            gains=jnp.asarray(gains),
-            drifts=jnp.asarray(drifts),
+            gains=jnp.asarray(drive.gains(system)),
+            drifts=jnp.asarray(drift_basis(system)),
         )
-        index = jnp.asarray(response_place(system.swimmer))
-        return cls(jax.tree.map(jnp.asarray, blocks), still, index)
+        return cls(jax.tree.map(jnp.asarray, blocks), still, drive)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All nonlinear parameters, in the order of their vector."""
+        return (*self.drive.parameters, *DISTURBANCE)
+
+    def commanded_path(
+        self, theta: Float[Array | np.ndarray, " parameter"]
+    ) -> CommandedPath:
+        """The path at these parameters, those of the noise left out or not."""
+        return _commanded_path(
+            theta[: len(self.drive.parameters)], self.blocks, self.drive
+        )
 
     def regressors(self, theta: Float[Array, " parameter"]) -> Regressors:
         """All regressors at these parameters of the response."""
-        drive = theta[: len(DRIVE)]
-        path = commanded_path(drive, self.blocks, self.response)
-        return self.still._replace(cycles=path.cycles)
+        return self.still._replace(cycles=self.commanded_path(theta).cycles)
 
 
-@jax.jit
-def commanded_path(
-    drive: Float[Array | np.ndarray, "4"], blocks: Blocks, response: Int[Array, ""]
+@eqx.filter_jit
+def _commanded_path(
+    coordinates: Float[Array | np.ndarray, " parameter"],
+    blocks: Blocks,
+    drive: AbstractDrive,
 ) -> CommandedPath:
-    """The path at these coordinates of `DRIVE`."""
+    def cycles(coordinates: Array) -> Float[Array, "block 2"]:
+        return block_means(drive.displacements(coordinates, blocks), blocks)
 
-    def cycles(drive: Array) -> Float[Array, "block 2"]:
-        return block_means(displacements(drive, blocks, response), blocks)
-
-    value, push = jax.linearize(cycles, jnp.asarray(drive))
-    return CommandedPath(value, jax.vmap(push, out_axes=-1)(jnp.eye(len(drive))))
+    value, push = jax.linearize(cycles, jnp.asarray(coordinates))
+    slopes = jax.vmap(push, out_axes=-1)(jnp.eye(len(coordinates)))
+    return CommandedPath(value, slopes)
 
 
 class Field(eqx.Module):
@@ -259,7 +259,6 @@ class Whitened(eqx.Module):
     Attributes:
         rows: columns of gains and then drifts; zero where absent.
         field: columns of the weights of a field.
-        target: observed positions, x above y.
         log_variance: sum over the innovations of one axis.
         count: number of innovations of one axis.
     """
@@ -294,20 +293,6 @@ class Whitened(eqx.Module):
     def coefficients(self) -> tuple[Float[Array, " coefficient"], Float[Array, "k k"]]:
         """Best coefficients and their information."""
         return self.solve(self.rows.T @ self.target), self.information
-
-
-def displacements(
-    drive: Float[Array, "4"], blocks: Blocks, response: Int[Array, ""]
-) -> Float[Array, "sample 2"]:
-    """Integral of the response along the heading, delayed and lagged [cycles].
-
-    A candidate without a lag has one that is too short to matter: one program for all.
-    """
-    corner, residual, delay, lag = drive
-    along: Any = blocks  # as JAX arrays
-    programme = HeldProgramme(along.times, along.frequency, along.heading)
-    switched = SwitchedResponse(response, corner, residual)
-    return programme.lagged_integral(switched, along.times - delay, jnp.exp(lag))
 
 
 def block_means(values: Array, blocks: Blocks) -> Array:
@@ -366,11 +351,6 @@ def evidence_and_coefficients(
     Weights of a field, of unit prior variance each, are integrated out: once the
     coefficients are projected out, the whitened targets y have the covariance
     $1 + A A^\top$.
-
-    Args:
-        theta: nonlinear parameters.
-        regressors: those of the candidate, moved by its commands.
-        field: displacements by a field; none unless given.
 
     Returns:
         It, and the best coefficients with their information, a field left out.

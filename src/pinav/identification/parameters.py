@@ -1,20 +1,19 @@
-"""Numbers in which a path is not linear: the drive of a swimmer, and its noise.
+"""Numbers in which a path is not linear: those of the drive, and of the noise.
 
 A search moves their coordinates: logarithms of positive numbers, the logit of a part.
-All have a place in one vector, those that a swimmer has not too, so that one compiled
-likelihood serves all systems.
+All have a place in one vector, those of the drive first; those of the noise that a
+system has not have a place too, so that one compiled likelihood serves all systems.
 """
 
 import enum
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.fitting import EvidenceFit
-from pinav.forces import RollingPropulsion
 from pinav.identification.tracks import Track
 from pinav.systems import System
 
@@ -50,149 +49,196 @@ class Scale(enum.Enum):
 
 
 class Parameter(NamedTuple):
-    """One of these numbers.
+    """A number that is estimated.
 
     Attributes:
         path: place in a swimmer; of the noise, its name among the constants of a fit.
         name: name among the estimates of a track.
+        dimension: as of `pinav.arguments.dimension`.
+        meaning: a phrase; empty where the title says all.
         scale: coordinate in which a search moves it.
-        absent: coordinate where a system has not this number.
+        absent: coordinate where a system has not this number; NaN where each has one.
+        title: name in tables; its name unless given.
+        prior: mean and standard deviation of its coordinate; those of `Prior.of`
+            unless given.
     """
 
     path: str
     name: str
+    dimension: str = "?"
+    meaning: str = ""
     scale: Scale = Scale.LOG
     absent: float = math.nan
+    title: str = ""
+    prior: tuple[float, float] | None = None
 
 
 NONE = math.log(1e-9)
 """Coordinate of a strength, or of a lag, that is none."""
+
+GAIN, DRIFT = "propulsion.gain", "flow.velocity"
+"""Paths of the numbers in which displacements are linear."""
 
 CORNER, RESIDUAL = "propulsion.response.corner", "propulsion.response.residual"
 DELAY, LAG = "propulsion.delay", "propulsion.lag"
 BLOCK_NOISE = "noise of a block"
 """Name of the standard deviation of a block's mean position."""
 
-DRIVE = (
-    Parameter(CORNER, "corner", absent=0.0),
-    Parameter(RESIDUAL, "residual", Scale.LOGIT, 0.0),
-    Parameter(DELAY, "delay", Scale.PLAIN, 0.0),
-    Parameter(LAG, "lag", absent=NONE),
+ROLLING = (
+    Parameter(
+        *(CORNER, "corner", "Hz", "where the gain begins to fall"),
+        title="corner frequency",
+        absent=0.0,
+    ),
+    Parameter(
+        *(
+            RESIDUAL,
+            "residual",
+            "1",
+            "part that remains far above the corner frequency",
+        ),
+        *(Scale.LOGIT, 0.0, "residual gain"),
+    ),
+    Parameter(DELAY, "delay", "T", "from a command to its effect", Scale.PLAIN, 0.0),
+    Parameter(
+        *(LAG, "lag", "T", "time constant with which the motion follows the command"),
+        absent=NONE,
+    ),
 )
-"""Numbers of the propulsion, the first of all."""
+"""Numbers of a rolling propulsion."""
 
+MEMORY = "its correlation time"
 NOISE = (
-    Parameter("wandering.still", "still"),
-    Parameter("wandering.driven", "driven"),
-    Parameter("wandering.memory", "memory"),
-    Parameter(BLOCK_NOISE, "noise"),
+    Parameter(
+        *("wandering.still", "still", "L T-1"),
+        "standard deviation of the wandering velocity",
+        title="wandering without a command",
+    ),
+    Parameter(
+        *("wandering.driven", "driven", "L T-1"),
+        "what a command of 1 Hz adds to it, in quadrature",
+        title="wandering under a command",
+    ),
+    Parameter(
+        *("wandering.memory", "memory", "T", MEMORY), title="memory of the wandering"
+    ),
+    Parameter(
+        *(BLOCK_NOISE, "noise", "L", "of the mean position of a block of time"),
+        title="position error",
+    ),
 )
 """Numbers of the noise, which are learned in every fit."""
 
 SLOW_DRIFT = (
-    Parameter("wandering.slow", "slow", absent=NONE),
-    Parameter("wandering.slow_memory", "slow memory", absent=math.log(60.0)),
+    Parameter(
+        *("wandering.slow", "slow", "L T-1", "standard deviation of its velocity"),
+        title="changing drift",
+        absent=NONE,
+    ),
+    Parameter(
+        *("wandering.slow_memory", "slow memory", "T", MEMORY),
+        title="memory of the changing drift",
+        absent=math.log(60.0),
+    ),
 )
 """Numbers of a drift that changes."""
 
 WANDERING_GAIN = (
-    Parameter("wander of the gain", "gain wander", absent=NONE),
-    Parameter("memory of the gain", "gain memory", absent=math.log(60.0)),
+    Parameter(
+        *("wander of the gain", "gain wander", "L"),
+        "its standard deviation, along the heading and across",
+        title="wandering of the gain",
+        absent=NONE,
+    ),
+    Parameter(
+        *("memory of the gain", "gain memory", "T", MEMORY),
+        title="memory of the gain",
+        absent=math.log(60.0),
+    ),
 )
 """Numbers of a gain that wanders."""
 
-PARAMETERS = (*DRIVE, *NOISE, *SLOW_DRIFT, *WANDERING_GAIN)
-"""All of them, in the order of their vector."""
+DISTURBANCE = (*NOISE, *SLOW_DRIFT, *WANDERING_GAIN)
+"""All numbers of the noise, the last of the vector in this order."""
 
-PLACES = {parameter.path: place for place, parameter in enumerate(PARAMETERS)}
-"""Place of each in the vector, by its path."""
+NOISE_PLACES = {p.path: i - len(DISTURBANCE) for i, p in enumerate(DISTURBANCE)}
+"""Place of each, counted from the end."""
 
-GAIN, DRIFT = "propulsion.gain", "flow.velocity"
-"""Paths of the numbers in which displacements are linear."""
+TURN = "angle from the commanded heading to the motion"
+ABOUT_GAIN = (
+    Parameter(GAIN, "gain", "L", "displacement per turn of the field", Scale.PLAIN),
+    Parameter(GAIN, "gain x/y", "1", "ratio of the gains along both axes", Scale.PLAIN),
+    Parameter(GAIN, "heading offset", "rad", TURN, Scale.PLAIN),
+)
+"""Numbers that a gain matrix gives."""
+
+DRIFTS = tuple(
+    Parameter(DRIFT, f"drift {axis}", "L T-1", scale=Scale.PLAIN) for axis in "xy"
+)
+
+PARAMETERS = (*ROLLING, *DISTURBANCE)
+"""All parameters of a robot that rolls, in the order of their vector."""
+
+ESTIMATED = {p.name: p for p in (*ABOUT_GAIN, *DRIFTS, *PARAMETERS)}
+"""All numbers of a rolling robot, by their names among the estimates."""
 
 Coordinates = Float[np.ndarray, " parameter"]
 """Coordinates of all parameters."""
 
-ABSENT: Coordinates = np.array([parameter.absent for parameter in PARAMETERS])
-"""Coordinates of a system that has none of them; NaN where every system has one."""
 
-
-def learned_parameters(
+def learned_noise(
     system: System, *, wandering_gain: bool = False
 ) -> tuple[Parameter, ...]:
-    """The parameters that a system leaves open, in their order.
-
-    Args:
-        system: `learn` names those of the propulsion; a drift that changes is
-            learned where its wandering velocity has one.
-        wandering_gain: learn a gain that wanders, too.
-    """
-    paths = {number.path for number in system.learn}
+    """The parameters of the noise that a fit of a system learns, in their order."""
     slow = system.wandering is not None and system.wandering.slow > 0
     return (
-        *(parameter for parameter in DRIVE if parameter.path in paths),
         *NOISE,
         *(SLOW_DRIFT if slow else ()),
         *(WANDERING_GAIN if wandering_gain else ()),
     )
 
 
-def drive_coordinates(
-    swimmer: Swimmer | OverdampedSwimmer,
-) -> Float[np.ndarray, "4"]:
-    """Coordinates of the drive of a swimmer, absent ones without a propulsion."""
-    drive = ABSENT[: len(DRIVE)].copy()
-    propulsion = swimmer.propulsion
-    if isinstance(propulsion, RollingPropulsion):
-        drive[PLACES[DELAY]] = float(propulsion.delay)
-        if float(propulsion.lag) > 0:
-            drive[PLACES[LAG]] = math.log(propulsion.lag)
-        for path in (CORNER, RESIDUAL):
-            number = getattr(propulsion.response, path.rpartition(".")[2], None)
-            if number is not None:
-                scale = DRIVE[PLACES[path]].scale
-                drive[PLACES[path]] = scale.coordinate(float(number))
-    return drive
+def stated_noise(system: System) -> Float[np.ndarray, "8"]:
+    """Coordinates of the noise that a system states; NaN where it says nothing.
 
-
-def stated_coordinates(system: System) -> Coordinates:
-    """Coordinates that a system states; NaN for noise of which it says nothing."""
-    coordinates = ABSENT.copy()
-    coordinates[: len(DRIVE)] = drive_coordinates(system.swimmer)
-    numbers = {BLOCK_NOISE: system.observation.noise}
+    A slow drift of 0 is none, while the other strengths are learned in every fit.
+    """
+    numbers: dict[str, float] = {BLOCK_NOISE: float(system.observation.noise)}
     if system.wandering is not None:
         stated = vars(system.wandering)
-        numbers |= {f"wandering.{name}": value for name, value in stated.items()}
-    for path, number in numbers.items():
-        coordinates[PLACES[path]] = Scale.LOG.coordinate(number)
-    return coordinates
+        numbers |= {f"wandering.{name}": float(one) for name, one in stated.items()}
+    return _coordinates(numbers)
 
 
-def fitted_coordinates(fit: EvidenceFit) -> Coordinates:
-    """Coordinates of the swimmer of a fit, and of the noise that it found."""
-    coordinates = ABSENT.copy()
-    coordinates[: len(DRIVE)] = drive_coordinates(fit.model)
-    for parameter in PARAMETERS[len(DRIVE) :]:
-        if parameter.path in fit.constants:
-            number = fit.constants[parameter.path].value
-            coordinates[PLACES[parameter.path]] = parameter.scale.coordinate(number)
+def fitted_noise(fit: EvidenceFit) -> Float[np.ndarray, "8"]:
+    """Coordinates of the noise that a fit found."""
+    return _coordinates({name: one.value for name, one in fit.constants.items()})
+
+
+def _coordinates(numbers: dict[str, float]) -> Float[np.ndarray, "8"]:
+    coordinates = np.array([parameter.absent for parameter in DISTURBANCE])
+    for path in numbers.keys() & NOISE_PLACES.keys():
+        place = NOISE_PLACES[path]
+        coordinate = DISTURBANCE[place].scale.coordinate(numbers[path])
+        if math.isfinite(coordinate):
+            coordinates[place] = coordinate
     return coordinates
 
 
 class Prior(NamedTuple):
-    """Normal priors of all coordinates.
+    """Normal priors of the coordinates of some parameters.
 
     Attributes:
-        mean: their centres.
-        sd: their standard deviations.
+        least: least coordinate that a search may take.
     """
 
     mean: Coordinates
     sd: Coordinates
+    least: Coordinates
 
     @classmethod
-    def of(cls, track: Track) -> "Prior":
-        """Wide priors about the scales of a track.
+    def of(cls, track: Track, parameters: Sequence[Parameter] = PARAMETERS) -> "Prior":
+        """Wide priors about the scales of a track, where a parameter brings none.
 
         Speeds about a tenth of the track's, within a factor of 20 (two sd); the
         corner about the geometric mean of the commanded frequencies, within a factor
@@ -216,8 +262,11 @@ class Prior(NamedTuple):
             "gain wander": (quick - frequency, 1.5),
             "gain memory": (math.log(10.0 * track.width), 1.0),
         }
-        mean, sd = np.array([table[parameter.name] for parameter in PARAMETERS]).T
-        return cls(mean, sd)
+        rows = [one.prior or table[one.name] for one in parameters]
+        # A delay is not negative.
+        least = [0.0 if one.path == DELAY else -math.inf for one in parameters]
+        mean, sd = np.array(rows).T
+        return cls(mean, sd, np.array(least))
 
     def about(self, coordinates: Coordinates) -> "Prior":
         """Priors as wide as these about other centres; its own where they are NaN."""
@@ -225,11 +274,9 @@ class Prior(NamedTuple):
         return self._replace(mean=np.where(stated, coordinates, self.mean))
 
     def bounds(self) -> Float[np.ndarray, "parameter 2"]:
-        """Five standard deviations either way; a delay is not negative."""
-        reach = 5 * self.sd
-        bounds = np.stack([self.mean - reach, self.mean + reach], axis=1)
-        bounds[PLACES[DELAY], 0] = 0.0
-        return bounds
+        """Five standard deviations either way, from the least coordinate on."""
+        low = np.where(np.isfinite(self.least), self.least, self.mean - 5 * self.sd)
+        return np.stack([low, self.mean + 5 * self.sd], axis=1)
 
 
 def _typical_speed(track: Track) -> float:

@@ -20,6 +20,7 @@ from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.engine.problem import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
+from pinav.identification.drive import fitted_coordinates
 from pinav.identification.forecast import path_of
 from pinav.identification.likelihood import (
     Design,
@@ -30,7 +31,6 @@ from pinav.identification.likelihood import (
     path_displacement,
     whiten,
 )
-from pinav.identification.parameters import fitted_coordinates
 from pinav.identification.rollouts import Errors, Rollouts
 from pinav.identification.tracks import Blocks, Track
 from pinav.systems import System
@@ -46,7 +46,6 @@ class ResidualFit(eqx.Module):
     Attributes:
         swimmer: the candidate in the residual velocity field, a force under mobility 1,
             with gain and drift as they are beside it.
-        log_evidence: log evidence of both together.
     """
 
     swimmer: OverdampedSwimmer
@@ -65,14 +64,7 @@ def positions_of(track: Track) -> Trajectories:
 def fit_residual(
     track: Track, system: System, base: EvidenceFit, environment: Any
 ) -> ResidualFit:
-    """Fit the weights of an environment to what a candidate leaves.
-
-    Args:
-        track: positions and commands that are fitted.
-        system: candidate that the residual is added to.
-        base: fit of the candidate to the same track.
-        environment: untrained force of `kernel_environment` or `neural_environment`.
-    """
+    """Fit the weights of an environment to what a candidate leaves."""
     with jax.enable_x64(new_val=True):
         design = _BaseDesign.of(track, system, base)
         linear = environment.is_linear
@@ -103,10 +95,6 @@ class FilteredDisplacement(eqx.Module):
     """Whitened residuals as a function of the environment.
 
     Attributes:
-        theta: parameters of the candidate's filter.
-        blocks: the observed path.
-        drive: commands and cycles of the blocks.
-        target: whitened displacements.
         basis: orthonormal basis of what gain and drift explain; it is projected out.
     """
 
@@ -135,14 +123,7 @@ class FilteredDisplacement(eqx.Module):
 
 
 class _BaseDesign(eqx.Module):
-    """The regressors of a candidate beside the residual field.
-
-    Attributes:
-        rows: whitened regressors that occur.
-        residuals: whitened residuals by the residual field.
-        num_free: whitened displacements less regressors.
-        num_gains: regressors that belong to the gain.
-    """
+    """The regressors of a candidate beside the residual field."""
 
     rows: Float[np.ndarray, "row regressor"]
     residuals: FilteredDisplacement
@@ -191,24 +172,14 @@ class _BaseDesign(eqx.Module):
 
 def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Errors:
     """End-point errors of rollouts in which the residual acts along the way."""
-    displacement = path_of(fit.swimmer)
-    paths = [displacement(piece) for piece in track.pieces]
-    distance, length = [], []
-    for index in range(len(track.pieces)):
+    path_to, distance = path_of(fit.swimmer), [np.zeros(0)]
+    for index, piece in enumerate(track.pieces):
         chosen = np.flatnonzero(rollouts.piece == index)
-        if not len(chosen):
-            continue
-        piece = track.pieces[index]
-        first, last = rollouts.first[chosen], rollouts.last[chosen]
-        ends = _roll_out(fit.swimmer.environment, piece, paths[index], (first, last))
-        distance.append(np.hypot(*(ends - piece.states[last]).T))
-        steps = np.hypot(*np.diff(piece.states, axis=0).T)
-        total = np.concatenate([[0.0], np.cumsum(steps)])
-        length.append(total[last] - total[first])
-    return Errors.of(
-        np.concatenate(distance) if distance else np.zeros(0),
-        np.concatenate(length) if length else np.zeros(0),
-    )
+        if len(chosen):
+            ends = rollouts.first[chosen], rollouts.last[chosen]
+            reached = _roll_out(fit.swimmer.environment, piece, path_to(piece), ends)
+            distance.append(np.hypot(*(reached - piece.states[ends[1]]).T))
+    return Errors.of(np.concatenate(distance), rollouts.lengths(track))
 
 
 def _roll_out(
@@ -223,10 +194,8 @@ def _roll_out(
     index = np.minimum(first[:, None] + np.arange(count + 1), last[:, None])
     steps = np.diff(path[index], axis=1)
     intervals = np.diff(piece.times[index], axis=1)
-    starts = piece.states[first]
-    return np.asarray(
-        _integrate(environment, *map(jnp.asarray, (starts, steps, intervals)))
-    )
+    inputs = map(jnp.asarray, (piece.states[first], steps, intervals))
+    return np.asarray(_integrate(environment, *inputs))
 
 
 @eqx.filter_jit

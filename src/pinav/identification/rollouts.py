@@ -23,13 +23,7 @@ STRIDE = 5.0
 
 
 class Rollouts(eqx.Module):
-    """Rollouts of one horizon over a track, each from an observed position.
-
-    Attributes:
-        piece: segment in which each starts.
-        first: sample at which it starts.
-        last: sample at which it ends.
-    """
+    """Rollouts of one horizon over a track, each from an observed position."""
 
     piece: Int[np.ndarray, " rollout"]
     first: Int[np.ndarray, " rollout"]
@@ -77,7 +71,6 @@ class Errors(eqx.Module):
         relative: median of the distance between predicted and observed end over the
             length of the observed path; NaN without rollouts.
         median: median of that distance [L]; NaN without rollouts.
-        rollouts: number of rollouts.
     """
 
     relative: float
@@ -90,12 +83,7 @@ class Errors(eqx.Module):
         distance: Float[np.ndarray, " rollout"],
         path: Float[np.ndarray, " rollout"],
     ) -> "Errors":
-        """The errors of rollouts.
-
-        Args:
-            distance: between predicted and observed end [L].
-            path: length of the observed path [L].
-        """
+        """The errors of rollouts."""
         if not len(distance):
             return cls(float("nan"), float("nan"), 0)
         relative = float(np.median(distance / np.maximum(path, 1e-12)))
@@ -124,7 +112,6 @@ class Coverage(eqx.Module):
     Attributes:
         inside: share of all coordinates at all samples after the start.
         at_end: the same at the last sample alone.
-        rollouts: their number.
     """
 
     inside: float
@@ -161,12 +148,10 @@ class ErrorGrowth(eqx.Module):
     """End-point errors of rollouts by their length.
 
     Attributes:
-        lengths: lengths of rollouts that fit into the track [s].
         errors: 10 % quantile, median and 90 % quantile over rollouts [L].
         reference: median of another model [L].
         promised: radius within which the model's own bands expect 90 % of the ends,
             median over rollouts [L].
-        rollouts: number of rollouts of each length.
     """
 
     lengths: Float[np.ndarray, " length"]
@@ -179,13 +164,7 @@ class ErrorGrowth(eqx.Module):
     def of(
         cls, track: Track, predictor: Predictor, reference: Displacement
     ) -> "ErrorGrowth":
-        """Errors on a track; rollouts start every `STRIDE` seconds of each segment.
-
-        Args:
-            track: track that the fit has not seen.
-            predictor: fitted swimmer with its bands.
-            reference: displacements of another model.
-        """
+        """Errors on a track; rollouts start every `STRIDE` seconds of each segment."""
         rows = [np.zeros((0, 3, len(LENGTHS)))]
         for piece in track.pieces:
             forecast, other = predictor.forecast(piece), reference(piece)
@@ -232,11 +211,6 @@ def stacking_weight(track: Track, ours: Displacement, theirs: Displacement) -> f
     The ends of rollouts, relative to the length of the path, are fitted by least
     squares. The training part flatters the richer model, and few rollouts say little:
     weights are drawn to one half, which they are without any rollout.
-
-    Args:
-        track: the training part of both.
-        ours: the model whose weight it is.
-        theirs: the other one.
     """
     rollouts = Rollouts.of(track, STACKED_HORIZON)
     other = changes_along(track, rollouts, theirs)
@@ -271,9 +245,6 @@ class ShownRollout(eqx.Module):
     """A rollout on the held-out part of a track, as figures show it.
 
     Attributes:
-        start: time at which it begins [T].
-        observed: observed positions [L].
-        predicted: predicted ones, from the first observed one on [L].
         sd: standard deviation of the predicted end along each axis [L].
     """
 
@@ -284,12 +255,7 @@ class ShownRollout(eqx.Module):
 
 
 class Paths(eqx.Module):
-    """The held-out part of a track, with some rollouts.
-
-    Attributes:
-        whole: observed positions of each segment [L].
-        rollouts: rollouts that are evenly spread over them.
-    """
+    """The held-out part of a track, with some rollouts."""
 
     whole: tuple[Float[np.ndarray, "_ 2"], ...]
     rollouts: tuple[ShownRollout, ...]

@@ -1,5 +1,6 @@
 """Model selection: all candidates on one track, scored on data that none has seen."""
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -20,7 +21,6 @@ from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.forces import KernelForce, KernelPotential, NeuralForce
 from pinav.identification.baselines import least_squares
 from pinav.identification.candidates import (
-    RESPONSES,
     drift_only,
     gain_matrix,
     like,
@@ -29,6 +29,7 @@ from pinav.identification.candidates import (
     with_response,
     with_slow_drift,
 )
+from pinav.identification.drive import RESPONSES
 from pinav.identification.fit import fit_track
 from pinav.identification.forecast import (
     Displacement,
@@ -36,7 +37,7 @@ from pinav.identification.forecast import (
     cache_by_segment,
     path_of,
 )
-from pinav.identification.parameters import DELAY, LAG, Prior
+from pinav.identification.parameters import DELAY, LAG
 from pinav.identification.residual_field import (
     ResidualFit,
     fit_residual,
@@ -69,8 +70,6 @@ class Row(eqx.Module):
     """One line of the table.
 
     Attributes:
-        name: candidate or baseline.
-        log_evidence: log evidence of the training part; NaN for baselines [nats].
         seconds: duration of the fit, compilation included [s].
         errors: errors of held-out rollouts by their length in seconds.
         velocity_r2: share of the held-out velocity's variance that is explained.
@@ -97,17 +96,13 @@ class Row(eqx.Module):
         return f"+ {others[-1]}" if others else first
 
 
-class Selection(eqx.Module):
+@dataclasses.dataclass
+class Selection:
     """The selection on one track.
 
     Attributes:
-        track: all of it.
         train: first part of the track, which trains.
         held_out: rest of the track, which judges.
-        rows: the table.
-        candidates: systems that were fitted, by name.
-        fits: their fits to the training part.
-        chosen: name of the candidate that the evidence chose.
         wandering: fit of the chosen candidate beside a gain that wanders, where the
             evidence prefers that.
     """
@@ -115,10 +110,10 @@ class Selection(eqx.Module):
     track: Track
     train: Track
     held_out: Track
-    rows: list[Row]
-    candidates: dict[str, System]
-    fits: dict[str, EvidenceFit]
-    chosen: str = eqx.field(static=True)
+    rows: list[Row] = dataclasses.field(default_factory=list)
+    candidates: dict[str, System] = dataclasses.field(default_factory=dict)
+    fits: dict[str, EvidenceFit] = dataclasses.field(default_factory=dict)
+    chosen: str = ""
     wandering: EvidenceFit | None = None
 
     @property
@@ -140,72 +135,8 @@ class Selection(eqx.Module):
         """A line of the table by its name."""
         return next(row for row in self.rows if row.name == name)
 
-
-def split(track: Track, fraction: float) -> tuple[Track, Track]:
-    """The first part of a track by time, to train on, and the rest.
-
-    Raises:
-        InputError: `fraction` is not between 0 and 1, or a part is too short.
-    """
-    if not 0 < fraction < 1:
-        raise InputError(f"split fraction: expected between 0 and 1, got {fraction}")
-    first, last = track.span
-    moment = first + fraction * (last - first)
-    return before(track, moment), after(track, moment)
-
-
-def select_model(
-    track: Track,
-    *,
-    train_fraction: float = 0.7,
-    residuals: Sequence[str] = (),
-    on_row: Callable[[Row], None] | None = None,
-) -> Selection:
-    """Fit every candidate to the first part of a track and roll it out on the rest.
-
-    Args:
-        track: one robot of one run.
-        train_fraction: first part of its time that trains.
-        residuals: names in `RESIDUALS`: fields of position on the chosen candidate.
-        on_row: called after each line of the table.
-
-    Raises:
-        InputError: a part of the track is too short.
-    """
-    train, held_out = split(track, train_fraction)
-    selection = _Comparison(train, held_out, on_row)
-    selection.select_model()
-    for name in residuals:
-        selection.residual(name)
-    selection.add_least_squares()
-    return Selection(
-        track,
-        train,
-        held_out,
-        selection.rows,
-        selection.candidates,
-        selection.fits,
-        selection.chosen,
-        selection.wandering,
-    )
-
-
-class _Comparison:
-    """The selection so far."""
-
-    def __init__(
-        self, train: Track, held_out: Track, on_row: Callable[[Row], None] | None
-    ) -> None:
-        self.train, self.held_out, self.on_row = train, held_out, on_row
-        self.prior = Prior.of(train)
-        self.rows: list[Row] = []
-        self.candidates: dict[str, System] = {}
-        self.fits: dict[str, EvidenceFit] = {}
-        self.chosen = ""
-        self.wandering: EvidenceFit | None = None
-
-    def select_model(self) -> None:
-        """All candidates that are lines and slopes."""
+    def compare_candidates(self) -> None:
+        """Fit all candidates that are lines and slopes, and choose one."""
         self.chosen = self._fit(drift_only(), None)
         if self.train.commanded:
             self._fit(scalar_gain(), self.chosen)
@@ -213,18 +144,15 @@ class _Comparison:
             for response in list(RESPONSES)[1:]:
                 self._fit(with_response(gain_matrix(), response), matrix)
             self.chosen = self._response()
-            self._extend(with_learned(self._best_so_far, "delay", DELAY), needed=0.0)
-            self._extend(with_learned(self._best_so_far, "lag", LAG))
-        self._extend(with_slow_drift(self._best_so_far))
+            self._extend(with_learned(self.system, "delay", DELAY), needed=0.0)
+            self._extend(with_learned(self.system, "lag", LAG))
+        self._extend(with_slow_drift(self.system))
         if self.train.commanded:
             self._compare_with_simpler()
             self._allow_for_wandering_gain()
 
-    @property
-    def _best_so_far(self) -> System:
-        return self.candidates[self.chosen]
-
-    def _evidence(self, name: str) -> float:
+    def evidence(self, name: str) -> float:
+        """Log evidence of a candidate on the training part [nats]."""
         return self.fits[name].hyperparameters.log_evidence
 
     def _fit(self, system: System, start: str | None) -> str:
@@ -238,7 +166,7 @@ class _Comparison:
         self, name: str, system: System, start: EvidenceFit | None, **options: bool
     ) -> EvidenceFit:
         begin = time.perf_counter()
-        fit = fit_track(self.train, system, prior=self.prior, start=start, **options)
+        fit = fit_track(self.train, system, start=start, **options)
         seconds = time.perf_counter() - begin
         self._add(name, fit.hyperparameters.log_evidence, seconds, path_of(fit.model))
         return fit
@@ -247,13 +175,13 @@ class _Comparison:
         """The response of highest evidence, if decisive; else the enclosing one."""
         names = [with_response(gain_matrix(), response).name for response in RESPONSES]
         kept = with_response(gain_matrix(), ENCLOSING).name
-        best = max(names, key=self._evidence)
-        return best if self._evidence(best) > self._evidence(kept) + DECISIVE else kept
+        best = max(names, key=self.evidence)
+        return best if self.evidence(best) > self.evidence(kept) + DECISIVE else kept
 
     def _extend(self, system: System, needed: float = DECISIVE) -> None:
         """A further candidate on the chosen one; chosen itself if it gains enough."""
         name = self._fit(system, self.chosen)
-        if self._evidence(name) > self._evidence(self.chosen) + needed:
+        if self.evidence(name) > self.evidence(self.chosen) + needed:
             self.chosen = name
 
     def _compare_with_simpler(self) -> None:
@@ -264,7 +192,7 @@ class _Comparison:
         """
         simpler = ((scalar_gain(), self.chosen), (drift_only(), drift_only().name))
         for base, start in simpler:
-            system = like(base, self._best_so_far)
+            system = like(base, self.system)
             if system.name not in self.fits:
                 self._fit(system, start)
 
@@ -275,21 +203,20 @@ class _Comparison:
         wander is a large part of the gain.
         """
         name = f"{self.chosen} + wandering gain"
-        best = self.fits[self.chosen]
-        fit = self._fit_and_score(name, self._best_so_far, best, wandering_gain=True)
-        if fit.hyperparameters.log_evidence > self._evidence(self.chosen):
+        fit = self._fit_and_score(name, self.system, self.best, wandering_gain=True)
+        if fit.hyperparameters.log_evidence > self.evidence(self.chosen):
             self.wandering = fit
 
-    def residual(self, name: str) -> None:
+    def add_residual(self, name: str) -> None:
         """A position-dependent residual on the chosen candidate."""
         begin = time.perf_counter()
         label = f"{self.chosen} + {name}"
         try:
             environment = RESIDUALS[name](self.train)
-            best = self.fits[self.chosen]
-            fit = fit_residual(self.train, self._best_so_far, best, environment)
+            fit = fit_residual(self.train, self.system, self.best, environment)
         except (FitError, InputError) as error:
-            self._refuse(label, str(error))
+            nan = float("nan")
+            self.rows.append(Row(label, nan, nan, {}, nan, str(error)))
             return
         seconds = time.perf_counter() - begin
         by_horizon = {
@@ -297,7 +224,7 @@ class _Comparison:
             for horizon in HORIZONS
         }
         r2 = self._r2_of_residual(fit)
-        self._append(Row(label, fit.log_evidence, seconds, by_horizon, r2))
+        self.rows.append(Row(label, fit.log_evidence, seconds, by_horizon, r2))
 
     def _r2_of_residual(self, fit: ResidualFit) -> float:
         path = path_of(fit.swimmer)
@@ -326,7 +253,7 @@ class _Comparison:
         It is no system that could be steered with, but loses to least squares less.
         """
         begin = time.perf_counter()
-        chosen = path_of(self.fits[self.chosen].model)
+        chosen = path_of(self.best.model)
         weight = stacking_weight(self.train, chosen, other)
         seconds = time.perf_counter() - begin
         self._add(STACKED, float("nan"), seconds, stack(chosen, other, weight))
@@ -343,15 +270,36 @@ class _Comparison:
             for horizon in HORIZONS
         }
         r2 = velocity_r2(self.held_out, displacement)
-        self._append(Row(name, log_evidence, seconds, by_horizon, r2))
+        self.rows.append(Row(name, log_evidence, seconds, by_horizon, r2))
 
-    def _refuse(self, name: str, reason: str) -> None:
-        self._append(Row(name, float("nan"), float("nan"), {}, float("nan"), reason))
 
-    def _append(self, row: Row) -> None:
-        self.rows.append(row)
-        if self.on_row:
-            self.on_row(row)
+def split(track: Track, fraction: float) -> tuple[Track, Track]:
+    """The first part of a track by time, to train on, and the rest.
+
+    Raises:
+        InputError: `fraction` is not between 0 and 1, or a part is too short.
+    """
+    if not 0 < fraction < 1:
+        raise InputError(f"split fraction: expected between 0 and 1, got {fraction}")
+    first, last = track.span
+    moment = first + fraction * (last - first)
+    return before(track, moment), after(track, moment)
+
+
+def select_model(
+    track: Track, *, train_fraction: float = 0.7, residuals: Sequence[str] = ()
+) -> Selection:
+    """Fit every candidate to the first part of a track and roll it out on the rest.
+
+    Raises:
+        InputError: a part of the track is too short.
+    """
+    selection = Selection(track, *split(track, train_fraction))
+    selection.compare_candidates()
+    for name in residuals:
+        selection.add_residual(name)
+    selection.add_least_squares()
+    return selection
 
 
 def velocity_r2(track: Track, displacement: Displacement) -> float:

@@ -5,10 +5,11 @@ that. What is predicted here are seconds, not frames: likelihoods see the mean p
 of each block of time, in which the jitter averages out.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -29,8 +30,6 @@ class Track(eqx.Module):
     """One robot of one run; never integrated across its segments.
 
     Attributes:
-        name: run and particle.
-        pieces: the segments, without padding.
         width: length of a block [s].
         sizes: samples and blocks to pad to; parts of a track keep them, so that a
             likelihood is compiled once.
@@ -93,13 +92,7 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
 def trajectories_of(
     recording: Trajectories, name: str, *, pooled: bool = False
 ) -> Trajectories:
-    """The trajectories of one track; all where no track has this name.
-
-    Args:
-        recording: the whole recording.
-        name: name of the track, as in `tracks`.
-        pooled: see `tracks`.
-    """
+    """The trajectories of one track; all where no track has this name."""
     names = _names(recording, pooled=pooled)
     chosen = [index for index, other in enumerate(names) if other == name]
     return recording.select(chosen) if chosen else recording
@@ -116,10 +109,6 @@ def _names(recording: Trajectories, *, pooled: bool) -> list[str]:
 
 def one_track(data: Trajectories, name: str) -> Track:
     """All trajectories as the segments of one track, one after the other in time.
-
-    Args:
-        data: positions of one robot, or of robots that one system describes.
-        name: name of the track.
 
     Raises:
         InputError: the channels are not x and y, or nothing is long enough to fit.
@@ -205,9 +194,6 @@ def shared_sizes(counts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     A size is compiled once, in seconds, and then serves all tracks that are padded to
     it; but padding is computed with. Tracks ordered by length are cut into groups of
     least total time, by dynamic programming.
-
-    Args:
-        counts: samples and blocks of each track.
     """
     order = sorted(range(len(counts)), key=lambda i: counts[i][::-1])
     best: list[float] = [0.0]
@@ -247,12 +233,7 @@ def _drop_unseen(piece: Trajectory) -> Trajectory:
 
 
 def _keep_rows(piece: Trajectory, kept: Any) -> Trajectory:
-    return Trajectory(
-        times=piece.times[kept],
-        states=piece.states[kept],
-        observed=piece.observed[kept],
-        commands={name: values[kept] for name, values in piece.commands.items()},
-    )
+    return jax.tree.map(lambda values: values[kept], piece)
 
 
 def commands_of(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
@@ -266,20 +247,17 @@ def commands_of(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 def before(track: Track, time: float) -> Track:
     """The part of a track before a time; blocks keep their length."""
-    cut = [_keep_rows(piece, np.less(piece.times, time)) for piece in track.pieces]
-    return _shorten(track, cut)
+    return _cut(track, lambda times: times < time)
 
 
 def after(track: Track, time: float) -> Track:
     """The part of a track from a time on; blocks keep their length."""
-    cut = [
-        _keep_rows(piece, np.greater_equal(piece.times, time)) for piece in track.pieces
-    ]
-    return _shorten(track, cut)
+    return _cut(track, lambda times: times >= time)
 
 
-def _shorten(track: Track, pieces: Sequence[Trajectory]) -> Track:
-    long = tuple(piece for piece in pieces if len(piece.times) >= LEAST_SAMPLES)
+def _cut(track: Track, kept: Callable[[np.ndarray], np.ndarray]) -> Track:
+    cut = [_keep_rows(piece, kept(piece.times)) for piece in track.pieces]
+    long = tuple(piece for piece in cut if len(piece.times) >= LEAST_SAMPLES)
     if not long:
         raise InputError(
             f"track {track.name}: expected {LEAST_SAMPLES} samples or more on both "
@@ -296,11 +274,7 @@ class Blocks(NamedTuple):
     Attributes:
         times: time of each sample [s], increasing, in the padding too; segments that
             overlap are put one after the other.
-        positions: position of each sample [L].
         frequency: commanded [Hz]; 0 where nothing was recorded.
-        heading: commanded [rad].
-        real: True for samples that are no padding.
-        block: number of the block of each sample.
         counts: samples in each block; 0 in padding.
         begins: 1 where a segment begins with the block.
     """
@@ -316,7 +290,7 @@ class Blocks(NamedTuple):
 
     @classmethod
     def of(cls, track: Track) -> "Blocks":
-        """The blocks of a track; sizes are rounded up, to compile seldom."""
+        """The blocks of a track."""
         indices = [block_indices(piece.times, track.width) for piece in track.pieces]
         samples, blocks = track.sizes
         first = np.cumsum([0, *(int(index[-1]) + 1 for index in indices)])

@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, get_type_hints
 
 import msgspec
 import numpy as np
@@ -10,33 +10,14 @@ import numpy as np
 from pinav.codec import decode, encode
 from pinav.errors import InputError
 from pinav.files import atomic_write
-from pinav.live.messages import Frame, Hello, Mode
-from pinav.live.session import Counts, Session
+from pinav.live.session import Session
 
-SCHEMA = 3
+SCHEMA = 4
 """Version of the file; another one is refused."""
 
 
-class Header(msgspec.Struct, frozen=True, kw_only=True):
-    """What of a session is no array.
-
-    Attributes:
-        schema: version of the file.
-        hello: of the rig.
-        mode: of the session.
-        last: last frame.
-        blind: frames in a row without a position.
-        doubted: position that is doubted.
-        counts: how often each thing happened.
-    """
-
-    schema: int
-    hello: Hello | None
-    mode: Mode
-    last: Frame | None
-    blind: int
-    doubted: Frame | None
-    counts: Counts
+KEPT = ("hello", "mode", "last", "blind", "doubted", "counts")
+"""Fields of a session that are kept, beside estimator and pilot."""
 
 
 def write_session(path: Path, session: Session) -> None:
@@ -45,18 +26,10 @@ def write_session(path: Path, session: Session) -> None:
     Raises:
         InputError: the system refused to write.
     """
-    header = Header(
-        schema=SCHEMA,
-        hello=session.hello,
-        mode=session.mode,
-        last=session.last,
-        blind=session.blind,
-        doubted=session.doubted,
-        counts=session.counts,
-    )
-    known = {"header": header, "estimator": session.estimator, "pilot": session.pilot}
-    encoded = {name: encode(part) for name, part in known.items()}
+    parts = ("estimator", "pilot", *KEPT)
+    encoded = {name: encode(getattr(session, name)) for name in parts}
     document = {name: part.document for name, part in encoded.items()}
+    document["schema"] = SCHEMA
     text = np.frombuffer(msgspec.json.encode(document), np.uint8)
     arrays = {
         f"{name}/{place}": array
@@ -73,21 +46,18 @@ def write_session(path: Path, session: Session) -> None:
 def read_session(path: Path, session: Session) -> Session:
     """What the session in a file knows, with the settings of another one.
 
-    Args:
-        path: of the file.
-        session: a new one, with estimator and pilot of the same kinds.
-
     Raises:
         InputError: the file is missing, damaged, or of another version.
     """
     try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as kept:
-            arrays = {name: kept[name] for name in kept.files}
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
         document = msgspec.json.decode(arrays.pop("document").tobytes())
-        schema = document["header"]["schema"]
+        schema = document.get("schema")
         if schema != SCHEMA:
             raise ValueError(f"version {schema}, expected {SCHEMA}")
-        header = decode(Header, document["header"], {})
+        kinds = get_type_hints(Session)
+        kept = {name: decode(kinds[name], document[name], {}) for name in KEPT}
         estimator = decode(
             type(session.estimator), *_part(document, arrays, "estimator")
         )
@@ -100,28 +70,15 @@ def read_session(path: Path, session: Session) -> Session:
         raise InputError(
             f"{path} cannot be read ({reason}); begin without it"
         ) from error
-    return dataclasses.replace(
-        session,
-        estimator=estimator,
-        pilot=pilot,
-        hello=header.hello,
-        mode=header.mode,
-        last=header.last,
-        blind=header.blind,
-        doubted=header.doubted,
-        counts=header.counts,
-        resumed_at=None if header.last is None else header.last.seq,
-    )
+    resumed_at = None if kept["last"] is None else kept["last"].seq
+    known = {**kept, "estimator": estimator, "pilot": pilot}
+    return dataclasses.replace(session, resumed_at=resumed_at, **known)
 
 
 def with_drive_of(path: Path, session: Session) -> Session:
     """A new session that knows the drive of the robot from an earlier one.
 
     Where the robot is, and what happened to it, is not taken over.
-
-    Args:
-        path: of the earlier session's file.
-        session: a new one, with an estimator of the same settings.
 
     Raises:
         InputError: the file is missing, damaged, or of another version; no drive had

@@ -18,35 +18,11 @@ class Whereabouts:
     """Where the robot is believed to be.
 
     Attributes:
-        position: [L].
         sd: standard deviation of either coordinate [L]; none where it is not known.
     """
 
     position: Point
     sd: float | None
-
-
-@dataclasses.dataclass(frozen=True)
-class Drive:
-    """What is known of drive and surroundings; none where it is not.
-
-    Attributes:
-        delay: from command to motion [s].
-        gain: speed at 1 Hz and small frequencies [L per cycle].
-        gain_sd: its standard deviation [L per cycle].
-        offset: angle from the commanded heading to the motion [rad].
-        drift: velocity without command [L/s].
-        force: at the position.
-        force_sd: of either component.
-    """
-
-    delay: float | None = None
-    gain: float | None = None
-    gain_sd: float | None = None
-    offset: float | None = None
-    drift: Point | None = None
-    force: Point | None = None
-    force_sd: float | None = None
 
 
 class AbstractEstimator(eqx.Module):
@@ -70,8 +46,8 @@ class AbstractEstimator(eqx.Module):
         """The position at a time [s], not before the last frame; none if unknown."""
 
     @abc.abstractmethod
-    def drive(self) -> Drive:
-        """What is known of drive and surroundings."""
+    def drive(self) -> DriveEstimate | None:
+        """The numbers of the drive; none before anything is known of it."""
 
 
 class Intent(enum.Enum):
@@ -103,9 +79,6 @@ class Advice:
     """A command that a pilot advises.
 
     Attributes:
-        frequency: [Hz].
-        heading: [rad].
-        intent: what it is for.
         time_to_go: to the goal [s]; none where it is not known.
     """
 
@@ -133,7 +106,6 @@ class DriveEstimator(AbstractEstimator):
     """Gain, heading offset, response, delay and drift of a robot, by `RunningFit`.
 
     Attributes:
-        fit: what is known.
         last: the last position that was seen, its time and standard deviation; NaN
             before there is one.
         known: the numbers of the drive, which change when a block closes.
@@ -189,17 +161,8 @@ class DriveEstimator(AbstractEstimator):
             return None
         return math.sqrt(jitter) + self.known.gain * self.fit.fastest * elapsed
 
-    def drive(self) -> Drive:
-        now = self.known
-        if now is None:
-            return Drive()
-        return Drive(
-            delay=now.delay,
-            gain=now.gain,
-            gain_sd=now.gain_sd,
-            offset=now.offset,
-            drift=now.drift,
-        )
+    def drive(self) -> DriveEstimate | None:
+        return self.known
 
     def _last(self, frame: Frame) -> np.ndarray:
         if frame.x is None or frame.y is None:

@@ -1,18 +1,22 @@
 """The loop at the rig: read, learn, answer, remember."""
 
 import dataclasses
+import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import msgspec
 
 from pinav.live.checkpoint import write_session
 from pinav.live.messages import (
+    VERSION,
     Command,
     Event,
     EventKind,
+    Frame,
     FromPinav,
+    Hello,
     Limits,
     Ready,
     State,
@@ -20,7 +24,6 @@ from pinav.live.messages import (
 )
 from pinav.live.session import Session
 from pinav.live.sources import AbstractSink, AbstractSource, LineBuffer, Reading
-from pinav.live.tables import TableReader
 
 CHECKPOINT_EVERY = 1.0
 """Seconds between two checkpoints."""
@@ -46,10 +49,6 @@ class Loop:
     """A session between a source and a sink.
 
     Attributes:
-        session: the value that changes with each line.
-        source: where lines come from.
-        sink: where commands go.
-        show: takes all that is said.
         checkpoint: file for the state of the session; none where it is not kept.
         limits: of a table's robot, which it does not say.
     """
@@ -146,3 +145,98 @@ class Loop:
         if self.checkpoint is not None and frames != self.saved_frames:
             write_session(self.checkpoint, self.session)
             self.saved_frames = frames
+
+
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "t": ("t_s", "t", "time"),
+    "x": ("x_um", "x"),
+    "y": ("y_um", "y"),
+    "seq": ("frame", "seq"),
+    "frequency": ("freq_hz", "frequency"),
+    "heading": ("alpha_rad", "heading"),
+}
+"""Columns of each quantity, the first one that a table has counts."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TableReader:
+    """Rows of a tracker's growing table of text become lines of the protocol.
+
+    The columns are those of a tidy table (docs/recordings.md), y upwards; the first two
+    rows say what the step is.
+    A row that cannot be read is passed on as it is, for the session to refuse it.
+
+    Attributes:
+        limits: what may be commanded, which a table does not say.
+        places: column of each quantity; none before the header.
+        rows: number of rows so far, which counts where the table has no frames.
+        greeted: the hello has been made.
+    """
+
+    session: str
+    limits: Limits
+    places: Mapping[str, int] | None = None
+    first: bytes | None = None
+    rows: int = 0
+    greeted: bool = False
+
+    def after(self, line: bytes) -> tuple["TableReader", list[bytes]]:
+        """The reader and the lines of the protocol after a line of the table."""
+        places = header_places(line)
+        if places is not None:
+            return dataclasses.replace(self, places=places, first=None), []
+        if self.places is None:
+            return self, [line]
+        frame = self._frame(line)
+        reader = dataclasses.replace(self, rows=self.rows + 1)
+        if frame is None:
+            return reader, [line]
+        if self.greeted:
+            return reader, [encode(frame).rstrip()]
+        earlier = None if self.first is None else self._frame(self.first, self.rows - 1)
+        if earlier is None or self.first is None or frame.t <= earlier.t:
+            return dataclasses.replace(reader, first=line), []
+        hello = Hello(
+            version=VERSION,
+            session=self.session,
+            step=frame.t - earlier.t,
+            limits=self.limits,
+        )
+        lines = [encode(message).rstrip() for message in (hello, earlier, frame)]
+        return dataclasses.replace(reader, greeted=True, first=None), lines
+
+    def _frame(self, line: bytes, row: int | None = None) -> Frame | None:
+        """The frame in a row; none where it is damaged."""
+        assert self.places is not None
+        cells = line.split(b",")
+        values: dict[str, float] = {}
+        for name, place in self.places.items():
+            if place >= len(cells):
+                return None
+            try:
+                values[name] = float(cells[place] or b"nan")
+            except ValueError:
+                return None
+        here = {n: v if math.isfinite(v) else None for n, v in values.items()}
+        time, number = here["t"], here.get("seq", self.rows if row is None else row)
+        if time is None or number is None or number < 0:
+            return None
+        return Frame(
+            seq=int(number),
+            t=time,
+            x=here["x"],
+            y=here["y"],
+            frequency=max(here.get("frequency") or 0.0, 0.0),
+            heading=here.get("heading") or 0.0,
+        )
+
+
+def header_places(line: bytes) -> dict[str, int] | None:
+    """The column of each quantity in a header; none in a line that is no header."""
+    titles = [cell.strip().lower() for cell in line.decode(errors="replace").split(",")]
+    places = {
+        name: titles.index(next(title for title in names if title in titles))
+        for name, names in NAMES.items()
+        if set(names) & set(titles)
+    }
+    return places if {"t", "x", "y"} <= set(places) else None

@@ -23,12 +23,7 @@ STATUS_EVERY = 1.0
 
 
 class EventPrinter:
-    """Prints what is said.
-
-    Attributes:
-        write: takes a text, and passes it on at once.
-        people: lines for people instead of lines of the protocol.
-    """
+    """Prints what is said."""
 
     def __init__(self, write: Callable[[str], object], *, people: bool = False) -> None:
         self.write = write
@@ -130,11 +125,7 @@ class Lines:
 
 
 class Page:
-    """A page that is being served.
-
-    Attributes:
-        address: what to open in a browser.
-    """
+    """A page that is being served."""
 
     def __init__(self, server: http.server.ThreadingHTTPServer, lines: Lines) -> None:
         self.address = f"http://{HOST}:{server.server_address[1]}/"
@@ -144,10 +135,6 @@ class Page:
     @contextlib.contextmanager
     def serve(cls, port: int, places: Places) -> Iterator["Page"]:
         """Serve a page until the context ends.
-
-        Args:
-            port: of this machine; 0 takes a free one.
-            places: what is drawn beside the robot.
 
         Raises:
             OSError: the port is taken.

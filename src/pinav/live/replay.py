@@ -70,11 +70,6 @@ def replay(
     """What is said to lines, each answer with the seconds that its line took.
 
     No clock decides what is said, only how soon: the answers are the same every time.
-
-    Args:
-        session: before the first line.
-        lines: of the protocol.
-        speed: seconds of the recording in one second; as quick as can be unless given.
     """
     begin, origin = time.monotonic(), None
     for line in lines:

@@ -56,12 +56,10 @@ class RollerPilot(AbstractPilot):
     """Goes to a goal around discs.
 
     Attributes:
-        goal: where to go [L].
         tolerance: distance from it that counts as there [L].
         discs: centre and radius of places that must not be entered [L].
         probe: number of probes so far, and when the present one began [s]; NaN before.
         best: shortest way to go so far [L], and when that was [s]; NaN before.
-        stalls: how often the goal has come no nearer.
         reserve: what may be done where the next frame offers no way out.
     """
 

@@ -48,13 +48,7 @@ class Reserve(eqx.Module):
 
 
 class SafetyVerdict(eqx.Module):
-    """What the filter says of a command.
-
-    Attributes:
-        order: frequency [Hz] and heading [rad] to give.
-        reserve: what may be done at the next frame.
-        changed: whether it is another command than the one asked for.
-    """
+    """What the filter says of a command."""
 
     order: Order
     reserve: Reserve
@@ -66,10 +60,7 @@ class Outlook(eqx.Module):
 
     Attributes:
         fit: what is known of the drive; it has a bank.
-        time: of the frame [s].
         step: between frames [s].
-        position: [L].
-        sd: its standard deviation [L].
         frequency: the greatest one [Hz].
         discs: centre and radius of each [L].
     """
@@ -83,12 +74,7 @@ class Outlook(eqx.Module):
     discs: Float[np.ndarray, "disc 3"]
 
     def judge(self, wanted: Order, reserve: Reserve) -> SafetyVerdict:
-        """Let a command through, or give another one.
-
-        Args:
-            wanted: the command asked for.
-            reserve: of the frame before.
-        """
+        """Let a command through, or give another one, by the reserve of before."""
         turns = wanted[1] + 2 * math.pi / HEADINGS * np.arange(HEADINGS)
         fast, slow, still = (
             _orders(part * self.frequency, turns) for part in (1.0, SLOW, 0.0)
@@ -138,10 +124,8 @@ class Outlook(eqx.Module):
     ) -> Float[np.ndarray, "*plan piece"]:
         """Distance of the tube of each plan from the nearest disc [L].
 
-        Args:
-            firsts: commands given for a step.
-            escapes: commands held after it.
-            ahead: how long [s].
+        A plan gives its first command for a step, and then holds its escape for
+        `ahead` seconds.
         """
         distance, sd = self._approaches(firsts, escapes, ahead)
         return distance - DEVIATIONS * sd
@@ -166,12 +150,7 @@ class Outlook(eqx.Module):
 def distances(
     paths: Float[np.ndarray, "*plan time 2"], discs: Float[np.ndarray, "disc 3"]
 ) -> Float[np.ndarray, "*plan piece"]:
-    """Distance of each straight piece of paths from the nearest disc [L].
-
-    Args:
-        paths: positions one after the other [L].
-        discs: centre and radius of each [L].
-    """
+    """Distance of each straight piece of paths from the nearest disc [L]."""
     begin, way = paths[..., :-1, None, :], np.diff(paths, axis=-2)[..., None, :]
     to_centre = discs[:, :2] - begin
     length = np.maximum((way**2).sum(axis=-1), 1e-300)

@@ -8,6 +8,9 @@ where answers go.
 import dataclasses
 import hmac
 import math
+from typing import NamedTuple
+
+import msgspec
 
 from pinav.live.estimators import AbstractEstimator, AbstractPilot, Advice, Intent
 from pinav.live.messages import (
@@ -53,10 +56,8 @@ class Counts:
         frames: that were learned from, lost ones included.
         refused: lines that were no message, or came at a wrong time.
         repeated: frames whose number was not larger than the last one.
-        jumps: of the clock.
         lost: frames without a position.
         reacquired: new states after the robot was lost.
-        commands: that were given.
     """
 
     frames: int = 0
@@ -77,19 +78,14 @@ class Session:
     """All that a session remembers.
 
     Attributes:
-        estimator: of the robot.
         pilot: what steers; none where pinav only watches.
         token: shared secret that `Hello` must bear; empty where none is asked for.
-        hello: of the rig; none before it.
-        mode: what is done.
-        last: the last frame that was learned from.
         blind: frames in a row without a position.
         doubted: a position far from where a lost robot was expected.
         refused_in_row: lines in a row that were no messages.
         ended: the rig has said bye.
         repeating: the last line was a frame that had been there before.
         resumed_at: last frame that was learned from by a process before this one.
-        counts: how often each thing happened.
         known_in: unit of length in which an earlier session has learned the drive;
             empty where there is none.
     """
@@ -257,14 +253,7 @@ class Session:
                 place = f"({frame.x:.6g}, {frame.y:.6g})"
                 text = f"the robot is seen again, elsewhere, at {place}"
                 return session, (session.event(EventKind.REACQUIRED, text),)
-        unseen = Frame(
-            seq=frame.seq,
-            t=frame.t,
-            x=None,
-            y=None,
-            frequency=frame.frequency,
-            heading=frame.heading,
-        )
+        unseen = msgspec.structs.replace(frame, x=None, y=None, sd=None)
         return (
             dataclasses.replace(
                 self,
@@ -282,17 +271,15 @@ class Session:
         mode = Mode.IDENTIFYING if self.estimator.driven else Mode.WAITING
         if pilot is not None and self.mode is not Mode.STOPPED and newest:
             pilot, advice = self._advice(pilot)
-            mode = MODES[advice.intent]
+            mode = MEANINGS[advice.intent].mode
         elif pilot is not None:
             mode = self.mode
         session = dataclasses.replace(self, pilot=pilot, mode=mode)
         answers: list[FromPinav] = []
         if mode is not self.mode:
-            reason = f": {SENTENCES[advice.intent]}" if advice else ""
-            kind = (
-                KINDS.get(advice.intent, EventKind.MODE) if advice else EventKind.MODE
-            )
-            answers.append(session.event(kind, f"{mode}{reason}"))
+            meaning = MEANINGS[advice.intent] if advice else Meaning(mode, "")
+            text = f"{mode}: {meaning.reason}" if advice else str(mode)
+            answers.append(session.event(meaning.kind, text))
         if advice is not None:
             session = dataclasses.replace(session, counts=self.counts.plus("commands"))
             answers.append(session._command(advice))
@@ -308,8 +295,8 @@ class Session:
         return pilot.after(self.estimator, self.hello, self.last.t)
 
     def _delay(self) -> float:
-        delay = self.estimator.drive().delay
-        return 0.0 if delay is None else delay
+        drive = self.estimator.drive()
+        return 0.0 if drive is None else drive.delay
 
     def _command(self, advice: Advice) -> Command:
         assert self.last is not None
@@ -327,6 +314,8 @@ class Session:
         assert self.last is not None
         where = self.estimator.whereabouts(self.last.t)
         x, y = (None, None) if where is None else where.position
+        drive = self.estimator.drive()
+        known = {} if drive is None else {name: getattr(drive, name) for name in TOLD}
         return State(
             seq=self.last.seq,
             t=self.last.t,
@@ -335,8 +324,12 @@ class Session:
             y=y,
             sd=None if where is None else where.sd,
             time_to_go=None if advice is None else advice.time_to_go,
-            **dataclasses.asdict(self.estimator.drive()),
+            **known,
         )
+
+
+TOLD = ("delay", "gain", "gain_sd", "offset", "drift")
+"""Numbers of the drive that a state tells."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -344,9 +337,7 @@ class SessionOutcome:
     """What a line leads to.
 
     Attributes:
-        session: after it.
         answers: lines for the rig and for people, in their order.
-        hang_up: the connection should be closed.
     """
 
     session: Session
@@ -354,38 +345,33 @@ class SessionOutcome:
     hang_up: bool = False
 
 
-MODES = {
-    Intent.PROBE: Mode.IDENTIFYING,
-    Intent.STEER: Mode.STEERING,
-    Intent.ARRIVED: Mode.HOLDING,
-    Intent.AVOID: Mode.STEERING,
-    Intent.BLIND: Mode.HOLDING,
-    Intent.UNREACHABLE: Mode.HOLDING,
-    Intent.STALLED: Mode.IDENTIFYING,
-    Intent.GIVE_UP: Mode.STOPPED,
-}
-"""The mode that each intent of a pilot belongs to."""
+class Meaning(NamedTuple):
+    """An intent of a pilot, as a session tells it."""
 
-SENTENCES = {
-    Intent.PROBE: "learning how the robot answers",
-    Intent.STEER: "on the way to the goal",
-    Intent.ARRIVED: "the goal is reached",
-    Intent.AVOID: "a forbidden place is near",
-    Intent.BLIND: "the robot has not been seen for too long",
-    Intent.UNREACHABLE: "no way to the goal is known",
-    Intent.STALLED: "the goal comes no nearer, moving about to learn more",
-    Intent.GIVE_UP: "the goal has come no nearer for too long",
-}
-"""Why, for people."""
+    mode: Mode
+    reason: str
+    kind: EventKind = EventKind.MODE
 
-KINDS = {
-    Intent.ARRIVED: EventKind.ARRIVED,
-    Intent.AVOID: EventKind.SAFETY,
-    Intent.UNREACHABLE: EventKind.UNREACHABLE,
-    Intent.STALLED: EventKind.STALLED,
-    Intent.GIVE_UP: EventKind.STALLED,
+
+IDENTIFYING, STEERING, HOLDING = Mode.IDENTIFYING, Mode.STEERING, Mode.HOLDING
+MEANINGS = {
+    Intent.PROBE: Meaning(IDENTIFYING, "learning how the robot answers"),
+    Intent.STEER: Meaning(STEERING, "on the way to the goal"),
+    Intent.ARRIVED: Meaning(HOLDING, "the goal is reached", EventKind.ARRIVED),
+    Intent.AVOID: Meaning(STEERING, "a forbidden place is near", EventKind.SAFETY),
+    Intent.BLIND: Meaning(HOLDING, "the robot has not been seen for too long"),
+    Intent.UNREACHABLE: Meaning(
+        HOLDING, "no way to the goal is known", EventKind.UNREACHABLE
+    ),
+    Intent.STALLED: Meaning(
+        *(IDENTIFYING, "the goal comes no nearer, moving about to learn more"),
+        EventKind.STALLED,
+    ),
+    Intent.GIVE_UP: Meaning(
+        Mode.STOPPED, "the goal has come no nearer for too long", EventKind.STALLED
+    ),
 }
-"""Events of a kind of their own."""
+"""By intent."""
 
 
 def _distance(frame: Frame, position: tuple[float, float]) -> float:

@@ -27,7 +27,6 @@ class Reading:
     """What a look at a source gave.
 
     Attributes:
-        data: bytes, none where nothing has come.
         fresh: the bytes do not go on from those before: a half line is dropped.
         text: what happened to the source, for people; empty where nothing did.
         ended: nothing will ever come again.
@@ -45,9 +44,6 @@ class LineBuffer:
 
     Of a line that grows beyond the longest one only its first bytes are kept, so that
     memory is bounded; it is returned when it ends and refused for its length.
-
-    Attributes:
-        half: what came since the last newline.
     """
 
     half: bytes = b""
@@ -223,10 +219,6 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 def address_of(text: str, token: str) -> tuple[str, int] | None:
     """Host and port of tcp://HOST:PORT; none where it is no such address.
-
-    Args:
-        text: of a source, or of where commands go.
-        token: the shared secret; needed beyond the loopback.
 
     Raises:
         InputError: the address is damaged, or is not of this machine without a token.

@@ -1,17 +1,25 @@
 """From a file's rows to `Trajectories`: one for each run, particle and segment."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float, Float64
 
 from pinav import __version__
 from pinav.errors import InputError
-from pinav.recordings.particles import WORST, Particle, particles, time_unit
+from pinav.recordings.particles import (
+    BEYOND,
+    JUMPS,
+    ORDINARY,
+    WORST,
+    Particle,
+    particles,
+    segments,
+    time_unit,
+)
 from pinav.recordings.rows import COMMAND_UNITS, FRAMES, Reading, Tracks, in_known_units
-from pinav.recordings.segments import BEYOND, JUMPS, ORDINARY, segments
 from pinav.recordings.source import Source
 from pinav.trajectories import Trajectories
 
@@ -26,21 +34,19 @@ class _Piece(NamedTuple):
     commands: dict[str, Float64[np.ndarray, " time"]]
 
 
-def assemble(
-    tracks: Tracks, reading: Reading, source: Source, format: str
-) -> Trajectories:
+def assemble(tracks: Tracks, source: Source, format: str) -> Trajectories:
     """The trajectories of a recording, in um and s with y up where scales are known.
 
     Args:
         tracks: rows of the file.
-        reading: how they are to be read.
-        source: the file.
+        source: the file, and how it is to be read.
         format: name of its format.
 
     Raises:
         InputError: rows contradict each other, or nothing is long enough to be a
             trajectory.
     """
+    reading = source.reading
     tracks, faults = _sound(in_known_units(tracks, reading), source)
     tracks = _select(tracks, reading, source.stem)
     tracks = _drop_empty_commands(tracks)
@@ -102,11 +108,7 @@ def assemble(
 
 
 def _sound(tracks: Tracks, source: Source) -> tuple[Tracks, list[str]]:
-    """The rows without the bad ones, and what was wrong with those.
-
-    Raises:
-        InputError: a fault is none of a single row, or too many rows are bad.
-    """
+    """The rows without the bad ones, and what was wrong with those."""
     faults = source.faults or {}
     if not faults:
         return tracks, []
@@ -123,11 +125,7 @@ def _sound(tracks: Tracks, source: Source) -> tuple[Tracks, list[str]]:
 
 
 def _select(tracks: Tracks, reading: Reading, stem: str) -> Tracks:
-    """The rows of the runs and particles that the user names.
-
-    Raises:
-        InputError: there is none of a name.
-    """
+    """The rows of the runs and particles that the user names."""
     count = len(tracks.x)
     kept = np.ones(count, bool)
     for option, names, chosen in (
@@ -146,15 +144,12 @@ def _select(tracks: Tracks, reading: Reading, stem: str) -> Tracks:
 def _drop_empty_commands(tracks: Tracks) -> Tracks:
     """The rows without commands that the log never gives.
 
-    Raises:
-        InputError: the log gives a command for some particles and never for others,
-            whose drive is then unknown and not off.
+    Where it gives a command for some particles only, the drive of the others is
+    unknown and not off.
     """
     empty = [n for n, values in tracks.commands.items() if np.isnan(values).all()]
     commands = {n: c for n, c in tracks.commands.items() if n not in empty}
-    names = np.array(
-        [" ".join(words) for words in zip(*(n for n in _names(tracks)), strict=True)]
-    )
+    names = np.array([" ".join(words) for words in tracks.names])
     for name in dict.fromkeys(names.tolist()):
         rows = names == name
         for command, values in commands.items():
@@ -166,11 +161,6 @@ def _drop_empty_commands(tracks: Tracks) -> Tracks:
                 )
     notes = tuple(f"the column of {name} is empty: no such command" for name in empty)
     return dataclasses.replace(tracks, commands=commands, notes=(*tracks.notes, *notes))
-
-
-def _names(tracks: Tracks) -> list[list[str]]:
-    blank = [""] * len(tracks.x)
-    return [tracks.run or blank, tracks.kind or blank, tracks.particle or blank]
 
 
 def _rate_notes(tracks: Tracks, reading: Reading) -> list[str]:
@@ -187,9 +177,7 @@ def _rate_notes(tracks: Tracks, reading: Reading) -> list[str]:
 def _lost_notes(tracks: Tracks, count: int) -> list[str]:
     """Rows that stand where trackers put a particle that they have lost, in words.
 
-    Args:
-        tracks: rows of the file.
-        count: of particles, each of which may begin at the origin.
+    Each of the particles may begin at the origin.
     """
     notes = []
     for place in (0.0, -1.0):
@@ -260,7 +248,7 @@ def _pieces(
     label: dict[str, str | int] = {"run": run, "particle": particle_name}
     if kind:
         label |= {"particle": f"{kind} {particle_name}", "kind": kind}
-    numbers = segments(tracks, particle, jump=reading.jump, gap=reading.gap)
+    numbers = segments(tracks, particle, reading)
     for number in dict.fromkeys(numbers.tolist()):
         rows = np.flatnonzero((numbers == number) & particle.observed)
         if not rows.size:
@@ -273,3 +261,79 @@ def _pieces(
             particle.observed[extent],
             {name: values[extent] for name, values in particle.commands.items()},
         )
+
+
+def labels(trajectories: Trajectories) -> list[dict[str, str | int]]:
+    """Run, particle and segment of each trajectory, after selections and joins too.
+
+    Args:
+        trajectories: of a recording, whole or selected, or several joined.
+
+    Raises:
+        InputError: they were not read from a recording.
+    """
+    several = _labels(trajectories.provenance)
+    if several is None or len(several) != len(trajectories):
+        raise InputError(
+            "labels: these trajectories say nothing of runs and particles; expected "
+            "those that read_recording gives"
+        )
+    return several
+
+
+def _labels(provenance: Mapping[str, Any]) -> list[dict[str, str | int]] | None:
+    if "concatenated" in provenance:
+        parts = [_labels(part) for part in provenance["concatenated"]]
+        known = [label for part in parts if part is not None for label in part]
+        several = known if None not in parts else None
+    else:
+        several = provenance.get("trajectories")
+    if several is None or "selection" not in provenance:
+        return several
+    return [several[index] for index in provenance["selection"]]
+
+
+def groups(
+    trajectories: Trajectories, *names: str
+) -> dict[tuple[str | int, ...], list[int]]:
+    """Indices of the trajectories with the same labels, in order of appearance.
+
+    Args:
+        trajectories: of a recording.
+        names: labels that tell groups apart; run and particle unless given.
+
+    Raises:
+        InputError: they were not read from a recording, or have no such label.
+    """
+    names = names or ("run", "particle")
+    indices: dict[tuple[str | int, ...], list[int]] = {}
+    for index, label in enumerate(labels(trajectories)):
+        for name in names:
+            if name not in label:
+                raise InputError(
+                    f"groups: no label {name!r}; expected some of {', '.join(label)}"
+                )
+        indices.setdefault(tuple(label[name] for name in names), []).append(index)
+    return indices
+
+
+def image_positions(
+    recording: Trajectories, positions: Float[np.ndarray, "*batch 2"]
+) -> Float[np.ndarray, "*batch 2"]:
+    """Positions in pixels, as the file of a recording has them; in images, y down.
+
+    Args:
+        recording: whose scale and flip are undone; whole or selected.
+        positions: observed ones, or those of a model [L].
+
+    Raises:
+        InputError: the recording was not read from pixels.
+    """
+    done = recording.provenance.get("positions", {})
+    if done.get("unit in the file") != "px":
+        raise InputError(
+            "image: positions were not read from pixels; read the recording with mpp "
+            "from a file that has them"
+        )
+    flip = -1.0 if done["y flipped"] else 1.0
+    return np.asarray(positions) / done["scale"] * np.array([1.0, flip])

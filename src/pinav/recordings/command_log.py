@@ -17,7 +17,8 @@ from jaxtyping import Float64
 from pinav.errors import InputError
 from pinav.recordings import units
 from pinav.recordings.conventions import rotations
-from pinav.recordings.rows import COMMAND_UNITS, FRAMES, Reading
+from pinav.recordings.particles import acting
+from pinav.recordings.rows import COMMAND_UNITS, FRAMES, PLAIN, Reading
 from pinav.recordings.source import Source
 from pinav.recordings.table import example_of_columns, likely_columns
 from pinav.trajectories import Trajectories, Trajectory
@@ -152,15 +153,12 @@ def _hold_commands(
     recording: Trajectories, log: CommandLog, reading: Reading
 ) -> list[Trajectory]:
     """The pieces with the last command at each time; the first one before it."""
-    pieces = []
-    for piece in recording:
-        instants = piece.times - reading.delay + 1e-9
-        index = np.maximum(np.searchsorted(log.times, instants, "right") - 1, 0)
-        commands = {name: values[index] for name, values in log.commands.items()}
-        if "heading" in commands:
-            commands["heading"] = commands["heading"] + reading.heading_offset
-        pieces.append(dataclasses.replace(piece, commands=commands))
-    return pieces
+    return [
+        dataclasses.replace(
+            piece, commands=acting(piece.times, log.times, log.commands, reading)
+        )
+        for piece in recording
+    ]
 
 
 def find_offset(recording: Trajectories, log: CommandLog) -> Offset:
@@ -226,6 +224,6 @@ def _explained_fraction(
     if not inside:
         return 0.0
     moved = log._replace(times=log.times + shift)
-    pieces = _hold_commands(recording, moved, Reading())
+    pieces = _hold_commands(recording, moved, PLAIN)
     channels, units = recording.channels, recording.units
     return max(rotations(Trajectories.from_pieces(pieces, channels, units, {})))

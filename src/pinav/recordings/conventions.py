@@ -13,10 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from pinav.recordings.drive import window_ends
 from pinav.trajectories import Trajectories, Trajectory
-
-WINDOW = 0.5
-"""Time over which velocities are taken [s]."""
 
 CLEAR = 0.3
 """Share of the velocity's variance that a gain must explain to say anything."""
@@ -192,17 +190,17 @@ def _samples(
 def _velocities(
     piece: Trajectory, heading: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    places = np.flatnonzero(piece.observed[:, :2].all(axis=1))
-    times = piece.times[places]
-    path = piece.states[places, 0] + 1j * piece.states[places, 1]
-    drive = (piece.commands["frequency"] * np.exp(1j * heading))[places]
-    late = np.searchsorted(times, times + WINDOW)
-    late = np.maximum(late, np.arange(len(times)) + 1)
-    rows = np.flatnonzero(late < len(times))
-    stop = late[rows]
-    along = np.concatenate([[0.0], np.cumsum(drive[:-1] * np.diff(times))])
-    interval = times[stop] - times[rows]
-    return (path[stop] - path[rows]) / interval, (along[stop] - along[rows]) / interval
+    """Mean velocity and mean drive of each window."""
+    first, last = window_ends(piece)
+    seen = np.flatnonzero(piece.observed[:, :2].all(axis=1))
+    drive = (piece.commands["frequency"] * np.exp(1j * heading))[seen]
+    along = np.zeros(len(piece.times), complex)
+    along[seen[1:]] = np.cumsum(drive[:-1] * np.diff(piece.times[seen]))
+    path = piece.states[:, 0] + 1j * piece.states[:, 1]
+    interval = piece.times[last] - piece.times[first]
+    return (path[last] - path[first]) / interval, (
+        along[last] - along[first]
+    ) / interval
 
 
 def remarks(recording: Trajectories) -> tuple[str, ...]:

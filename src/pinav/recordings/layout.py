@@ -1,14 +1,16 @@
 """How a table stands in its file: title rows, the header, a row of units, the rows.
 
-Text files and sheets of workbooks come to the same: numbered rows of cells.
+Text files and sheets of workbooks, of which values only are read, come to the same:
+numbered rows of cells.
 """
 
 import csv
-import dataclasses
+import io
 import re
+import zipfile
 from collections import Counter
-from collections.abc import Sequence
-from typing import Any, final
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -31,30 +33,6 @@ _SAMPLE = 50
 
 Row = tuple[int, Sequence[Any]]
 """Number of a row in its file, and its cells."""
-
-
-@final
-@dataclasses.dataclass(frozen=True)
-class Layout:
-    """What the user says of how a table stands in its file.
-
-    Attributes:
-        sheet: name of the sheet of a workbook; the only one unless given.
-        skip: rows above the header; found from the widths of the rows unless given.
-        strict: whether a bad row is refused, instead of left out and counted.
-    """
-
-    sheet: str | None = None
-    skip: int | None = None
-    strict: bool = False
-
-    def faults(self) -> dict[str, str] | None:
-        """Where a table notes its bad rows; None where they are refused."""
-        return None if self.strict else {}
-
-
-STRICT = Layout(strict=True)
-"""No bad row is left out."""
 
 
 def read_delimited(
@@ -335,3 +313,67 @@ def _width(row: Sequence[Any]) -> int:
     """Number of cells up to the last one that is not empty."""
     filled = [i for i, cell in enumerate(row) if cell not in ("", None)]
     return filled[-1] + 1 if filled else 0
+
+
+_DAMAGED = (
+    zipfile.BadZipFile,
+    EOFError,
+    KeyError,
+    OSError,
+    SyntaxError,  # what a parser of XML raises
+    TypeError,
+    ValueError,
+)
+
+
+def read_sheets(content: bytes) -> dict[str, list[tuple[Any, ...]]]:
+    """The cells of every sheet, by its name.
+
+    Raises:
+        InputError: the workbook is damaged.
+    """
+    import openpyxl
+    from openpyxl.utils.exceptions import InvalidFileException
+
+    try:
+        book = openpyxl.load_workbook(
+            io.BytesIO(content), read_only=True, data_only=True, keep_links=False
+        )
+        return {s.title: [tuple(row) for row in _cells(s)] for s in book.worksheets}
+    except (InvalidFileException, *_DAMAGED) as error:
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise InputError(
+            f"damaged workbook: {reason}; copy it from its origin again"
+        ) from error
+
+
+def _cells(sheet: Any) -> Iterator[tuple[Any, ...]]:
+    sheet.reset_dimensions()  # which some writers state wrongly
+    yield from sheet.iter_rows(values_only=True)
+
+
+def sheet_table(
+    content: bytes, name: str | None, skip: int | None, faults: dict[str, str] | None
+) -> Table:
+    """The table on a sheet of a workbook, or on the only one.
+
+    Raises:
+        InputError: the workbook is damaged, or it is not clear which sheet is meant.
+    """
+    sheets = {name: rows for name, rows in read_sheets(content).items() if rows}
+    names = ", ".join(map(repr, sheets)) or "none with cells"
+    if name is None and len(sheets) != 1:
+        raise InputError(f"sheets {names}: give one of them as sheet")
+    name = next(iter(sheets)) if name is None else name
+    if name not in sheets:
+        raise InputError(f"sheet: expected one of {names}; got {name!r}")
+    rows = sheets[name]
+    skip = rows_above_header(rows) if skip is None else skip
+    if skip >= len(rows):
+        raise InputError(f"skip: sheet {name!r} has {len(rows)} rows; got {skip}")
+    width = max(map(len, rows[skip:]))
+    numbered: list[Row] = [
+        (i, (*row, *[None] * (width - len(row))))
+        for i, row in enumerate(rows[skip:], skip + 1)
+    ]
+    return table_of(numbered, f"sheet {name!r}, row", decimal=True, faults=faults)

@@ -1,7 +1,7 @@
-"""One particle of a recording: its rows in order of time, with its commands."""
+"""One particle of a recording: its rows by time, its commands and segments."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import final
 
 import numpy as np
@@ -9,9 +9,6 @@ from jaxtyping import Bool, Float64, Int64
 
 from pinav.errors import InputError
 from pinav.recordings.rows import FRAMES, Reading, Tracks
-
-Name = tuple[str, str, str]
-"""Run, kind and particle."""
 
 
 @final
@@ -40,28 +37,21 @@ class Particle:
     faults: tuple[str, ...] = ()
 
 
-def particles(tracks: Tracks, reading: Reading) -> dict[Name, Particle]:
-    """The particles of a recording by name, in the order in which they appear.
+def particles(tracks: Tracks, reading: Reading) -> dict[tuple[str, str, str], Particle]:
+    """The particles of a recording by `Tracks.names`, in the order of appearance.
 
     Raises:
         InputError: a frame stands twice, times do not increase, or times are wanted
             that the file does not have.
     """
     times = _times(tracks, reading)
-    groups: dict[Name, list[int]] = {}
-    for row, name in enumerate(_names(tracks)):
+    groups: dict[tuple[str, str, str], list[int]] = {}
+    for row, name in enumerate(tracks.names):
         groups.setdefault(name, []).append(row)
     return {
         name: _particle(tracks, reading, times, np.array(rows, np.int64))
         for name, rows in groups.items()
     }
-
-
-def _names(tracks: Tracks) -> Iterator[Name]:
-    blank = [""] * len(tracks.x)
-    return zip(
-        tracks.run or blank, tracks.kind or blank, tracks.particle or blank, strict=True
-    )
 
 
 def time_unit(tracks: Tracks, reading: Reading) -> str:
@@ -100,12 +90,13 @@ def _particle(
     positions = tracks.positions()[rows]
     commands = {n: c[rows] for n, c in tracks.commands.items()}
     unknown = [np.isnan(values) for values in commands.values()]
+    known = {name: _hold_last(values) for name, values in commands.items()}
     return Particle(
         rows=rows,
         times=ordered,
         positions=positions,
         observed=np.asarray(np.isfinite(positions).all(axis=1)),
-        commands=_acting(commands, ordered, reading),
+        commands=acting(ordered, ordered, known, reading),
         repeats=repeats,
         silent=int(np.any(unknown, axis=0).sum()),
         faults=faults,
@@ -156,19 +147,27 @@ def _not_before(
     return np.array(kept, np.int64), faults
 
 
-def _acting(
-    logged: Mapping[str, np.ndarray], times: np.ndarray, reading: Reading
+def acting(
+    times: np.ndarray,
+    logged: np.ndarray,
+    commands: Mapping[str, np.ndarray],
+    reading: Reading,
 ) -> dict[str, np.ndarray]:
-    """Commands as they act: gaps held, offset added, shifted by the delay."""
-    commands = {name: _hold_last(values) for name, values in logged.items()}
-    if "heading" in commands:
-        commands["heading"] = commands["heading"] + reading.heading_offset
-    if reading.delay > 0:
-        # Round-off must not hold a command for a sample too long.
-        instants = times - reading.delay + 1e-9
-        index = np.maximum(np.searchsorted(times, instants, "right") - 1, 0)
-        commands = {name: values[index] for name, values in commands.items()}
-    return commands
+    """Commands as they act at some times: the last one logged, offset and delayed.
+
+    Args:
+        times: when they act.
+        logged: when each command was given, increasing; the first acts before it, too.
+        commands: by name.
+        reading: delay and heading offset.
+    """
+    # Round-off must not hold a command for a sample too long.
+    instants = times - reading.delay + 1e-9
+    index = np.maximum(np.searchsorted(logged, instants, "right") - 1, 0)
+    acting = {name: values[index] for name, values in commands.items()}
+    if "heading" in acting:
+        acting["heading"] = acting["heading"] + reading.heading_offset
+    return acting
 
 
 def _hold_last(values: np.ndarray) -> np.ndarray:
@@ -179,3 +178,58 @@ def _hold_last(values: np.ndarray) -> np.ndarray:
     known = np.flatnonzero(~np.isnan(values))
     index = np.searchsorted(known, np.arange(len(values)), "right") - 1
     return values[known[np.maximum(index, 0)]]
+
+
+JUMPS: Mapping[str, float] = {"px": 40.0, "um": 15.0}
+"""Displacement from one row to the next that no swimmer makes, by unit of length.
+
+Where the unit is unknown, a track is split at steps far beyond its own.
+"""
+
+BEYOND, ORDINARY, LEAST_STEPS = 20.0, 0.95, 20
+"""Without a unit, a jump is so many times the quantile `ORDINARY` of the steps, if
+there are that many of them."""
+
+
+def _jump_limit(
+    unit: str, jump: float | None, steps: Float64[np.ndarray, " step"]
+) -> float:
+    """Displacement beyond which a track is split [unit of length]."""
+    if jump is not None:
+        return jump
+    if unit in JUMPS:
+        return JUMPS[unit]
+    if len(steps) < LEAST_STEPS:
+        return np.inf
+    ordinary = float(np.quantile(steps, ORDINARY))
+    return BEYOND * ordinary if ordinary > 0 else np.inf
+
+
+def segments(
+    tracks: Tracks, particle: Particle, reading: Reading
+) -> Int64[np.ndarray, " row"]:
+    """Number of the segment of each row of a particle, 0 first.
+
+    Those of the file are kept where it has them. What lies on either side of a cut may
+    be two particles, and is never bridged. A gap is counted in frames; without frames,
+    in median steps of time.
+    """
+    if tracks.segment is not None:
+        return tracks.segment[particle.rows]
+    observed = np.flatnonzero(particle.observed)
+    steps = np.linalg.norm(np.diff(particle.positions[observed], axis=0), axis=1)
+    limit = _jump_limit(tracks.length_unit, reading.jump, steps)
+    cuts = (steps > limit) | (_frames_between(tracks, particle, observed) > reading.gap)
+    numbers = np.zeros(len(particle.rows), np.int64)
+    numbers[observed[1:][cuts]] = 1
+    return np.cumsum(numbers)
+
+
+def _frames_between(
+    tracks: Tracks, particle: Particle, observed: np.ndarray
+) -> Float64[np.ndarray, " step"]:
+    """Frames from each seen row to the next."""
+    if tracks.frame is not None:
+        return np.diff(tracks.frame[particle.rows[observed]]).astype(np.float64)
+    steps = np.diff(particle.times[observed])
+    return np.round(steps / np.median(steps)) if len(steps) else steps

@@ -6,28 +6,21 @@ import os
 from pinav.errors import InputError
 from pinav.recordings.assembly import assemble
 from pinav.recordings.command_log import read_log, with_commands
+from pinav.recordings.formats.arrays import IdTracker, TRex
 from pinav.recordings.formats.column_map import MappedTable
-from pinav.recordings.formats.deeplabcut import DeepLabCut
-from pinav.recordings.formats.described import DESCRIBED
-from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.formats.geff import Geff
-from pinav.recordings.formats.icy import Icy
-from pinav.recordings.formats.idtracker import IdTracker
-from pinav.recordings.formats.imagej import ImageJ
 from pinav.recordings.formats.magscope import MagScope
-from pinav.recordings.formats.matlab import Matlab
-from pinav.recordings.formats.mtrackj import MTrackJ
-from pinav.recordings.formats.sfi import SFI
-from pinav.recordings.formats.sleap import Sleap
-from pinav.recordings.formats.tidy import Tidy
-from pinav.recordings.formats.trackmate import TrackMateCSV, TrackMateXML
-from pinav.recordings.formats.trackmate_project import TrackMateProject
-from pinav.recordings.formats.trackpy import Trackpy
-from pinav.recordings.formats.trex import TRex
-from pinav.recordings.formats.utrack import UTrack
-from pinav.recordings.layout import Layout
-from pinav.recordings.rows import COMMAND_UNITS, Reading
-from pinav.recordings.source import DataFrame, Source
+from pinav.recordings.formats.matlab import Matlab, UTrack
+from pinav.recordings.formats.poses import DeepLabCut, Sleap
+from pinav.recordings.formats.tables import DESCRIBED, IMAGEJ, SFI, MTrackJ, Tidy
+from pinav.recordings.formats.trackmate import (
+    Icy,
+    TrackMateCSV,
+    TrackMateProject,
+    TrackMateXML,
+)
+from pinav.recordings.rows import COMMAND_UNITS, PLAIN, Reading
+from pinav.recordings.source import AbstractFormat, DataFrame, Source
 from pinav.recordings.table import example_of_columns, likely_columns
 from pinav.trajectories import Trajectories
 
@@ -41,21 +34,17 @@ FORMATS: tuple[AbstractFormat, ...] = (
     TrackMateXML(),
     MagScope(),
     *DESCRIBED,
-    Trackpy(),
     SFI(),
     MTrackJ(),
     Sleap(),
     DeepLabCut(),
-    ImageJ(),
+    IMAGEJ,
     TRex(),
     UTrack(),
     Matlab(),
     MappedTable(),
 )
 """The formats, in the order in which a file is tried."""
-
-PLAIN = Reading()
-"""A file that says everything of itself."""
 
 
 def read_recording(
@@ -79,22 +68,20 @@ def read_recording(
             the row and the column.
     """
     name = "DataFrame" if isinstance(path, DataFrame) else os.fspath(path)
+    commands = reading.commands
+    tracked = reading if commands is None else _without_commands(reading)
     try:
         source = (
-            Source.of_frame(path, reading.layout)
+            Source.of_frame(path, tracked)
             if isinstance(path, DataFrame)
-            else Source.read(path, reading.layout)
+            else Source.read(path, tracked)
         )
-        commands = reading.commands
-        tracked = reading if commands is None else _without_commands(reading)
-        chosen = _format(source, tracked)
-        recording = assemble(
-            chosen.tracks(source, tracked), tracked, source, chosen.name
-        )
+        chosen = _format(source)
+        recording = assemble(chosen.tracks(source), source, chosen.name)
         if commands is None:
             return recording
-        log = read_log(Source.read(commands, Layout(strict=reading.strict)), reading)
-        return with_commands(recording, log, reading)
+        log = Source.read(commands, Reading(strict=reading.strict))
+        return with_commands(recording, read_log(log, reading), reading)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
     except ModuleNotFoundError as error:
@@ -104,8 +91,9 @@ def read_recording(
         ) from error
 
 
-def _format(source: Source, reading: Reading) -> AbstractFormat:
+def _format(source: Source) -> AbstractFormat:
     """The stated format, or the first that suits the content."""
+    reading = source.reading
     name = reading.format
     by_name = {format.name: format for format in FORMATS}
     if name is None and reading.columns and "variable" not in reading.columns:

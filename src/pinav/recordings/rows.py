@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float64, Int64
 
 from pinav.errors import InputError
 from pinav.recordings import units
-from pinav.recordings.layout import Layout
+from pinav.recordings.table import Table
+from pinav.settings import Range
 
 FRAMES = "frame"
 """Unit of times that are only numbers of frames."""
@@ -34,8 +35,8 @@ class Tracks:
     """Rows of a recording as its file has them: one particle in one frame each.
 
     Attributes:
-        x: in `length_unit`, NaN where the particle was lost.
-        y: likewise.
+        x: in `length_unit`, NaN where the particle was lost; so are y and z.
+        place: names the place of a row for messages, such as "line 7".
         particle: name of the particle of each row; all of one where not given.
         run: name of the run of each row.
         kind: what sort of particle, where the file says it.
@@ -43,15 +44,11 @@ class Tracks:
         time: in `time_unit`.
         segment: number of the stretch between jumps, where the file has it.
         commands: by the names of `COMMAND_UNITS`; NaN where the log has none.
-        length_unit: of x and y.
-        time_unit: of time.
-        y_down: whether y grows downwards, as in images.
-        scaled: whether positions in pixels may be scaled by `mpp`.
-        place: names the place of a row for messages, such as "line 7".
+        y_down: y grows downwards, as in images.
         columns: what the file calls "frame" and "time".
         notes: what a reader should know, in words.
         facts: further entries of the provenance; JSON values.
-        z: height, where the file has one; upwards, in `length_unit`.
+        z: height, where the file has one; upwards.
         doubts: what a fit must not take for granted, by the option that settles it.
     """
 
@@ -75,6 +72,48 @@ class Tracks:
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     z: Float64[np.ndarray, " row"] | None = None
     doubts: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of_table(
+        cls,
+        table: Table,
+        headings: Mapping[str, str],
+        *,
+        scale: float = 1.0,
+        **others: Any,
+    ) -> "Tracks":
+        """The rows of a table.
+
+        Args:
+            table: with a row for each position.
+            headings: its column of x, y and of each other quantity that it has.
+            scale: factor on positions.
+            others: fields that are known otherwise.
+
+        Raises:
+            InputError: a column is missing, or a cell is at fault.
+        """
+        wanted = {name: h for name, h in headings.items() if name not in others}
+        read: dict[str, Any] = {}
+        for name, heading in wanted.items():
+            if name in ("x", "y", "z"):
+                read[name] = scale * table.numbers(heading, lost=True)
+            elif name in ("particle", "run", "kind"):
+                read[name] = table.labels(heading)
+            elif name in ("frame", "segment"):
+                read[name] = table.whole_numbers(heading, least=0)
+        if "t" in headings and "time" not in others:
+            read["time"] = table.numbers(headings["t"])
+        columns = {"frame": headings.get("frame"), "time": headings.get("t")}
+        read["columns"] = {name: h for name, h in columns.items() if h}
+        return cls(**{**read, "place": table.row, "notes": table.notes, **others})
+
+    @property
+    def names(self) -> list[tuple[str, str, str]]:
+        """Run, kind and particle of each row; empty where the file does not say."""
+        blank = [""] * len(self.x)
+        several = (self.run or blank, self.kind or blank, self.particle or blank)
+        return list(zip(*several, strict=True))
 
     def positions(self) -> Float64[np.ndarray, "row dim"]:
         """x, y and, where there is one, z."""
@@ -160,25 +199,27 @@ class Reading:
     strict: bool = False
     commands: str | os.PathLike[str] | None = None
 
-    @property
-    def layout(self) -> Layout:
-        """How a table stands in the file."""
-        return Layout(self.sheet, self.skip, self.strict)
-
     def __post_init__(self) -> None:
         for name in ("fps", "mpp", "jump", "gap"):
             value = getattr(self, name)
-            if value is not None and not 0 < value < np.inf:
-                raise InputError(f"{name}: expected > 0, got {value}")
-        if not 0 <= self.delay < np.inf:
-            raise InputError(f"delay: expected >= 0 s, got {self.delay}")
+            Range(above=0).check(name, value)
+        Range(least=0).check("delay", self.delay)
+        Range(least=0, most=1).check("likelihood", self.likelihood)
         if not np.isfinite(self.heading_offset):
             raise InputError(
                 f"heading_offset: expected a number of radians, "
                 f"got {self.heading_offset}"
             )
-        if not 0 <= self.likelihood <= 1:
-            raise InputError(f"likelihood: expected from 0 to 1, got {self.likelihood}")
+
+
+PLAIN = Reading()
+"""How a file is read that says everything of itself."""
+
+
+def varying(heights: Float64[np.ndarray, " row"]) -> Float64[np.ndarray, " row"] | None:
+    """The heights, or None where they are all the same: a film of a plane."""
+    known = heights[np.isfinite(heights)]
+    return heights if len(known) and np.ptp(known) > 0 else None
 
 
 def in_known_units(tracks: Tracks, reading: Reading) -> Tracks:

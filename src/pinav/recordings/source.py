@@ -1,5 +1,6 @@
-"""A tracker's file before its format is known: its bytes, and what kind they are."""
+"""A tracker's file before its format is known, and what a format is to pinav."""
 
+import abc
 import dataclasses
 import gzip
 import io
@@ -16,8 +17,6 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.recordings.layout import (
     COMMENTS,
-    STRICT,
-    Layout,
     cells_of,
     delimiter_of,
     header_text,
@@ -25,9 +24,10 @@ from pinav.recordings.layout import (
     read_delimited,
     rows_above_header,
     rows_of_comments,
+    sheet_table,
 )
+from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.table import Table
-from pinav.recordings.workbook import sheet_table
 
 Kind = Literal[
     "text",
@@ -60,6 +60,10 @@ _MATLAB_HDF5 = 512
 """Bytes that MATLAB 7.3 puts in front of HDF5."""
 
 
+STRICT = Reading(strict=True)
+"""No bad row is left out."""
+
+
 @runtime_checkable
 class DataFrame(Protocol):
     """A table of pandas or polars."""
@@ -81,18 +85,22 @@ class Source:
         path: where it was read from.
         content: its bytes, decompressed where it was gzip.
         frame: the columns of a DataFrame, which has no bytes.
-        layout: how a table stands in it.
+        reading: what the user says of it.
         faults: bad rows by their place; None where the first one is refused.
     """
 
     path: Path
     content: bytes
     frame: Mapping[str, np.ndarray] | None = None
-    layout: Layout = STRICT
-    faults: dict[str, str] | None = None
+    reading: Reading = STRICT
+    faults: dict[str, str] | None = dataclasses.field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        if not self.reading.strict:
+            object.__setattr__(self, "faults", {})
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str], layout: Layout = STRICT) -> "Source":
+    def read(cls, path: str | os.PathLike[str], reading: Reading = STRICT) -> "Source":
         """The file at `path`, decompressed where it is gzip.
 
         Raises:
@@ -100,7 +108,7 @@ class Source:
         """
         path = Path(path)
         if path.is_dir():
-            return cls(path, b"", None, layout, layout.faults())
+            return cls(path, b"", None, reading)
         try:
             content = path.read_bytes()
             if content.startswith(b"\x1f\x8b"):
@@ -113,13 +121,13 @@ class Source:
             raise InputError(f"cannot read: {error.strerror or error}") from error
         if not content.strip(b"\0 \r\n\t"):
             raise InputError("the file is empty; copy it from its origin again")
-        return cls(path, content, None, layout, layout.faults())
+        return cls(path, content, None, reading)
 
     @classmethod
-    def of_frame(cls, frame: DataFrame, layout: Layout = STRICT) -> "Source":
+    def of_frame(cls, frame: DataFrame, reading: Reading) -> "Source":
         """The columns of a DataFrame."""
         columns = {str(name): np.asarray(frame[name]) for name in frame.columns}
-        return cls(Path("DataFrame"), b"", columns, layout, layout.faults())
+        return cls(Path("DataFrame"), b"", columns, reading)
 
     @property
     def stem(self) -> str:
@@ -187,8 +195,8 @@ class Source:
     @cached_property
     def skip(self) -> int:
         """Rows above the header of a text file."""
-        if self.layout.skip is not None:
-            return self.layout.skip
+        if self.reading.skip is not None:
+            return self.reading.skip
         text = self.text[:20_000].splitlines()
         if text and text[0].startswith(COMMENTS):
             return rows_of_comments(text)
@@ -225,7 +233,8 @@ class Source:
         if self.kind == "array":
             return self._count_rows(_array(self.content))
         if self.kind == "workbook":
-            return sheet_table(self.content, self.layout, self.faults)
+            sheet, skip = self.reading.sheet, self.reading.skip
+            return sheet_table(self.content, sheet, skip, self.faults)
         if self.kind == "text":
             return self.read_text_table(skip=self.skip)
         raise InputError(
@@ -291,3 +300,26 @@ def _parquet(content: bytes) -> dict[str, list[Any]]:
             f"damaged parquet file: {reason}; copy it from its origin again"
         ) from error
     return {name: table.column(name).to_pylist() for name in table.column_names}
+
+
+class AbstractFormat(abc.ABC):
+    """A format: how it is known, and how it is read.
+
+    Attributes:
+        name: what the user calls it.
+    """
+
+    name: str
+
+    @abc.abstractmethod
+    def suits(self, source: Source) -> bool:
+        """Whether the content looks like this format; cheap, and never raises."""
+
+    @abc.abstractmethod
+    def tracks(self, source: Source) -> Tracks:
+        """The rows of the file.
+
+        Raises:
+            InputError: the file is damaged; the message names the row and the column,
+                but not the file.
+        """

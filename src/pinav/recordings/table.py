@@ -101,7 +101,8 @@ class Table:
 
     Attributes:
         columns: cells of each column, by its name.
-        rows: number of each row in the file, for messages.
+        rows: number of each row in the file, for messages; its whole place where
+            `place` is empty.
         place: what a row is called, such as "line" or "sheet 'Robot 1', row".
         units: of columns whose heading, or the row below it, states one.
         faults: where bad cells are noted, by the place of their row; the first one is
@@ -110,11 +111,22 @@ class Table:
     """
 
     columns: Mapping[str, Sequence[Any] | np.ndarray]
-    rows: Int64[np.ndarray, " row"]
+    rows: np.ndarray
     place: str = "line"
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
     faults: dict[str, str] | None = None
     notes: tuple[str, ...] = ()
+
+    @classmethod
+    def concatenate(cls, tables: Sequence["Table"]) -> "Table":
+        """The rows of tables with the same columns, one table after the other."""
+        places = [table.row(row) for table in tables for row in range(len(table))]
+        columns = {
+            name: [cell for table in tables for cell in table.columns[name]]
+            for name in tables[0].columns
+        }
+        rows = np.array(places, object)
+        return dataclasses.replace(tables[0], columns=columns, rows=rows, place="")
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -122,7 +134,7 @@ class Table:
 
     def row(self, row: int) -> str:
         """Where a row stands, for a message."""
-        return f"{self.place} {self.rows[row]}"
+        return f"{self.place} {self.rows[row]}".lstrip()
 
     def where(self, row: int, column: str) -> str:
         """Where a cell stands, for a message."""

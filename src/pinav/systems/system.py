@@ -67,11 +67,11 @@ class WanderingVelocity(eqx.Module):
         InputError: a standard deviation is negative, or a memory is a number <= 0.
     """
 
-    still: float = eqx.field(metadata=dimension("L T-1"))
-    driven: float = eqx.field(metadata=dimension("L T-1 Hz^(-1/4)"))
-    memory: float = eqx.field(metadata=dimension("T"))
-    slow: float = eqx.field(metadata=dimension("L T-1"), default=0.0)
-    slow_memory: float = eqx.field(metadata=dimension("T"), default=60.0)
+    still: Scalar = eqx.field(metadata=dimension("L T-1"))
+    driven: Scalar = eqx.field(metadata=dimension("L T-1 Hz^(-1/4)"))
+    memory: Scalar = eqx.field(metadata=dimension("T"))
+    slow: Scalar = eqx.field(metadata=dimension("L T-1"), default=0.0)
+    slow_memory: Scalar = eqx.field(metadata=dimension("T"), default=60.0)
 
     def __check_init__(self) -> None:
         check_positive(self, "memory", "slow_memory")

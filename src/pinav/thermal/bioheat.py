@@ -34,11 +34,7 @@ class Bioheat(eqx.Module):
     """Tissue on a grid, perfused and heated.
 
     Attributes:
-        grid: the cells.
         tissue: passive properties, the same everywhere or one for each cell.
-        blood: that perfuses it.
-        perfusion: mass perfusion as a function of temperature.
-        sources: of heat, that go with the field.
         sides: both ends of each axis, such as `boundaries.outer` makes.
 
     Raises:
@@ -99,12 +95,7 @@ class HeatBalance(eqx.Module):
     Attributes:
         inverse_capacity: one over the heat capacity of each cell [K J⁻¹].
         conductances: across all faces of each axis [W K⁻¹], the sides included.
-        sides: both ends of each axis.
-        volumes: of the cells [m³].
-        metabolic: heat of each cell [W].
         shapes: of the sources, times the volume.
-        perfusion: mass perfusion as a function of temperature.
-        blood: that perfuses it.
     """
 
     inverse_capacity: Field
@@ -248,7 +239,6 @@ def _part(array: Array, axis: int, start: int, stop: int) -> Array:
 
 
 def _pad(array: Array, axis: int, before: int, after: int) -> Array:
-    """With zeros before and after along an axis."""
     widths = [(0, 0, 0)] * array.ndim
     widths[axis] = (before, after, 0)
     return jax.lax.pad(array, jnp.zeros((), array.dtype), widths)

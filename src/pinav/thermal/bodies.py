@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from pinav.errors import InputError
-from pinav.thermal.case import Case, TargetFile
+from pinav.thermal.case import Case, FromFile
 from pinav.thermal.case_geometry import Box, Meshed, Voxels
 from pinav.thermal.case_matter import (
     LARGEST_LABEL,
@@ -62,10 +62,6 @@ class Body(eqx.Module):
     """Everything that a case is made of, but for what heats it.
 
     Attributes:
-        grid: cells.
-        tissue: passive properties.
-        blood: blood that perfuses the tissue.
-        perfusion: perfusion of all tissues.
         fractions: volume fraction of each tissue in each cell.
         laws: for each tissue, what picks its perfusion from a model.
         target: volume fraction of the target in each cell.
@@ -89,10 +85,6 @@ class Body(eqx.Module):
 def build_body(case: Case, folder: Path) -> Body:
     """The grid, tissues and target of a case.
 
-    Args:
-        case: the case.
-        folder: folder of the files that it names.
-
     Raises:
         InputError: a name or a unit is unknown, a perfusion implausible, or a file
             cannot be read, is not of these voxels, or holds what no tissue has.
@@ -103,7 +95,6 @@ def build_body(case: Case, folder: Path) -> Body:
 
 
 def _ball_body(case: Case, grid: Meshed) -> Body:
-    """A ball of tumour in tissue."""
     cells, blood, (medium, tumour) = grid.build(), case.blood, case.ball
     target = cells.ball(tumour.radius, center=tumour.center)
     inside, outside = tumour.tissue.properties(), medium.properties()
@@ -128,7 +119,6 @@ def _ball_body(case: Case, grid: Meshed) -> Body:
 
 
 def _voxel_body(case: Case, grid: Voxels, folder: Path) -> Body:
-    """Tissues and target of a case whose grid is an image."""
     image = read_image(folder / grid.labels)
     box = _box(grid, image)
     if image.spacing is None:
@@ -166,12 +156,7 @@ def _voxel_body(case: Case, grid: Voxels, folder: Path) -> Body:
 
 
 def read_heating(heating: Heating, path: Path, body: Body) -> np.ndarray:
-    """SAR [W/kg] or concentration [kg/m³] of each voxel.
-
-    Raises:
-        InputError: the file cannot be read, is not of these voxels, or holds no such
-            numbers.
-    """
+    """SAR [W/kg] or concentration [kg/m³] of each voxel."""
     assert body.image is not None
     kind = "absorption" if isinstance(heating, Absorption) else "concentration"
     everywhere = np.ones(body.grid.shape, bool)
@@ -226,7 +211,6 @@ class _Files:
 
 
 def _box(grid: Voxels, image: Image) -> Box:
-    """The cells of an image."""
     path, shape = image.path, image.values.shape
     if image.values.ndim not in (2, 3) or min(shape) < 3:
         raise InputError(
@@ -254,7 +238,6 @@ def _box(grid: Voxels, image: Image) -> Box:
 
 
 def _masks(case: Case, image: Image) -> dict[str, Bool[np.ndarray, "..."]]:
-    """The voxels of each tissue."""
     values, path = image.values, image.path
     whole = np.isfinite(values) & (values == np.round(values))
     if not np.all(whole & (np.abs(values) <= LARGEST_LABEL)):
@@ -314,7 +297,6 @@ def _law(
 def _join(
     media: dict[str, Tissue], masks: dict[str, Bool[np.ndarray, "..."]]
 ) -> Tissue:
-    """Properties of each voxel."""
     joined = {}
     for name in PROPERTIES:
         parts = [
@@ -329,7 +311,7 @@ def _target(
     case: Case, masks: dict[str, Bool[np.ndarray, "..."]], files: _Files
 ) -> np.ndarray:
     """Share of each voxel that the target has."""
-    if not isinstance(case.target, TargetFile):
+    if not isinstance(case.target, FromFile):
         return np.any([masks[name] for name in case.target or ()], axis=0).astype(float)
     image = read_image(files.folder / case.target.file)
     check_place(image, files.labels)

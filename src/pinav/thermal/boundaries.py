@@ -35,11 +35,7 @@ class AbstractBoundary(eqx.Module):
 
 
 class Dirichlet(AbstractBoundary):
-    """A wall of given temperature.
-
-    Attributes:
-        temperature: of the wall [°C].
-    """
+    """A wall of given temperature."""
 
     temperature: Scalar = eqx.field(metadata={"range": Celsius})
 
@@ -121,7 +117,6 @@ class Sides(AbstractEnds):
 
     Attributes:
         low: at the lower end; the centre of a cylinder or sphere has no area.
-        high: at the upper end.
     """
 
     low: AbstractBoundary

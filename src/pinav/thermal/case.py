@@ -65,14 +65,11 @@ class Tumour(Strict, frozen=True):
     center: tuple[Place, ...] | None = None
 
 
-class TargetFile(Strict, frozen=True):
-    """An image of the share of each voxel that the target has, 0 to 1."""
+class FromFile(Strict, frozen=True):
+    """A file: the share of each voxel that the target has, or the end of a run.
 
-    file: str
-
-
-class Before(Strict, frozen=True):
-    """The end of another run: its results, or temperatures [°C] in a file of NumPy."""
+    A run begins from its results, or from temperatures [°C] in a file of NumPy.
+    """
 
     file: str
 
@@ -87,13 +84,13 @@ class Case(Strict, frozen=True):
     tissue: Medium | None = None
     tumour: Tumour | None = None
     tissues: dict[str, Medium] = msgspec.field(default_factory=dict)
-    target: tuple[str, ...] | TargetFile | None = None
+    target: tuple[str, ...] | FromFile | None = None
     blood_table: Table = msgspec.field(default_factory=dict, name="blood")
     wall_table: Side = msgspec.field(
         default_factory=lambda: {"temperature": 37.0}, name="wall"
     )
     sides: SideTables = SideTables()
-    start: Literal["rest", "steady"] | Before = "rest"
+    start: Literal["rest", "steady"] | FromFile = "rest"
     eddy_table: Table | None = msgspec.field(default=None, name="eddy")
     damage_table: Table | None = msgspec.field(default=None, name="damage")
     limit: LimitName | None = None
@@ -116,7 +113,6 @@ class Case(Strict, frozen=True):
 
     @property
     def blood(self) -> Blood:
-        """Blood of the tissues."""
         return read_module("blood", (Blood,), self.blood_table)
 
     @property
@@ -179,7 +175,6 @@ class Case(Strict, frozen=True):
         return [float(t) for t in (self.blood.arterial, *(w.outside for w in walls))]
 
     def _check_ball(self, grid: AbstractGrid) -> None:
-        """Tables of a case without voxels."""
         if self.tissue is None or self.tumour is None:
             raise ValueError(
                 "expected the tables tissue and tumour, got "
@@ -210,7 +205,6 @@ class Case(Strict, frozen=True):
         self.check_extent(grid)
 
     def _check_labels(self) -> None:
-        """Tables of a case of voxels."""
         if self.tissue is not None or self.tumour is not None:
             raise ValueError(
                 "tissue, tumour: expected none on a grid of voxels; name each tissue "

@@ -43,18 +43,13 @@ class Sphere(Strict, frozen=True, tag="sphere", tag_field="kind"):
     cells: Cells
 
     def build(self) -> RadialGrid:
-        """The cells."""
         return RadialGrid.sphere(self.radius, self.cells)
 
 
-class Cylinder(Strict, frozen=True, tag="cylinder", tag_field="kind"):
+class Cylinder(Sphere, frozen=True, tag="cylinder", tag_field="kind"):
     """A long cylinder, everything a function of the radius [m]."""
 
-    radius: Length
-    cells: Cells
-
     def build(self) -> RadialGrid:
-        """The cells."""
         return RadialGrid.cylinder(self.radius, self.cells)
 
 
@@ -78,13 +73,11 @@ class Box(Strict, frozen=True, tag="box", tag_field="kind"):
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """Edges of a cell [m]."""
         if isinstance(self.size, tuple):
             return self.size
         return (self.size,) * len(self.cells)
 
     def build(self) -> CartesianGrid:
-        """The cells."""
         return CartesianGrid(self.cells, self.sizes)
 
 
@@ -128,16 +121,9 @@ class SideTables(Strict, frozen=True):
 
     @property
     def along(self) -> tuple[Across, Across, Across]:
-        """Those of each axis."""
         return self.x, self.y, self.z
 
     def build(self, wall: AbstractBoundary, axes: int) -> tuple[AbstractEnds, ...]:
-        """Both sides of each axis of a box.
-
-        Args:
-            wall: boundary of the sides that are not stated.
-            axes: number of axes.
-        """
         return tuple(
             _ends(f"sides.{name}", ends, wall)
             for name, ends in tuple(zip("xyz", self.along, strict=True))[:axes]
@@ -145,11 +131,7 @@ class SideTables(Strict, frozen=True):
 
 
 def read_boundary(key: str, side: Side) -> AbstractBoundary:
-    """The boundary that a table states.
-
-    Raises:
-        ValueError: it states none.
-    """
+    """The boundary that a table states."""
     return read_module(key, (Dirichlet, Robin, Insulated), side)
 
 

@@ -9,14 +9,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from pinav.thermal.magnetics import (
-    AbstractHeating,
-    LinearResponse,
-    LogNormalSizes,
-    TabulatedHeating,
-)
 from pinav.thermal.perfusion import (
-    BLEND,
     AbstractPerfusion,
     ConstantPerfusion,
     TabulatedPerfusion,
@@ -41,6 +34,12 @@ from pinav.thermal.quantities import (
     SpecificHeat,
     Strict,
     Time,
+)
+from pinav.thermal.sources import (
+    AbstractHeating,
+    LinearResponse,
+    LogNormalSizes,
+    TabulatedHeating,
 )
 from pinav.thermal.tissues import Blood, Tissue, preset
 
@@ -70,35 +69,11 @@ class Flow(Strict, frozen=True):
                 "expected a law, or a value with its unit, such as "
                 '{value = 6.7e-4, unit = "1/s"}'
             )
-        if self.values or self.temperatures:
-            self._check_law()
-
-    def _check_law(self) -> None:
-        """Refuse a law that jumps: no derivative sees a jump."""
-        count = len(self.temperatures)
-        if len(self.values) != count or count < 2:
-            raise ValueError(
-                "values: expected one for each of two temperatures or more, got "
-                f"{len(self.values)} for {count}"
-            )
-        gaps = [b - a for a, b in itertools.pairwise(self.temperatures)]
-        if min(gaps) < BLEND * (1 - 1e-9):
-            raise ValueError(
-                f"temperatures: expected increasing, {BLEND:g} K apart or more, got "
-                f"{list(self.temperatures)}; a law that jumps has no derivative there: "
-                f"let it rise over {BLEND:g} K"
-            )
+        if self.values or self.temperatures:  # refuses a law that jumps
+            TabulatedPerfusion(self.temperatures, jnp.asarray(self.values, float))
 
     def law(self, blood: Blood, tissue: Tissue) -> AbstractPerfusion:
-        """The perfusion that is stated, but for that of a file.
-
-        Args:
-            blood: blood that perfuses the tissue.
-            tissue: its passive properties.
-
-        Raises:
-            InputError: there is no such law or unit, or the perfusion is implausible.
-        """
+        """The perfusion that is stated, but for that of a file."""
         if self.law_name is not None:
             return lang(self.law_name)
         assert self.unit is not None
@@ -143,9 +118,6 @@ class Medium(Strict, frozen=True):
 
         Args:
             maps: values for each cell, of the properties that a file states.
-
-        Raises:
-            InputError: the preset is unknown.
         """
         base = None if self.preset is None else preset(self.preset).tissue
         values = {}
@@ -226,7 +198,6 @@ class Particles(Strict, frozen=True, tag="particles", tag_field="kind"):
             )
 
     def heating(self) -> AbstractHeating:
-        """SLP of the particles."""
         viscosity = 1e-3 if self.viscosity is None else self.viscosity
         response = LinearResponse(
             1e-9 * self.diameter,
@@ -271,7 +242,6 @@ class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
             )
 
     def heating(self) -> AbstractHeating:
-        """SLP of the particles."""
         return TabulatedHeating(
             np.array(self.amplitudes),
             np.array(self.frequencies),
@@ -371,7 +341,6 @@ class FieldTable(Strict, frozen=True):
             )
 
     def build(self) -> Piecewise:
-        """The protocol."""
         if self.ramp:
             return Piecewise.ramp(self.times, self.ramp, self.frequency)
         if self.on is None or self.off is None:
@@ -386,7 +355,6 @@ class FieldTable(Strict, frozen=True):
 
     @property
     def duration(self) -> float:
-        """Duration of the whole protocol [s]."""
         return self.times[-1]
 
     @property

@@ -16,8 +16,7 @@ from jaxtyping import Array, Float
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.dose import value_exceeded_by
-from pinav.thermal.exposure_limits import HfLimit
-from pinav.thermal.protocols import Piecewise
+from pinav.thermal.protocols import HfLimit, Piecewise
 from pinav.thermal.quantities import Field, Number
 from pinav.thermal.solve import Solution
 from pinav.thermal.sources import ParticleSource, PowerSource
@@ -33,33 +32,16 @@ RANGE = 14.0
 
 
 class Run(eqx.Module):
-    """What is run: tissue with its particles, and the field over time.
-
-    Attributes:
-        model: the tissue.
-        protocol: the field.
-    """
+    """What is run: tissue with its particles, and the field over time."""
 
     model: Bioheat
     protocol: Piecewise
 
 
-class RunResult(eqx.Module):
-    """A run and its temperatures and doses.
-
-    Attributes:
-        run: tissue and field.
-        solution: temperature and dose.
-    """
-
-    run: Run
-    solution: Solution
-
-
 Numbers = Float[Array, " number"]
 """Design variables, between 0 and 1."""
 
-Quantity = Callable[[RunResult], Field]
+Quantity = Callable[[Run, Solution], Field]
 """A differentiable function of a run; several numbers are all bounded."""
 
 
@@ -79,10 +61,6 @@ class Constraint(eqx.Module):
     """A quantity that may not exceed a bound.
 
     Attributes:
-        name: what the result calls it.
-        quantity: what is bounded.
-        bound: upper bound.
-        unit: unit of quantity and bound.
         scale: change that matters, positive.
         is_dose: the logarithm counts: a dose spans many decades, and its logarithm is
             nearly linear in the temperature.
@@ -95,11 +73,11 @@ class Constraint(eqx.Module):
     scale: Number = 1.0
     is_dose: bool = eqx.field(static=True, default=False)
 
-    def excess(self, result: RunResult) -> Field:
-        """Amount by which it exceeds, such that a change of one matters."""
+    def excess(self, value: Field) -> Field:
+        """Amount by which a value exceeds, such that a change of one matters."""
         if self.is_dose:
-            return jnp.log((self.quantity(result) + LEAST_DOSE) / self.bound)
-        return (self.quantity(result) - self.bound) / self.scale
+            return jnp.log((value + LEAST_DOSE) / self.bound)
+        return (value - self.bound) / self.scale
 
 
 def log_d90(target: Field) -> Quantity:
@@ -108,12 +86,12 @@ def log_d90(target: Field) -> Quantity:
     Args:
         target: volume fraction of the target in each cell.
     """
-    return eqx.Partial(_log_d90, target)
+    return eqx.Partial(_log_d90, target)  # compiled once for all targets of a shape
 
 
-def _log_d90(target: Field, result: RunResult) -> Field:
-    volumes = target * result.run.model.grid.volumes
-    d90 = value_exceeded_by(result.solution.final.dose, volumes, 0.9)
+def _log_d90(target: Field, run: Run, solution: Solution) -> Field:
+    volumes = target * run.model.grid.volumes
+    d90 = value_exceeded_by(solution.final.dose, volumes, 0.9)
     # Doses span decades; without the offset a cold start would have no gradient.
     return jnp.log(d90 + LEAST_DOSE)
 
@@ -125,11 +103,9 @@ def max_temperature(bound: Number) -> Constraint:
     interval is the first, at which the amplitude does not act yet; the slope of a
     maximum over the interval would not tell what the amplitude does later.
     """
-    return Constraint("maximum temperature", _hottest, bound, "°C")
-
-
-def _hottest(result: RunResult) -> Field:
-    return result.solution.hottest
+    return Constraint(
+        "maximum temperature", lambda _, solution: solution.hottest, bound, "°C"
+    )
 
 
 def healthy_dose(
@@ -141,25 +117,24 @@ def healthy_dose(
         bound: largest dose [CEM43 min], positive.
         fraction: volume fraction of the healthy tissue; cells below one half do not
             count.
-        name: what the result calls it.
+        name: name in the result.
     """
-    dose = eqx.Partial(_largest_dose, fraction)
+
+    def dose(_: Run, solution: Solution) -> Field:
+        return jnp.max(jnp.where(fraction > 0.5, solution.final.dose, 0.0))
+
     return Constraint(name, dose, bound, "min", is_dose=True)
-
-
-def _largest_dose(fraction: Field, result: RunResult) -> Field:
-    return jnp.max(jnp.where(fraction > 0.5, result.solution.final.dose, 0.0))
 
 
 def limit_constraint(limit: HfLimit) -> Constraint:
     """The constraint that the field keeps a limit; a change of the bound matters."""
-    exposure = eqx.Partial(_exposure, limit)
-    bound = limit.product
-    return Constraint(limit.name, exposure, bound, "A/(m s)", scale=bound)
-
-
-def _exposure(limit: HfLimit, result: RunResult) -> Field:
-    return limit.exposure(result.run.protocol)
+    return Constraint(
+        limit.name,
+        lambda run, _: limit.exposure(run.protocol),
+        limit.product,
+        "A/(m s)",
+        scale=limit.product,
+    )
 
 
 def free_amplitudes(
@@ -183,38 +158,27 @@ def free_amplitudes(
             "free_amplitudes: expected a largest amplitude > 0 A/m, an interval and a "
             f"start within 0 and 1, got {largest}, {count} and {first}"
         )
-    start = np.full(count, float(first) ** 2)
-    return DesignVariable(start, eqx.Partial(_set_amplitudes, largest, before))
 
+    def apply(numbers: Numbers, run: Run) -> Run:
+        # a millionth of the largest where it is off: power has a slope there
+        values = largest * jnp.sqrt(LEAST_POWER + (1 - LEAST_POWER) * numbers)
+        return _with_field(run, lambda kept: jnp.concatenate([kept[:before], values]))
 
-def _set_amplitudes(largest: Number, before: int, numbers: Numbers, run: Run) -> Run:
-    # a millionth of the largest where it is off: power has a slope there
-    values = largest * jnp.sqrt(LEAST_POWER + (1 - LEAST_POWER) * numbers)
-    kept = run.protocol
-    starts = jnp.concatenate([kept.starts[:before], values])
-    ends = jnp.concatenate([kept.ends[:before], values])
-    return _with_field(run, starts, ends)
+    return DesignVariable(np.full(count, float(first) ** 2), apply)
 
 
 def free_scale(largest: Number, first: Number = 0.5) -> DesignVariable:
-    """One factor of all amplitudes, the pattern kept: for bursts and ramps.
+    """One factor of all amplitudes, the pattern kept: for bursts and ramps."""
 
-    Args:
-        largest: factor at 1, positive.
-        first: where to start.
-    """
-    start = np.array([float(first)])
-    return DesignVariable(start, eqx.Partial(_scale_amplitudes, largest))
+    def apply(numbers: Numbers, run: Run) -> Run:
+        return _with_field(run, lambda kept: kept * (largest * numbers[0]))
+
+    return DesignVariable(np.array([float(first)]), apply)
 
 
-def _scale_amplitudes(largest: Number, numbers: Numbers, run: Run) -> Run:
-    factor = largest * numbers[0]
-    return _with_field(run, run.protocol.starts * factor, run.protocol.ends * factor)
-
-
-def _with_field(run: Run, starts: Array, ends: Array) -> Run:
+def _with_field(run: Run, change: Callable[[Array], Array]) -> Run:
     return eqx.tree_at(
-        lambda r: (r.protocol.starts, r.protocol.ends), run, (starts, ends)
+        lambda r: (r.protocol.starts, r.protocol.ends), run, replace_fn=change
     )
 
 
@@ -227,37 +191,32 @@ def free_placement(patterns: Float[Array, "number ..."]) -> DesignVariable:
     Args:
         patterns: $b_k$, one for each row [kg m⁻³ or W m⁻³].
     """
-    start = np.full(patterns.shape[0], 0.5)
-    return DesignVariable(start, eqx.Partial(_place, patterns))
 
+    def apply(numbers: Numbers, run: Run) -> Run:
+        # a softmax keeps the total and cannot become negative, without a constraint
+        fractions = jax.nn.softmax(RANGE * (numbers - 0.5))
+        field = jnp.tensordot(fractions, patterns, axes=1)
+        first = run.model.sources[0]
+        if isinstance(first, ParticleSource):
+            moved = ParticleSource(field, first.heating, first.scale)
+        elif isinstance(first, PowerSource):
+            moved = PowerSource(field, first.reference, first.scale)
+        else:
+            raise InputError(
+                "free_placement: expected particles or a power density as the first "
+                f"source, got {type(first).__name__}"
+            )
+        return eqx.tree_at(lambda r: r.model.sources[0], run, moved)
 
-def _place(patterns: Array, numbers: Numbers, run: Run) -> Run:
-    # a softmax keeps the total and cannot become negative, without a constraint
-    fractions = jax.nn.softmax(RANGE * (numbers - 0.5))
-    field = jnp.tensordot(fractions, patterns, axes=1)
-    first, *others = run.model.sources
-    if isinstance(first, ParticleSource):
-        moved = ParticleSource(field, first.heating, first.scale)
-    elif isinstance(first, PowerSource):
-        moved = PowerSource(field, first.reference, first.scale)
-    else:
-        raise InputError(
-            "free_placement: expected particles or a power density as the first "
-            f"source, got {type(first).__name__}"
-        )
-    return eqx.tree_at(lambda r: r.model.sources, run, (moved, *others))
+    return DesignVariable(np.full(patterns.shape[0], 0.5), apply)
 
 
 def shells(
     model: Bioheat, radius: Number, count: int, total: Number
 ) -> Float[Array, "number ..."]:
-    """Patterns in shells of equal thickness up to a radius [m], of one total each.
+    """Patterns in shells of equal thickness up to a radius [m].
 
-    Args:
-        model: on whose grid.
-        radius: radius of the outermost shell [m].
-        count: number of shells.
-        total: integral of each pattern: kilograms of particles, or watts.
+    Each has the same total, in kilograms of particles, or watts.
     """
     edges = np.linspace(0.0, radius, count + 1)
     balls = [model.grid.ball(float(r)) if r > 0 else None for r in edges]

@@ -54,7 +54,6 @@ def cem43_segment(
 
 @jax.custom_jvp
 def _mean_rate(begin: Any, end: Any, cutoff: Any) -> Field:
-    """Mean of the rate over a segment."""
     first = _doubling(begin, cutoff)
     last = _doubling(end, cutoff)
     # of two powers of two alone: exponentials are what a dose costs
@@ -230,13 +229,7 @@ def volume_above(values: Field, weights: Field, level: Scalar) -> Float[Array, "
 def time_to_reach(
     times: Float[np.ndarray, " time"], doses: Float[np.ndarray, " time"], level: Number
 ) -> float | None:
-    """Time at which a growing dose reaches a level; none where it does not.
-
-    Args:
-        times: increasing [s].
-        doses: so far, at these times [min].
-        level: to be reached [min].
-    """
+    """Time [s] at which a growing dose reaches a level [min]; none if it does not."""
     if not doses[-1] >= level:
         return None
     after = int(np.argmax(doses >= level))

@@ -129,7 +129,6 @@ class RadialGrid(AbstractGrid):
 
     @property
     def centers(self) -> Float[Array, " cell"]:
-        """Middles of the cells [m]."""
         return 0.5 * (self.edges[1:] + self.edges[:-1])
 
     @property
@@ -181,7 +180,6 @@ class CartesianGrid(AbstractGrid):
     """Equal cells of a box, from the origin, along one, two or three axes.
 
     Attributes:
-        cells: number of cells along each axis.
         spacing: size of a cell along each axis [m].
 
     Raises:
@@ -223,7 +221,6 @@ class CartesianGrid(AbstractGrid):
 
     @property
     def lengths(self) -> Float[Array, " axis"]:
-        """Extent along each axis [m]."""
         pairs = zip(self.cells, self.spacing, strict=True)
         return jnp.stack([count * jnp.asarray(size, float) for count, size in pairs])
 
@@ -233,10 +230,10 @@ class CartesianGrid(AbstractGrid):
 
     @property
     def _volume(self) -> Array:
-        volume = jnp.asarray(1.0)
-        for size in self.spacing:
-            volume = volume * size
-        return volume
+        return functools.reduce(jnp.multiply, self.spacing, jnp.asarray(1.0))
+
+    def _center(self, center: Numbers | None) -> Array:
+        return 0.5 * self.lengths if center is None else jnp.asarray(center, float)
 
     def faces(self, axis: int) -> Field:
         count = tuple(n + (i == axis) for i, n in enumerate(self.cells))
@@ -253,15 +250,10 @@ class CartesianGrid(AbstractGrid):
         return _ball_shares(self, radius, self._center(center))
 
     def distances(self, center: Numbers | None = None) -> Field:
-        return self._distances(self._center(center))
-
-    def _center(self, center: Numbers | None) -> Array:
-        return 0.5 * self.lengths if center is None else jnp.asarray(center, float)
-
-    def _distances(self, center: Array) -> Array:
+        middle = self._center(center)
         squares = jnp.zeros(self.cells)
         for axis, size in enumerate(self.spacing):
-            offset = (jnp.arange(float(self.cells[axis])) + 0.5) * size - center[axis]
+            offset = (jnp.arange(float(self.cells[axis])) + 0.5) * size - middle[axis]
             shape = [1] * len(self.cells)
             shape[axis] = self.cells[axis]
             squares = squares + jnp.broadcast_to((offset**2).reshape(shape), self.cells)
@@ -400,7 +392,6 @@ class ResistanceScale(eqx.Module):
         edges: Float[np.ndarray, " face"],
         conductivity: Float[np.ndarray, " cell"],
     ) -> "ResistanceScale":
-        """That of cells between edges [m], of a conductivity each [W m⁻¹ K⁻¹]."""
         resistivity, sizes = 1 / np.asarray(conductivity, float), np.diff(edges)
         faces = np.append(0.0, np.cumsum(resistivity * sizes))
         before, after = resistivity[:-2], resistivity[2:]
@@ -422,7 +413,6 @@ class ResistanceScale(eqx.Module):
         return float(np.interp(place, self.places, self.resistances))
 
     def weights(self, place: Number) -> Float[np.ndarray, " cell"]:
-        """Weights of the cells in the value at a place [m]."""
         return linear_weights(self.at(place), self.values)
 
 

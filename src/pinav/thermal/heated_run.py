@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float32, PyTree
 
+from pinav.arguments import Scalar
 from pinav.thermal.bioheat import Bioheat, HeatBalance
 from pinav.thermal.dose import (
     cem43_segment,
@@ -15,10 +16,10 @@ from pinav.thermal.dose import (
     value_exceeded_by,
     volume_above,
 )
-from pinav.thermal.exposure_limits import validity_warnings
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.setup import Setup
 from pinav.thermal.solve import Observe, Solution, probes_at, solve
+from pinav.thermal.sources import ParticleSource
 
 REGULAR_TIMES = 180
 """Times at which curves are saved, beside every switch of the field."""
@@ -28,6 +29,9 @@ MOMENTS = 61
 
 THERAPEUTIC = 10.0
 """CEM43 [min] of T90 that trials of hyperthermia aim at."""
+
+HOTTEST_VALID = 55.0
+"""Temperature [°C] above which neither perfusion nor linear response is known."""
 
 OFF = 1e-5
 """Share of the largest amplitude below which the field is off: a plan leaves less."""
@@ -39,11 +43,7 @@ AXES = "xyz"
 
 
 class AbstractHeatResult(eqx.Module):
-    """What a task on a case computed.
-
-    Attributes:
-        title: title of the case.
-    """
+    """What a task on a case computed."""
 
     title: eqx.AbstractVar[str]
 
@@ -53,10 +53,7 @@ class RadialBalance(eqx.Module):
 
     Attributes:
         inverse_capacity: one over the heat capacity of each cell [K J⁻¹].
-        conductances: of the faces [W K⁻¹].
         outside: temperatures behind both ends [°C].
-        volumes: of the cells [m³].
-        metabolic: metabolic power of each cell [W].
         shapes: of the sources in each cell.
         amplitudes: at which the levels of the sources are tabulated [A m⁻¹].
         levels: of the sources at these.
@@ -96,11 +93,7 @@ class HeatedRun(AbstractHeatResult):
     """A run of a case: what it reached, and the curves and fields behind that.
 
     Attributes:
-        title: title of the case.
-        T_max: highest temperature [°C].
         T10: temperature that 10 % of the target exceed at the end of heating [°C].
-        T50: the same for 50 %.
-        T90: the same for 90 %.
         V43: fraction of the target above 43 °C at the end of heating.
         D90: dose that 90 % of the target exceed [CEM43 min].
         heated: end of heating, after which the field is off [s].
@@ -110,24 +103,14 @@ class HeatedRun(AbstractHeatResult):
         Hf: largest product of amplitude and frequency [A m⁻¹ s⁻¹].
         imbalance: relative error of the energy balance.
         warnings: laws that were used outside their range, one sentence each.
-        protocol: field over time.
-        times: saved times [s].
         temperatures: by `FOLLOWED`, at these times [°C].
         above: fraction of the target above 43 °C at these times.
         doses: `D90`, and the largest `outside` the target, at these times [CEM43 min].
-        target: volume fraction of the target in each cell.
-        temperature: of each cell at the end [°C].
-        dose: of each cell at the end [CEM43 min].
-        points: places of the probes [m].
         probes: their temperatures at the saved times [°C].
-        radius: of the cells [m], on a grid along a radius.
         profiles: temperature along the radius at the saved times [°C].
-        balance: heat balance along the radius.
         spacing: edges of a cell of a box [m].
         moments: times at which planes are kept [s].
-        planes: planes of a box.
         dead: dead fraction of each cell by Arrhenius' law, if the case has one.
-        dead_target: dead fraction of the target.
         dead_outside: largest such fraction outside it.
     """
 
@@ -173,13 +156,7 @@ FOLLOWED = ("hottest", *SHARES)
 def simulate(
     setup: Setup, model: Bioheat | None = None, protocol: Piecewise | None = None
 ) -> HeatedRun:
-    """Run a case, or another tissue or protocol in its place.
-
-    Args:
-        setup: the case.
-        model: tissue; that of the case unless given.
-        protocol: field; that of the case unless given.
-    """
+    """Run a case, or another tissue or protocol in its place."""
     model, protocol = model or setup.model, protocol or setup.protocol
     solution = _follow(setup, model, protocol)
     seen, doses = jax.tree.map(np.asarray, (solution.observed, solution.observed_dose))
@@ -188,7 +165,7 @@ def simulate(
     highest = float(solution.hottest.max())
     fields = (
         _along_radius(setup, model, protocol, seen)
-        if setup.target.ndim == 1
+        if setup.body.target.ndim == 1
         else _on_planes(setup, times, seen)
     )
     return HeatedRun(
@@ -211,7 +188,7 @@ def simulate(
         temperatures={name: seen[name] for name in FOLLOWED},
         above=seen["V43"],
         doses=doses,
-        target=np.asarray(setup.target),
+        target=np.asarray(setup.body.target),
         temperature=np.asarray(solution.final.temperature),
         dose=np.asarray(solution.final.dose),
         points=setup.points,
@@ -222,7 +199,6 @@ def simulate(
 
 
 def _follow(setup: Setup, model: Bioheat, protocol: Piecewise) -> Solution:
-    """The run, with what is followed of it."""
     probes = probes_at(model, setup.points) if len(setup.points) else None
     watched = Watched.of(setup, probes)
     return solve(
@@ -254,7 +230,7 @@ def _on_planes(
     kept = np.unique(np.linspace(0, count - 1, min(MOMENTS, count)).round().astype(int))
     planes = tuple(
         Plane(AXES[cut.axis], cut.place, seen[f"plane {cut.axis}"][kept].astype("f4"))
-        for cut in cuts_through(np.asarray(setup.target))
+        for cut in cuts_through(np.asarray(setup.body.target))
     )
     return {
         "spacing": setup.model.grid.cell_sizes,
@@ -264,16 +240,37 @@ def _on_planes(
 
 
 def _dead_shares(setup: Setup, damage: Array | None) -> dict[str, PyTree]:
-    """Dead fraction of each cell, of the target, and the largest outside it."""
     if damage is None:
         return {}
-    dead, target = 1 - np.exp(-np.asarray(damage)), np.asarray(setup.target)
+    dead, target = 1 - np.exp(-np.asarray(damage)), np.asarray(setup.body.target)
     weights = target * np.asarray(setup.model.grid.volumes)
     return {
         "dead": dead,
         "dead_target": float((dead * weights).sum() / weights.sum()),
         "dead_outside": float(dead[target < 1e-9].max()),
     }
+
+
+def validity_warnings(
+    model: Bioheat, protocol: Piecewise, hottest: Scalar | None = None
+) -> list[str]:
+    """What of a run lies outside the range of its laws, one sentence each."""
+    warnings = []
+    for source in model.sources:
+        if isinstance(source, ParticleSource):
+            strain = float(source.heating.validity(protocol.largest))
+            if strain > 1:
+                warnings.append(
+                    f"{type(source.heating).__name__} is strained {strain:.3g} times "
+                    "beyond its range of validity (1) at the largest amplitude; the "
+                    "power is doubtful"
+                )
+    if hottest is not None and float(hottest) > HOTTEST_VALID:
+        warnings.append(
+            f"{float(hottest):.1f} °C is reached; perfusion and heating laws hold up "
+            f"to about {HOTTEST_VALID:g} °C"
+        )
+    return warnings
 
 
 def saved_times(protocol: Piecewise) -> Float[np.ndarray, " time"]:
@@ -314,7 +311,6 @@ class Cut(NamedTuple):
     place: int | None
 
     def of(self, field: Float[Array, "..."]) -> Float[Array, "row column"]:
-        """The cells of a field that lie in the plane."""
         if self.place is None:
             return field
         return jnp.take(field, self.place, axis=self.axis)
@@ -324,9 +320,6 @@ def cuts_through(target: Float[np.ndarray, "..."]) -> tuple[Cut, ...]:
     """The plane itself, or the three planes through the middle of a target in a box.
 
     A radius has none.
-
-    Args:
-        target: volume fraction of the target in each cell.
     """
     if target.ndim == 1:
         return ()
@@ -341,12 +334,8 @@ class Watched(eqx.Module):
     """What of temperature and dose is followed in the target and outside it.
 
     Attributes:
-        cells: indices of the target's cells in the flattened grid.
-        volumes: volume of the target in them [m³].
         outside: marks the cells without any of the target, flattened.
-        probes: temperatures at the probes, if there are any.
         whole: True if all of the temperature is kept.
-        cuts: planes whose temperatures are kept.
     """
 
     cells: np.ndarray
@@ -358,15 +347,15 @@ class Watched(eqx.Module):
 
     @classmethod
     def of(cls, setup: Setup, probes: Observe | None) -> "Watched":
-        volumes = np.asarray(setup.target * setup.model.grid.volumes).reshape(-1)
+        volumes = np.asarray(setup.body.target * setup.model.grid.volumes).reshape(-1)
         cells = np.flatnonzero(volumes > 0)
         return cls(
             cells=cells,
             volumes=jnp.asarray(volumes[cells]),
-            outside=np.asarray(setup.target).reshape(-1) < 1e-9,
+            outside=np.asarray(setup.body.target).reshape(-1) < 1e-9,
             probes=probes,
-            whole=setup.target.ndim == 1,
-            cuts=cuts_through(np.asarray(setup.target)),
+            whole=setup.body.target.ndim == 1,
+            cuts=cuts_through(np.asarray(setup.body.target)),
         )
 
     def temperatures(self, temperature: Float[Array, "..."]) -> dict[str, Array]:
@@ -383,7 +372,6 @@ class Watched(eqx.Module):
         return observed | {f"plane {c.axis}": c.of(temperature) for c in self.cuts}
 
     def doses(self, dose: Float[Array, "..."]) -> dict[str, Array]:
-        """Doses of one time [CEM43 min]."""
         flat = dose.reshape(-1)
         beyond = jnp.where(self.outside, flat, 0.0)
         return {
@@ -403,13 +391,7 @@ REACH = 1.5
 
 
 def radial_balance(setup: Setup, model: Bioheat, protocol: Piecewise) -> RadialBalance:
-    """The heat balance of a run along a radius.
-
-    Args:
-        setup: case, for its start.
-        model: tissue.
-        protocol: field.
-    """
+    """The heat balance of a run along a radius."""
     balance = HeatBalance.of(model)
     cells = balance.volumes.shape[0]
     ends = jnp.full((1,), float(model.blood.arterial))

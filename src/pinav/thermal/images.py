@@ -1,7 +1,7 @@
-"""Images of voxels: arrays of NumPy, and NIfTI with its place and its units.
+"""Images of voxels, and frames of MR thermometry: arrays of NumPy, and NIfTI.
 
-A NIfTI file says how large its voxels are and where they are; an array of NumPy says
-neither. Everything is in metres and seconds here, whatever the file has.
+A NIfTI file says how large its voxels are and where; an array of NumPy says neither.
+Everything is in metres and seconds here, whatever the file has.
 """
 
 import gzip
@@ -9,7 +9,6 @@ import importlib
 from pathlib import Path
 from types import ModuleType
 from typing import BinaryIO
-from zipfile import BadZipFile
 
 import equinox as eqx
 import numpy as np
@@ -17,6 +16,9 @@ from jaxtyping import Float
 
 from pinav.errors import InputError
 from pinav.files import atomic_write
+from pinav.thermal.case_geometry import Frames
+from pinav.thermal.quantities import NOISIEST, Number, read_arrays
+from pinav.thermal.readings import HOTTEST_READING, Readings
 
 SPATIAL_UNITS = {"meter": 1.0, "mm": 1e-3, "micron": 1e-6}
 TEMPORAL_UNITS = {"sec": 1.0, "msec": 1e-3, "usec": 1e-6}
@@ -34,7 +36,6 @@ class Image(eqx.Module):
     """Values of voxels, and where the voxels are as far as the file says it.
 
     Attributes:
-        path: of the file.
         values: one for each voxel, frames last if there are any.
         spacing: edges of a voxel [m]; None where the file has no unit.
         affine: from indices to places of the scanner [m]; None where it has none.
@@ -61,7 +62,12 @@ def read_image(path: Path) -> Image:
             on perpendicular axes of plausible voxels.
     """
     if path.name.endswith(".npy"):
-        return Image(path, _numbers(path, _read_array(path)))
+        arrays = read_arrays(path)
+        if "" not in arrays:
+            raise InputError(
+                f"{path}: expected one array of NumPy, got several; use np.save"
+            )
+        return Image(path, _numbers(path, arrays[""]))
     if not path.name.endswith((".nii", ".nii.gz")):
         raise InputError(
             f"{path}: expected a file that ends in {', '.join(SUFFIXES)}, got another; "
@@ -71,13 +77,7 @@ def read_image(path: Path) -> Image:
 
 
 def write_image(path: Path, values: np.ndarray, like: Image) -> None:
-    """Write a NIfTI file of voxels that are where those of another image are.
-
-    Args:
-        path: ends in `.nii.gz`.
-        values: one for each voxel of `like`.
-        like: a NIfTI image.
-    """
+    """Write a NIfTI file of voxels that are where those of another image are."""
     assert like.affine is not None
     nibabel = _nibabel(path)
     affine = like.affine.copy()
@@ -94,11 +94,7 @@ def write_image(path: Path, values: np.ndarray, like: Image) -> None:
 
 
 def check_place(image: Image, reference: Image) -> None:
-    """Refuse an image whose voxels are not those of another.
-
-    Raises:
-        InputError: their numbers differ, or their places by more than rounding.
-    """
+    """Refuse an image whose voxels are not those of another."""
     axes = reference.values.ndim
     if image.values.shape[:axes] != reference.values.shape:
         raise InputError(
@@ -114,19 +110,6 @@ def check_place(image: Image, reference: Image) -> None:
             f"{image.path}: expected the affine of {reference.path.name}, got another "
             f"(up to {1e3 * apart:.3g} mm apart); resample it, or correct its units"
         )
-
-
-def _read_array(path: Path) -> np.ndarray:
-    try:
-        with open(path, "rb") as file:
-            values = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError, MemoryError, BadZipFile) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    if not isinstance(values, np.ndarray):
-        raise InputError(
-            f"{path}: expected one array of NumPy, got several; use np.save"
-        )
-    return values
 
 
 def _numbers(path: Path, values: np.ndarray) -> np.ndarray:
@@ -200,3 +183,115 @@ def _spacing(
 
 def _millimetres(edges: np.ndarray) -> str:
     return " x ".join(f"{1e3 * edge:.4g}" for edge in edges) + " mm"
+
+
+GYROMAGNETIC = 42.577478518e6
+"""Frequency of protons over the field of the magnet [Hz T⁻¹]."""
+
+
+def phase_turn(field: Number, echo: Number, coefficient: Number = -1e-8) -> float:
+    r"""Temperature of a turn of the phase [K], $1/|\gamma\alpha B_0 t_E|$.
+
+    Args:
+        field: $B_0$ [T].
+        echo: $t_E$ [s].
+        coefficient: $\alpha$, change of the shift with temperature [K⁻¹].
+    """
+    return 1 / abs(GYROMAGNETIC * coefficient * field * echo)
+
+
+def read_frames(
+    frames: Frames, labels: Image | None, arterial: float, folder: Path
+) -> Readings:
+    """Frames of thermometry that a case names.
+
+    Raises:
+        InputError: a file cannot be read, or holds what no thermometer says.
+    """
+    if labels is None:
+        raise InputError(
+            "learn.thermometry: expected a grid of voxels, got another; take data, a "
+            "CSV file"
+        )
+    image = read_image(folder / frames.readings)
+    check_place(image, labels)
+    if image.values.ndim != labels.values.ndim + 1:
+        raise InputError(
+            f"{image.path}: expected frames along a last axis, got shape "
+            f"{image.values.shape}"
+        )
+    values = np.moveaxis(image.values, -1, 0)
+    if np.isinf(values).any():
+        raise InputError(
+            f"{image.path}: expected numbers, or NaN where a voxel is lost, got "
+            "infinity; replace it"
+        )
+    every = _interval(frames, image)
+    turn = frames.turn
+    if frames.magnet is not None and frames.echo is not None:
+        turn = phase_turn(frames.magnet, frames.echo, frames.coefficient)
+        values = -values / (2 * np.pi) * turn  # the shift falls as tissue warms
+    if frames.quantity != "temperature":
+        values = arterial + values
+    _check_warmth(frames, image.path, image.values, values)
+    return Readings(
+        every * np.arange(1, len(values) + 1),
+        values,
+        noise=_read_noise(frames, labels, folder),
+        turn=turn,
+        drift=frames.drift,
+    )
+
+
+UNITS = {
+    "temperature": "°C; subtract 273.15 from kelvins, or name the quantity",
+    "rise": "kelvins above the arteries; subtract what the tissue had at first",
+    "phase": "radians; multiply degrees by pi/180",
+}
+"""Of readings by their quantity, and what to do with those that have another."""
+
+
+def _check_warmth(
+    frames: Frames, path: Path, given: np.ndarray, values: np.ndarray
+) -> None:
+    """Refuse readings that are no temperature of tissue in the unit that is said."""
+    hottest = np.abs(np.nan_to_num(values)).max()
+    if hottest <= HOTTEST_READING:
+        return
+    raise InputError(
+        f"{path}: expected a {frames.quantity} in {UNITS[frames.quantity]}; got "
+        f"{np.nanmax(np.abs(given)):g}, or {hottest:.4g} °C"
+    )
+
+
+def _interval(frames: Frames, image: Image) -> float:
+    every = image.every if frames.every is None else frames.every
+    if image.every is not None and abs(image.every / (every or 1.0) - 1) > NEGLIGIBLE:
+        raise InputError(
+            f"learn.thermometry.every: expected {image.every:g} s, that of "
+            f"{image.path.name}, got {every:g} s; leave it out, or correct the file"
+        )
+    if every is None or not np.isfinite(every):
+        raise InputError(
+            f"{image.path}: expected a time between frames with a unit, or "
+            "learn.thermometry.every in the case, got neither; give it in seconds"
+        )
+    return every
+
+
+def _read_noise(frames: Frames, labels: Image, folder: Path) -> np.ndarray:
+    if not isinstance(frames.noise, str):
+        return np.full(labels.values.shape, frames.noise)
+    image = read_image(folder / frames.noise)
+    check_place(image, labels)
+    read = image.values[np.isfinite(image.values)]
+    if (
+        image.values.shape != labels.values.shape
+        or not read.size
+        or not (read.min() > 0 and read.max() <= NOISIEST)
+    ):
+        raise InputError(
+            f"{image.path}: expected the standard deviation of each voxel, > 0 and <= "
+            f"{NOISIEST:g} K, got another number or frames; make lost voxels NaN"
+        )
+    return image.values

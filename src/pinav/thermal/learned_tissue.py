@@ -1,33 +1,128 @@
 """What readings say of a case: perfusion and power, how well, and what comes next."""
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.fitting import EvidenceFit, Outcome
 from pinav.fitting.bayes.parameters import derive
-from pinav.fitting.engine.posterior import Estimate
+from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.forecast import Forecast, follow_target, forecast, forecast_times
-from pinav.thermal.heated_run import AbstractHeatResult
+from pinav.thermal.heated_run import FOLLOWED, AbstractHeatResult, Watched
 from pinav.thermal.learning import (
     PerfusionCurve,
-    ProbeResiduals,
+    Residuals,
+    Voxels,
     perfusion_curve,
     visited_range,
 )
-from pinav.thermal.probes import ProbeData
+from pinav.thermal.protocols import plan_steps
 from pinav.thermal.readings import Readings
 from pinav.thermal.setup import Setup
-from pinav.thermal.solve import Solution, solve
-from pinav.thermal.thermometry import ThermometryResiduals
+from pinav.thermal.solve import Solution, run, solve
 from pinav.thermal.tissue_fit import (
-    Quantities,
     TissueFit,
     describe_constant,
     mean_perfusion,
+    quantities_of,
 )
+
+
+class Forecast(eqx.Module):
+    """Predicted temperatures of the target, over the whole protocol.
+
+    Attributes:
+        values: temperatures by `FOLLOWED`, at each time [°C].
+        true: the same temperatures of the truth, where it is known [°C].
+        residual: root mean square residual of the later readings, as that of the fit;
+            none where there are none.
+    """
+
+    DERIVED = ("largest_sd", "error", "covered")
+
+    times: Float[np.ndarray, " time"]
+    values: Float[np.ndarray, "time quantity"]
+    sd: Float[np.ndarray, "time quantity"]
+    fitted_until: float
+    true: Float[np.ndarray, "time quantity"] | None = None
+    residual: float | None = None
+
+    @property
+    def largest_sd(self) -> float:
+        """Largest standard deviation after the readings that were fitted [K]."""
+        return float(self.sd[self._later].max())
+
+    @property
+    def error(self) -> float | None:
+        """Largest error after these readings, where the truth is known [K]."""
+        return None if self.true is None else float(self._errors.max())
+
+    @property
+    def covered(self) -> float | None:
+        """Fraction of later temperatures with the truth in the band of 95 %."""
+        if self.true is None:
+            return None
+        return float((self._errors <= 1.96 * self.sd[self._later]).mean())
+
+    @property
+    def _later(self) -> np.ndarray:
+        return self.times > self.fitted_until
+
+    @property
+    def _errors(self) -> np.ndarray:
+        return np.abs(self.values - self.true)[self._later]
+
+
+MOMENTS = 30
+"""Number of times of a forecast."""
+
+
+def forecast(
+    setup: Setup, posterior: Posterior, times: Float[np.ndarray, " time"]
+) -> tuple[Float[np.ndarray, "time quantity"], Float[np.ndarray, "time quantity"]]:
+    """Temperatures by `FOLLOWED` [°C] and their standard deviations [K].
+
+    By the delta method, in forward mode: there are fewer parameters than temperatures.
+    """
+    follow = follow_target(setup, times)
+
+    @eqx.filter_jit
+    def curves_and_slopes(free: Any, theta: Array) -> tuple[Array, Array]:
+        value, push = jax.linearize(lambda at: follow(free(at)), theta)
+        return value, jnp.moveaxis(jax.lax.map(push, jnp.eye(len(theta))), 0, -1)
+
+    with jax.enable_x64(new_val=True):
+        theta = jnp.asarray(posterior.mean)
+        values, slopes = map(np.asarray, curves_and_slopes(posterior.free, theta))
+    variance = np.einsum("tqp,pr,tqr->tq", slopes, posterior.covariance, slopes)
+    return values, np.sqrt(np.maximum(variance, 0.0))
+
+
+def follow_target(
+    setup: Setup, times: Float[np.ndarray, " time"]
+) -> Callable[[Any], Array]:
+    """Temperatures of the target at times, as a function of the model."""
+    watched = Watched.of(setup, None)
+    longest = setup.stepper.longest_step(setup.model)
+    schedule = plan_steps(setup.protocol, longest, save_at=times)
+
+    def follow(model: Any) -> Array:
+        solution = run(
+            model,
+            setup.protocol,
+            schedule,
+            stepper=setup.stepper,
+            observe=watched.temperatures,
+            start=setup.start,
+        )
+        return jnp.stack([solution.observed[name] for name in FOLLOWED], axis=-1)
+
+    return follow
 
 
 class LearnedQuantity(eqx.Module):
@@ -35,9 +130,6 @@ class LearnedQuantity(eqx.Module):
 
     Attributes:
         name: its name, with the unit.
-        value: learned value.
-        sd: its standard deviation.
-        true: true value.
     """
 
     name: str
@@ -64,21 +156,15 @@ class FittedProbes(eqx.Module):
     """Readings of probes, and what the fit predicts of them.
 
     Attributes:
-        data: readings.
         predicted: temperatures at their times and places [°C].
     """
 
-    data: ProbeData
+    data: Readings
     predicted: Float[np.ndarray, "time probe"]
 
 
 class MeanCurve(eqx.Module):
-    """Mean temperature of the voxels of a tissue that are read.
-
-    Attributes:
-        read: readings without turns and drift [°C].
-        fitted: fit [°C].
-    """
+    """Mean temperature of the voxels of a tissue that are read."""
 
     read: Float[np.ndarray, " time"]
     fitted: Float[np.ndarray, " time"]
@@ -88,12 +174,8 @@ class FittedFrames(eqx.Module):
     """Readings of voxels without turns and drift, and the fit.
 
     Attributes:
-        times: times of the frames [s].
         read: last frame [°C]; NaN where no voxel is read.
         fitted: fit of the last frame [°C].
-        target: volume fraction of the target in each cell.
-        spacing: edges of a cell [m].
-        means: mean temperatures by tissue.
     """
 
     times: Float[np.ndarray, " time"]
@@ -108,21 +190,11 @@ class LearnedTissue(AbstractHeatResult):
     """A fit of a case to readings of probes or voxels.
 
     Attributes:
-        title: title of the case.
-        outcome: how the fit ended.
-        iterations: number of steps.
         residual: root mean square of the residuals [K].
         noise: estimated standard deviation of a reading [K].
         relative: True if both are in units of a map of the noise instead.
-        log_evidence: log evidence of the fit [nats].
         constants: other numbers learned, by name.
-        laws: learned laws of perfusion, by tissue.
         constant_residual: root mean square residual of the best constant perfusion [K].
-        held_out: predictions at other powers.
-        quantities: numbers that were learned, beside the truth.
-        forecast: predictions after the readings that were fitted.
-        probes: readings of probes and their fit.
-        frames: readings of voxels and their fit.
     """
 
     title: str
@@ -145,50 +217,43 @@ class LearnedTissue(AbstractHeatResult):
 def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
     """Fit a case to readings, and compare it with constant perfusion and the truth.
 
-    Args:
-        task: what is learned of which case.
-        data: readings that are fitted.
-
     Raises:
         FitError: the fit did not converge.
     """
     setup, settings = task.setup, task.settings
     fit = task.learn(data)
-    constant = fit if settings.kind == "constant" else task.learn_constants(data)
-    residuals = task.residuals(fit.model, data)
+    is_constant = settings.kind == "constant"
+    constant = fit if is_constant else task.learn(data, "constant")
+    residuals = task.residuals(data)
     comparison, by_constant = (
-        TissueComparison.of(residuals, one.model, data) for one in (fit, constant)
+        _Comparison.of(residuals, one.model) for one in (fit, constant)
     )
-    in_frames = isinstance(residuals, ThermometryResiduals)
     constants = fit.constants.items()
     held_out = settings.held_out if task.fitted is None else ()
+    in_frames = data.points is None
     return LearnedTissue(
         title=setup.title,
         outcome=fit.outcome,
         iterations=fit.iterations,
-        residual=comparison.residual,
+        residual=_rms(comparison.scaled),
         noise=float(fit.hyperparameters.noise),
         relative=in_frames,
         log_evidence=fit.hyperparameters.log_evidence,
         constants={describe_constant(name, setup): one for name, one in constants},
         quantities=_compare(task, fit),
-        laws={} if settings.kind == "constant" else _laws(task, fit),
-        constant_residual=by_constant.residual,
+        laws={} if is_constant else _laws(task, fit),
+        constant_residual=_rms(by_constant.scaled),
         held_out=tuple(
             _held_out(setup, fit.model, constant.model, power) for power in held_out
         ),
         forecast=_forecast(task, fit),
-        probes=FittedProbes(data, comparison.predicted)
-        if isinstance(data, ProbeData)
-        else None,
+        probes=None if in_frames else FittedProbes(data, comparison.predicted),
         frames=_frames(setup, residuals, comparison) if in_frames else None,
     )
 
 
 def _compare(task: TissueFit, fit: EvidenceFit) -> tuple[LearnedQuantity, ...]:
-    """Numbers that were learned, beside the truth where there is one."""
-    quantities = Quantities.of(task)
-    names = quantities.names(len(task.setup.model.grid.shape))
+    names, quantities = quantities_of(task)
     if not names:
         return ()
     true: list[float | None] = [None] * len(names)
@@ -201,47 +266,25 @@ def _compare(task: TissueFit, fit: EvidenceFit) -> tuple[LearnedQuantity, ...]:
     )
 
 
-class TissueComparison(eqx.Module):
-    """What a model predicts, beside the readings.
-
-    Attributes:
-        predicted: temperatures at the readings' times and places [°C].
-        readings: readings without turns and drift [°C], NaN where there are none.
-        scaled: predicted less read, of voxels over their noise.
-    """
+class _Comparison(NamedTuple):
+    """Predicted temperatures, readings without turns and drift, and residuals."""
 
     predicted: Float[np.ndarray, "time place"]
-    readings: Float[np.ndarray, "time place"]
+    read: Float[np.ndarray, "time place"]
     scaled: Float[np.ndarray, "time place"]
 
     @classmethod
-    def of(
-        cls,
-        residuals: ProbeResiduals | ThermometryResiduals,
-        model: Bioheat,
-        data: Readings,
-    ) -> "TissueComparison":
-        """The comparison of a model."""
-        if isinstance(residuals, ThermometryResiduals):
-            predicted, readings = map(np.asarray, _correct(residuals, model))
-            scaled = (predicted - readings) * np.asarray(residuals.weights)
-            return cls(predicted, readings, scaled)
-        misfits = np.full(data.values.size, np.nan)
-        misfits[np.asarray(residuals.index)] = np.asarray(residuals(model))
-        misfits = misfits.reshape(data.values.shape)
-        return cls(data.values + misfits, data.values, misfits)
-
-    @property
-    def residual(self) -> float:
-        """Root mean square of the scaled residuals."""
-        return _rms(self.scaled)
+    def of(cls, residuals: Residuals, model: Bioheat) -> "_Comparison":
+        predicted, read = map(np.asarray, residuals.correct(model))
+        return cls(predicted, read, (predicted - read) * np.asarray(residuals.weights))
 
 
 def _frames(
-    setup: Setup, residuals: ThermometryResiduals, comparison: TissueComparison
+    setup: Setup, residuals: Residuals, comparison: _Comparison
 ) -> FittedFrames:
-    predicted, corrected = comparison.predicted, comparison.readings
-    grid, cells = setup.model.grid, np.asarray(residuals.cells)
+    predicted, corrected = comparison.predicted, comparison.read
+    assert isinstance(residuals.observe, Voxels)
+    grid, cells = setup.model.grid, np.asarray(residuals.observe.cells)
 
     def image(values: np.ndarray) -> np.ndarray:
         full = np.full(int(np.prod(grid.shape)), np.nan)
@@ -249,7 +292,7 @@ def _frames(
         return full.reshape(grid.shape)
 
     means = {}
-    for name, fraction in setup.fractions.items():
+    for name, fraction in setup.body.fractions.items():
         inside = np.asarray(fraction).reshape(-1)[cells] > 0.5
         if inside.any():
             read = np.nanmean(corrected[:, inside], axis=1)
@@ -258,33 +301,22 @@ def _frames(
         times=residuals.schedule.times,
         read=image(corrected[-1]),
         fitted=image(predicted[-1]),
-        target=np.asarray(setup.target),
+        target=np.asarray(setup.body.target),
         spacing=grid.cell_sizes,
         means=means,
     )
 
 
-@eqx.filter_jit
-def _correct(residuals: ThermometryResiduals, model: Bioheat) -> tuple[Array, Array]:
-    """Predicted temperatures, and readings without turns and drift, NaN where lost."""
-    predicted = residuals.predict(model)
-    offsets = residuals.offsets(predicted)
-    drift = residuals.drifts(offsets * residuals.weights) @ residuals.basis.T
-    read = residuals.weights > 0
-    return predicted, jnp.where(read, predicted - (offsets - drift), jnp.nan)
-
-
 def _forecast(task: TissueFit, fit: EvidenceFit) -> Forecast | None:
-    """Predictions after the readings that were fitted, beside the later ones."""
     setup, fitted, every = task.setup, task.fitted, task.every
     if fitted is None or every is None or fitted.times[-1] >= setup.protocol.duration:
         return None
-    times = forecast_times(setup)
+    times = np.linspace(0.0, setup.protocol.duration, MOMENTS + 1)[1:]
     values, sd = forecast(setup, fit.posterior, times)
     true = None if task.truth is None else follow_target(setup, times)(task.truth.model)
     residual = None
     if len(every.times) > len(fitted.times):
-        whole = TissueComparison.of(task.residuals(fit.model, every), fit.model, every)
+        whole = _Comparison.of(task.residuals(every), fit.model)
         residual = _rms(whole.scaled[len(fitted.times) :])
     return Forecast(
         times=times,
@@ -301,19 +333,18 @@ def _rms(values: Float[np.ndarray, "..."]) -> float:
 
 
 def _laws(task: TissueFit, fit: EvidenceFit) -> dict[str, PerfusionCurve]:
-    """Each learned law with its band and, if known, its truth."""
     setup, curves = task.setup, {}
     truth = setup if task.settings.is_synthetic else task.truth
     for name in task.names:
         visited = visited_range(
-            fit.model, setup.protocol, setup.fractions[name], setup.start
+            fit.model, setup.protocol, setup.body.fractions[name], setup.start
         )
         at = np.linspace(setup.arterial, visited[1] + 1.0, 61)
         true = None
         if truth is not None:
             true = np.array([mean_perfusion(truth, name, one) for one in at])
         curves[name] = perfusion_curve(
-            fit.posterior, setup.laws[name], at, visited, true
+            fit.posterior, setup.body.laws[name], at, visited, true
         )
     return curves
 
@@ -321,7 +352,6 @@ def _laws(task: TissueFit, fit: EvidenceFit) -> dict[str, PerfusionCurve]:
 def _held_out(
     setup: Setup, learned: Bioheat, constant: Bioheat, power: float
 ) -> HeldOut:
-    """Errors of the temperature at another power."""
     protocol = eqx.tree_at(
         lambda p: (p.starts, p.ends),
         setup.protocol,

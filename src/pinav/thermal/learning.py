@@ -22,116 +22,208 @@ from pinav.fitting.engine.problem import ShortenedStep
 from pinav.fitting.least_squares import fit_regression
 from pinav.forces import IsotropicPrior
 from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.learned_perfusion import AbstractLearnedPerfusion
-from pinav.thermal.probes import ProbeData
+from pinav.thermal.perfusion import AbstractLearnedPerfusion
 from pinav.thermal.protocols import AbstractProtocol, Schedule, plan_steps
 from pinav.thermal.quantities import Field, Number, Numbers
+from pinav.thermal.readings import Readings
 from pinav.thermal.rosenbrock import refuse_jumps
 from pinav.thermal.solve import Observe, default_stepper, probes_at, run, solve
 from pinav.thermal.starts import AT_REST, AbstractStart
 from pinav.thermal.steppers import AbstractStepper
-from pinav.thermal.thermometry import (
-    Thermometry,
-    ThermometryResiduals,
-    thermometry_residuals,
-)
 
 Laws = Callable[[Any], tuple[AbstractLearnedPerfusion, ...]]
 """Picks the laws to be learned from a model."""
 
 
-class ProbeResiduals(eqx.Module):
-    """Predicted less read temperatures [K], as a function of the model.
+class Voxels(eqx.Module):
+    """Temperatures of some cells, as an `observe`."""
+
+    cells: Int[Array, " voxel"]
+
+    def __call__(self, temperature: Field) -> Float[Array, " voxel"]:
+        return temperature.reshape(-1)[self.cells]
+
+
+class Residuals(eqx.Module):
+    r"""Predicted less read temperatures over their noise, as a function of the model.
+
+    The shift of the proton resonance gives a phase, and so a temperature up to whole
+    turns; the field of the magnet drifts, which adds to every frame a phase that is
+    smooth in space. Turns are removed beside the prediction, and what a drift could
+    explain is projected out of the residuals of each frame, so that it costs no
+    parameters:
+
+    $$r_f \to r_f - B (B^\top B)^{-1} B^\top r_f,\qquad B = W_f P,$$
+
+    with $W_f$ one over the noise of each voxel, zero where it is lost, and $P$ the
+    constant and the coordinates: the same as a flat prior on the coefficients of every
+    frame. Probes have neither turns nor drift.
 
     Attributes:
-        protocol: the field.
         schedule: time steps, which end at the readings.
-        stepper: how time advances.
-        probes: where temperatures are read.
-        values: the readings there are [°C].
-        index: their places among all times and probes.
+        observe: temperatures of the places that are read.
+        values: readings [°C] of these at each time, zero where lost.
+        weights: one over the noise [K⁻¹], zero where lost.
+        basis: of the drift at these places.
+        roots: of the normal matrix of each frame, lower triangular.
+        index: places of the readings among all times and places.
+        turn: of the phase [K].
         start: where the run begins; a steady state follows the model.
-        num_projected: none, for nothing is taken away.
+
+    References:
+        Rieke and Butts Pauly, J. Magn. Reson. Imaging 27, 376 (2008).
     """
 
     protocol: AbstractProtocol
     schedule: Schedule
     stepper: AbstractStepper
-    probes: Observe
-    values: Float[Array, " reading"]
+    observe: Observe
+    values: Float[Array, "time place"]
+    weights: Float[Array, "time place"]
+    basis: Float[Array, "place term"]
+    roots: Float[Array, "time term term"]
     index: Int[Array, " reading"]
-    start: AbstractStart = AT_REST
-    num_projected: int = 0
+    turn: Number | None
+    start: AbstractStart
 
     def __call__(self, model: Bioheat) -> Float[Array, " reading"]:
-        """The residuals of a model."""
+        scaled = self.offsets(self.predict(model)) * self.weights
+        return (scaled - self.weights * self.drift(scaled)).reshape(-1)[self.index]
+
+    def predict(self, model: Bioheat) -> Float[Array, "time place"]:
+        """Temperatures of the places that are read [°C]."""
         solution = run(
             model,
             self.protocol,
             self.schedule,
             stepper=self.stepper,
-            observe=self.probes,
+            observe=self.observe,
             start=self.start,
         )
-        return solution.observed.reshape(-1)[self.index] - self.values
+        return solution.observed
 
+    def offsets(
+        self, predicted: Float[Array, "time place"]
+    ) -> Float[Array, "time place"]:
+        """Predicted less read [K], turns of the phase taken off.
 
-def probe_residuals(
-    model: Bioheat,
-    protocol: AbstractProtocol,
-    data: ProbeData,
-    *,
-    stepper: AbstractStepper | None = None,
-    start: AbstractStart = AT_REST,
-) -> ProbeResiduals:
-    """The residuals of models like `model`.
-
-    Raises:
-        InputError: a probe is outside the grid, or a reading after the protocol.
-    """
-    axes, columns = len(model.grid.shape), data.points.shape[1]
-    if columns != axes:
-        names = "t, r, T" if axes == 1 else ", ".join(("t", *"xyz"[:axes], "T"))
-        raise InputError(
-            f"readings: expected places with {axes} coordinates (columns {names}) for "
-            f"this grid, got {columns}"
+        Next to the mean of each frame, on the circle: a drift may be more than a turn.
+        """
+        offsets = predicted - self.values
+        if self.turn is None:
+            return offsets
+        angles = 2 * np.pi / self.turn * jax.lax.stop_gradient(offsets)
+        read = self.weights > 0
+        mean = jnp.arctan2(
+            jnp.sum(jnp.where(read, jnp.sin(angles), 0.0), axis=1),
+            jnp.sum(jnp.where(read, jnp.cos(angles), 0.0), axis=1),
         )
-    stepper = default_stepper(model) if stepper is None else stepper
-    longest = stepper.longest_step(model)
-    return ProbeResiduals(
-        protocol=protocol,
-        schedule=plan_steps(protocol, longest, save_at=data.times.tolist()),
-        stepper=stepper,
-        probes=probes_at(model, data.points),
-        values=jnp.asarray(data.values[data.observed]),
-        index=jnp.asarray(np.flatnonzero(data.observed)),
-        start=start,
-    )
+        return offsets - self.turn * jnp.round((angles - mean[:, None]) / (2 * np.pi))
+
+    def drift(self, scaled: Float[Array, "time place"]) -> Float[Array, "time place"]:
+        """The drift [K] that explains weighted residuals best."""
+        if not self.basis.shape[1]:
+            return jnp.zeros_like(scaled)
+
+        def solve_frame(root: Array, moment: Array) -> Array:
+            return jax.scipy.linalg.cho_solve((root, True), moment)
+
+        moments = (scaled * self.weights) @ self.basis
+        return jax.vmap(solve_frame)(self.roots, moments) @ self.basis.T
+
+    @property
+    def num_projected(self) -> int:
+        """Residuals that the drifts of all frames take away."""
+        return self.roots.shape[0] * self.basis.shape[1]
+
+    @eqx.filter_jit
+    def correct(self, model: Bioheat) -> tuple[Array, Array]:
+        """Predicted temperatures, and readings without turns and drift [°C].
+
+        NaN where a reading was lost.
+        """
+        predicted = self.predict(model)
+        offsets = self.offsets(predicted)
+        offsets = offsets - self.drift(offsets * self.weights)
+        return predicted, jnp.where(self.weights > 0, predicted - offsets, jnp.nan)
 
 
 def read_residuals(
     model: Bioheat,
     protocol: AbstractProtocol,
-    data: ProbeData | Thermometry,
+    data: Readings,
     *,
     stepper: AbstractStepper,
     start: AbstractStart = AT_REST,
-) -> ProbeResiduals | ThermometryResiduals:
-    """The residuals of models like `model`, whatever the thermometer.
+) -> Residuals:
+    """The residuals of models like `model`."""
+    grid, count = model.grid, len(data.times)
+    if data.points is None:
+        if data.sd.shape != grid.shape:
+            raise InputError(
+                f"thermometry: expected frames of shape {grid.shape}, that of the "
+                f"grid, got {data.sd.shape}"
+            )
+        places = np.flatnonzero(data.observed.any(axis=0))
+        observe = Voxels(jnp.asarray(places))
+    else:
+        axes, columns = len(grid.shape), data.points.shape[1]
+        if columns != axes:
+            names = "t, r, T" if axes == 1 else ", ".join(("t", *"xyz"[:axes], "T"))
+            raise InputError(
+                f"readings: expected places with {axes} coordinates (columns {names}) "
+                f"for this grid, got {columns}"
+            )
+        places, observe = np.arange(len(data.points)), probes_at(model, data.points)
+    read = data.observed.reshape(count, -1)[:, places]
+    noise = np.where(np.isfinite(data.sd), data.sd, 1.0).reshape(-1)[places]
+    weights = np.where(read, 1 / noise, 0.0)
+    basis = _drift_basis(data.drift, data.sd.shape)[places]
+    longest = stepper.longest_step(model)
+    return Residuals(
+        protocol=protocol,
+        schedule=plan_steps(protocol, longest, save_at=data.times.tolist()),
+        stepper=stepper,
+        observe=observe,
+        values=jnp.asarray(
+            np.where(read, data.values.reshape(count, -1)[:, places], 0.0)
+        ),
+        weights=jnp.asarray(weights),
+        basis=jnp.asarray(basis),
+        roots=jnp.asarray(_roots(weights, basis)),
+        index=jnp.asarray(np.flatnonzero(read)),
+        turn=data.turn,
+        start=start,
+    )
 
-    Raises:
-        InputError: the readings do not fit the grid or the protocol.
-    """
-    options = {"stepper": stepper, "start": start}
-    if isinstance(data, Thermometry):
-        return thermometry_residuals(model, protocol, data, **options)
-    return probe_residuals(model, protocol, data, **options)
+
+def _drift_basis(drift: str, shape: tuple[int, ...]) -> Float[np.ndarray, "place term"]:
+    """One, and the coordinates from -1 to 1."""
+    count = int(np.prod(shape))
+    if drift == "none":
+        return np.zeros((count, 0))
+    terms = [np.ones(shape)]
+    if drift == "linear":
+        lines = [np.linspace(-1.0, 1.0, n) for n in shape]
+        terms += np.meshgrid(*lines, indexing="ij")
+    return np.stack([term.reshape(-1) for term in terms], axis=1)
+
+
+def _roots(weights: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    normal = np.einsum("fv,vi,vj->fij", weights**2, basis, basis, optimize=True)
+    try:
+        return np.linalg.cholesky(normal)
+    except np.linalg.LinAlgError as error:
+        raise InputError(
+            "thermometry: expected voxels in every frame that tell its drift, got a "
+            "frame without them; leave the frame out, or take a drift of fewer terms"
+        ) from error
 
 
 def learn(
     model: Bioheat,
     protocol: AbstractProtocol,
-    data: ProbeData | Thermometry,
+    data: Readings,
     *,
     laws: Laws = lambda _: (),
     constants: Callable[[Any], PyTree] = lambda _: (),
@@ -188,9 +280,7 @@ def learn(
         num_projected=residuals.num_projected,
         # so many voxels leave little doubt where to step, and a run costs a tenth of a
         # Jacobian
-        step_rule=ShortenedStep(corrections=6)
-        if isinstance(data, Thermometry)
-        else None,
+        step_rule=ShortenedStep(corrections=6) if data.points is None else None,
         throw=throw,
     )
 
@@ -199,7 +289,6 @@ class PerfusionCurve(eqx.Module):
     """A learned law with its band, and where it was visited.
 
     Attributes:
-        temperatures: [°C].
         values: perfusion there [kg m⁻³ s⁻¹].
         sd: standard deviation of its logarithm.
         visited: lowest and highest temperature [°C] of its tissue during the fit.
@@ -241,15 +330,7 @@ def perfusion_curve(
     visited: tuple[float, float],
     true: Float[np.ndarray, " temperature"] | None = None,
 ) -> PerfusionCurve:
-    """A learned law at temperatures, by the delta method on its logarithm.
-
-    Args:
-        posterior: of the fit.
-        law: picks it from the model.
-        temperatures: [°C].
-        visited: range [°C] that its tissue went through.
-        true: true law at these temperatures, where it is known.
-    """
+    """A learned law at temperatures, by the delta method on its logarithm."""
     at = jnp.asarray(temperatures, float)
     estimates = derive(posterior, lambda model: jnp.log(law(model)(at)))
     return PerfusionCurve(
@@ -267,14 +348,7 @@ def visited_range(
     fraction: Field,
     start: AbstractStart = AT_REST,
 ) -> tuple[float, float]:
-    """Lowest and highest temperature [°C] of the cells that a mask holds mostly.
-
-    Args:
-        model: run over the protocol.
-        protocol: the field.
-        fraction: volume fraction of the tissue in each cell.
-        start: as of `solve`.
-    """
+    """Lowest and highest temperature [°C] of the cells that a mask holds mostly."""
     inside = np.asarray(fraction) > 0.5  # cells cut by the edge would mix two tissues
     hottest = solve(
         model,

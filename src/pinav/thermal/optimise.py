@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome
-from pinav.thermal.design import Constraint, DesignVariable, Quantity, Run, RunResult
+from pinav.thermal.design import Constraint, DesignVariable, Quantity, Run
 from pinav.thermal.protocols import Schedule, plan_steps
 from pinav.thermal.quantities import Number
 from pinav.thermal.rosenbrock import refuse_jumps
@@ -40,10 +40,7 @@ class ConstraintValue(eqx.Module):
     """A constraint at the optimum.
 
     Attributes:
-        name: of the constraint.
         value: largest value of the constrained quantity.
-        bound: upper bound.
-        unit: of both.
         active: whether the quantity is at its bound, and so decides the result.
     """
 
@@ -58,14 +55,9 @@ class Optimum(eqx.Module):
     """Result of `optimise`.
 
     Attributes:
-        run: tissue and field.
-        solution: temperature and dose.
         value: the maximised quantity.
         start_value: the same at the start.
-        constraints: with their values at the optimum.
         numbers: design variables between 0 and 1, all in one row.
-        at_bounds: how many of these are 0 or 1.
-        evaluations: number of runs with their gradients.
         outcome: stalled when the iterations ran out on a slope.
     """
 
@@ -75,7 +67,6 @@ class Optimum(eqx.Module):
     start_value: Number
     constraints: tuple[ConstraintValue, ...]
     numbers: Float[np.ndarray, " number"]
-    at_bounds: int
     evaluations: int
     outcome: Outcome = eqx.field(static=True)
 
@@ -135,14 +126,14 @@ def optimise(
     start_value = float(memory.at(begin_numbers).values[0])
     numbers, converged = _search(memory, begin_numbers, max_iterations, tolerance)
     best = memory.at(numbers)
+    trial = problem.trial(jnp.asarray(numbers))
     optimum = Optimum(
-        run=problem.trial(jnp.asarray(numbers)),
+        run=trial,
         solution=best.solution,
         value=float(best.values[0]),
         start_value=start_value,
-        constraints=_constraint_values(problem, numbers, best),
+        constraints=_constraint_values(problem, trial, best.solution),
         numbers=numbers,
-        at_bounds=int(np.sum((numbers < 1e-6) | (numbers > 1 - 1e-6))),
         evaluations=memory.count,
         outcome=Outcome.CONVERGED if converged else Outcome.STALLED,
     )
@@ -159,7 +150,6 @@ def optimise(
 def _start_numbers(
     variables: Sequence[DesignVariable], initial: np.ndarray | None
 ) -> Float[np.ndarray, " number"]:
-    """Where the search begins: at given numbers, or where the variables say."""
     flat = np.concatenate([variable.start for variable in variables])
     if initial is None:
         return flat
@@ -208,8 +198,6 @@ def _search(
 
 
 class _Problem(eqx.Module):
-    """Objective and constraints as one vector."""
-
     start: Run
     variables: tuple[DesignVariable, ...]
     maximise: Quantity
@@ -219,7 +207,6 @@ class _Problem(eqx.Module):
     begin: HeatState
 
     def trial(self, numbers: Float[Array, " number"]) -> Run:
-        """The run at some design variables."""
         trial, place = self.start, 0
         for variable in self.variables:
             count = len(variable.start)
@@ -240,16 +227,13 @@ class _Problem(eqx.Module):
             observe=jnp.max,
             start=self.begin,
         )
-        result = RunResult(trial, solution)
-        parts = [self.maximise(result).reshape(1)]
-        for constraint in self.constraints:
-            parts.append(constraint.excess(result).reshape(-1))
+        parts = [self.maximise(trial, solution).reshape(1)]
+        for one in self.constraints:
+            parts.append(one.excess(one.quantity(trial, solution)).reshape(-1))
         return jnp.concatenate(parts), solution
 
 
 class _Evaluation(NamedTuple):
-    """What is known at some design variables."""
-
     values: Float[np.ndarray, " value"]
     jacobian: Float[np.ndarray, "value number"]
     solution: Solution
@@ -291,7 +275,6 @@ class _Memory:
         self.best_value = -np.inf
 
     def at(self, numbers: np.ndarray) -> _Evaluation:
-        """Values and Jacobian at some design variables."""
         if self.place is None or not np.array_equal(numbers, self.place):
             values, jacobian, solution = self.evaluate(
                 self.problem, jnp.asarray(numbers)
@@ -302,26 +285,21 @@ class _Memory:
         return self.last
 
     def _keep_best(self, numbers: np.ndarray) -> None:
-        """Remember the numbers if they are feasible and better than before."""
         value, *excesses = self.last.values
         if max(excesses, default=-1.0) <= FEASIBLE and value > self.best_value:
             self.best, self.best_value = np.clip(numbers, 0.0, 1.0), value
 
 
 def _constraint_values(
-    problem: _Problem, numbers: np.ndarray, evaluation: _Evaluation
+    problem: _Problem, trial: Run, solution: Solution
 ) -> tuple[ConstraintValue, ...]:
-    result = RunResult(problem.trial(jnp.asarray(numbers)), evaluation.solution)
     values = []
-    for constraint in problem.constraints:
-        active = abs(float(jnp.max(constraint.excess(result)))) <= ACTIVE
+    for one in problem.constraints:
+        value = one.quantity(trial, solution)
+        active = abs(float(jnp.max(one.excess(value)))) <= ACTIVE
         values.append(
             ConstraintValue(
-                constraint.name,
-                float(jnp.max(constraint.quantity(result))),
-                float(constraint.bound),
-                constraint.unit,
-                active,
+                one.name, float(jnp.max(value)), float(one.bound), one.unit, active
             )
         )
     return tuple(values)

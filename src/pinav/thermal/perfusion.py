@@ -6,17 +6,18 @@ $W = c_b w$ [W m⁻³ K⁻¹].
 """
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
-from pinav.thermal.quantities import Field
+from pinav.thermal.quantities import Field, Number
 from pinav.thermal.tissues import Blood, Property, Tissue, least_known
 
 UNITS = {
@@ -56,16 +57,7 @@ def mass_perfusion(value: Scalar, *, unit: str, blood: Blood, tissue: Tissue) ->
 
 
 def perfusion_factor(unit: str, *, blood: Blood, tissue: Tissue) -> Property:
-    """What a perfusion in a unit is multiplied by to be in kg m⁻³ s⁻¹.
-
-    Args:
-        unit: one of `UNITS`.
-        blood: its density turns volumes into masses.
-        tissue: its density turns masses of tissue into volumes.
-
-    Raises:
-        InputError: the unit is unknown.
-    """
+    """What a perfusion in a unit is multiplied by to be in kg m⁻³ s⁻¹."""
     per_kilogram = 1e-6 / 60 * tissue.density * blood.density
     factors = {
         "1/s": blood.density,
@@ -155,10 +147,17 @@ class TabulatedPerfusion(AbstractPerfusion):
     values: Float[Array, " temperature"]
 
     def __check_init__(self) -> None:
+        count = len(self.temperatures)
+        if len(self.values) != count or count < 2:
+            raise InputError(
+                "values: expected one for each of two temperatures or more, got "
+                f"{len(self.values)} for {count}"
+            )
         if np.diff(self.temperatures).min() < BLEND * (1 - 1e-9):
             raise InputError(
-                f"TabulatedPerfusion: expected temperatures {BLEND:g} K apart or more, "
-                f"got {list(self.temperatures)}; a jump has no derivative"
+                f"temperatures: expected increasing, {BLEND:g} K apart or more, got "
+                f"{list(self.temperatures)}; a law that jumps has no derivative there: "
+                f"let it rise over {BLEND:g} K"
             )
 
     def __call__(self, temperature: Field) -> Field:
@@ -211,14 +210,7 @@ LANG = {
 
 
 def lang(tissue: str) -> AbstractPerfusion:
-    """The temperature-dependent perfusion of a tissue.
-
-    Raises:
-        InputError: there is no law for this tissue.
-
-    References:
-        Lang, Erdmann and Seebass, IEEE Trans. Biomed. Eng. 46, 1129 (1999).
-    """
+    """The temperature-dependent perfusion of a tissue."""
     if tissue not in LANG:
         raise InputError(
             f"no perfusion law for {tissue!r}; choose one of: {', '.join(LANG)}"
@@ -233,8 +225,6 @@ class MixedPerfusion(AbstractPerfusion):
 
     Attributes:
         fraction: volume fraction of `inside` in each cell; fixed.
-        inside: law where the share is one.
-        outside: law where it is zero.
         box: first cell and end along each axis of a part of the grid outside which the
             share is zero; the whole grid unless given.
     """
@@ -273,7 +263,6 @@ class RegionalPerfusion(AbstractPerfusion):
 
     Attributes:
         fractions: volume fraction of each tissue in each cell; fixed.
-        laws: one for each tissue.
     """
 
     fractions: tuple[Field, ...]
@@ -284,3 +273,155 @@ class RegionalPerfusion(AbstractPerfusion):
         for fraction, law in zip(self.fractions, self.laws, strict=True):
             total = total + fraction * law(temperature)
         return total
+
+
+MIDDLE, UNIT = 41.0, 4.0
+"""Temperature [°C] that a network sees as 0, and change [K] that it sees as 1."""
+
+
+class AbstractLearnedPerfusion(AbstractPerfusion):
+    r"""A perfusion to be learned, $\log w = \log w_0 + g(T)$, flat outside a range.
+
+    $w_0$ has a flat prior, the weights of $g$ independent normal ones. Perfusion enters
+    the equation as $w (T - T_a)$: near the arterial temperature no data tell it, and
+    outside the range that the tissue visited none can.
+
+    Attributes:
+        log_level: $\log w_0$, with $w_0$ in kg m⁻³ s⁻¹.
+        range: temperatures [°C] between which it varies; it is constant outside.
+    """
+
+    log_level: eqx.AbstractVar[Scalar]
+    range: eqx.AbstractVar[tuple[float, float]]
+
+    @property
+    @abc.abstractmethod
+    def weights(self) -> PyTree:
+        """The leaves with a Gaussian prior."""
+
+    @abc.abstractmethod
+    def variation(self, temperature: Field) -> Field:
+        """$g$ at temperatures within the range."""
+
+    def __call__(self, temperature: Field) -> Field:
+        inside = jnp.clip(temperature, *self.range)
+        return jnp.exp(self.log_level + self.variation(inside))
+
+
+class NeuralPerfusion(AbstractLearnedPerfusion):
+    """Perfusion by a small network of the temperature; make one by `neural_perfusion`.
+
+    Attributes:
+        log_level: logarithm of the perfusion [kg m⁻³ s⁻¹] where the network is zero.
+    """
+
+    network: eqx.nn.MLP
+    log_level: Scalar
+    range: tuple[float, float] = eqx.field(static=True)
+
+    @property
+    def weights(self) -> PyTree:
+        return self.network
+
+    def variation(self, temperature: Field) -> Field:
+        scaled = (temperature.reshape(-1, 1) - MIDDLE) / UNIT
+        return jax.vmap(self.network)(scaled).reshape(temperature.shape)
+
+
+class KernelPerfusion(AbstractLearnedPerfusion):
+    r"""Perfusion by kernels of the temperature; make one by `kernel_perfusion`.
+
+    $g(T) = \sum_j v_j\,(k(T, c)\,L^{-\top})_j$ with
+    $k(T, c) = \exp(-(T-c)^2/2\ell^2)$ and $L L^\top = k(c, c)$: for independent $v_j$
+    of one variance a Gaussian process of length scale $\ell$.
+
+    Attributes:
+        log_level: logarithm of the perfusion [kg m⁻³ s⁻¹] where $g$ is zero.
+    """
+
+    values: Float[Array, " kernel"]
+    centers: Float[Array, " kernel"]
+    root: Float[Array, "kernel kernel"]
+    length_scale: Scalar
+    log_level: Scalar
+    range: tuple[float, float] = eqx.field(static=True)
+
+    @property
+    def weights(self) -> PyTree:
+        return self.values
+
+    def variation(self, temperature: Field) -> Field:
+        # Whitened weights: their prior is the identity, whatever the length scale.
+        factors = jax.scipy.linalg.solve_triangular(self.root.T, self.values)
+        flat = temperature.reshape(-1)
+        offsets = (flat[:, None] - self.centers[None]) / self.length_scale
+        return (jnp.exp(-0.5 * offsets**2) @ factors).reshape(temperature.shape)
+
+
+def neural_perfusion(
+    level: Number,
+    temperatures: tuple[float, float],
+    *,
+    key: PRNGKeyArray,
+    width: int = 16,
+) -> NeuralPerfusion:
+    """An untrained network of one hidden layer.
+
+    Args:
+        level: perfusion to start from [kg m⁻³ s⁻¹], positive.
+        temperatures: range between which it varies [°C].
+        key: random key of the weights.
+        width: neurons of the hidden layer.
+
+    Raises:
+        InputError: the level is not positive, or the range not increasing.
+    """
+    _check(level, temperatures)
+    network = eqx.nn.MLP(1, 1, width, 1, activation=jnp.tanh, key=key)
+    return NeuralPerfusion(
+        network=network, log_level=jnp.log(jnp.asarray(level)), range=temperatures
+    )
+
+
+def kernel_perfusion(
+    level: Number, temperatures: tuple[float, float], *, length_scale: Number = 3.0
+) -> KernelPerfusion:
+    """Kernels every half length scale, without weight yet.
+
+    Args:
+        level: perfusion to start from [kg m⁻³ s⁻¹], positive.
+        temperatures: range between which it varies [°C].
+        length_scale: over which perfusion changes [K].
+
+    Raises:
+        InputError: the level or the length scale is not positive, or the range not
+            increasing.
+    """
+    _check(level, temperatures)
+    if not length_scale > 0:
+        raise InputError(
+            f"kernel_perfusion length_scale: expected > 0 K, got {length_scale}"
+        )
+    low, high = temperatures
+    count = max(3, round(2 * (high - low) / length_scale) + 1)
+    centers = np.linspace(low, high, count)
+    squares = ((centers[:, None] - centers[None]) / length_scale) ** 2
+    # Kernels every half length scale are nearly dependent: a ridge makes the root real.
+    root = np.linalg.cholesky(np.exp(-0.5 * squares) + 1e-8 * np.eye(count))
+    return KernelPerfusion(
+        values=jnp.zeros(count),
+        centers=jnp.asarray(centers),
+        root=jnp.asarray(root),
+        length_scale=length_scale,
+        log_level=jnp.log(jnp.asarray(level)),
+        range=temperatures,
+    )
+
+
+def _check(level: Any, temperatures: Any) -> None:
+    if not 0 < level < np.inf:
+        raise InputError(f"perfusion level: expected > 0 kg/(m³ s), got {level}")
+    if not temperatures[0] < temperatures[1]:
+        raise InputError(
+            f"perfusion range: expected increasing temperatures, got {temperatures}"
+        )

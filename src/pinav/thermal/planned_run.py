@@ -42,9 +42,7 @@ class Judgement(eqx.Module):
     """A plan made with a learned tissue, run on the true one.
 
     Attributes:
-        D90: dose that it reaches [CEM43 min].
         best_D90: dose of a plan made with the truth, under the same bounds [CEM43 min].
-        T_max: highest temperature that it reaches [°C].
         amplitudes: amplitudes of the plan made with the truth [A m⁻¹].
     """
 
@@ -58,15 +56,9 @@ class PlannedRun(AbstractHeatResult):
     """An optimised protocol.
 
     Attributes:
-        title: title of the case.
-        result: run of the protocol.
-        outcome: how the optimisation ended.
         evaluations: number of runs with their gradients.
-        start_D90: dose at the start [CEM43 min].
-        constraints: constraints with their values.
         amplitudes: amplitude of the field in each interval [A m⁻¹].
         max_temperature: bound of the temperature [°C].
-        judged: the plan on the true tissue, where that is known.
     """
 
     title: str
@@ -89,11 +81,7 @@ class PlanTask:
     one, where the case names it.
 
     Attributes:
-        setup: case.
-        settings: its table `optimise`.
         learning: fit of the tissue to the readings before, if there are any.
-        variables: design variables.
-        constraints: constraints.
     """
 
     setup: Setup
@@ -160,7 +148,6 @@ class PlanTask:
         )
 
     def _plan(self, model: Bioheat, initial: np.ndarray | None = None) -> Optimum:
-        """The best field of a tissue, from where it is free."""
         setup, begin = self.setup, self.setup.start
         if self.settings.after is not None:
             before = setup.protocol.until(self.settings.after)
@@ -168,7 +155,7 @@ class PlanTask:
         return optimise(
             Run(model, setup.protocol),
             self.variables,
-            maximise=log_d90(setup.target),
+            maximise=log_d90(setup.body.target),
             subject_to=self.constraints,
             stepper=setup.stepper,
             begin=begin,
@@ -176,7 +163,6 @@ class PlanTask:
         )
 
     def _judge(self, truth: Bioheat, plan: Optimum) -> Judgement:
-        """The plan on the true tissue, beside one made with the truth."""
         reached = simulate(self.setup, truth, plan.run.protocol)
         best = self._plan(truth, plan.numbers).run.protocol
         possible = simulate(self.setup, truth, best)
@@ -252,7 +238,7 @@ def tissue_beyond(setup: Setup, margin: float) -> Field:
     if body.radius is not None:
         return 1 - grid.ball(body.radius + margin, center=body.middle)
     assert isinstance(grid, CartesianGrid)
-    outside, sizes = np.asarray(setup.target) <= 0.5, grid.cell_sizes
+    outside, sizes = np.asarray(setup.body.target) <= 0.5, grid.cell_sizes
     # from centre to centre: half a voxel is inside the target
     distance = np.asarray(distance_transform_edt(outside, sizes)) - 0.5 * min(sizes)
     return jnp.asarray(distance >= margin, float)

@@ -1,4 +1,8 @@
-"""Protocols: the amplitude of the field over time, and steps that end at switches."""
+"""Protocols: the field over time, its limits, and steps that end at switches.
+
+Which limit holds is the user's choice. A product of amplitude and frequency leaves out
+the duty cycle; what limits in practice is the temperature that eddy currents make.
+"""
 
 import abc
 
@@ -17,7 +21,6 @@ class AbstractProtocol(eqx.Module):
 
     Attributes:
         edges: begin, switch times and end [s], increasing from zero.
-        frequency: of the field [Hz].
     """
 
     edges: eqx.AbstractVar[tuple[float, ...]]
@@ -34,7 +37,6 @@ class AbstractProtocol(eqx.Module):
 
     @property
     def duration(self) -> float:
-        """Of the whole protocol [s]."""
         return self.edges[-1]
 
 
@@ -43,9 +45,6 @@ class Piecewise(AbstractProtocol):
 
     Attributes:
         edges: begin, switch times and end [s].
-        starts: amplitude at the begin of each interval [A m⁻¹].
-        ends: at its end.
-        frequency: of the field [Hz].
 
     Raises:
         InputError: the edges do not increase from zero, an interval has no amplitude,
@@ -58,7 +57,11 @@ class Piecewise(AbstractProtocol):
     frequency: Scalar
 
     def __check_init__(self) -> None:
-        _check_edges(self.edges)
+        edges = self.edges
+        if len(edges) < 2 or edges[0] != 0 or not np.all(np.diff(edges) > 0):
+            raise InputError(
+                f"protocol: expected edges that increase from 0 s, got {list(edges)}"
+            )
         for values in (self.starts, self.ends):
             if len(values) != len(self.edges) - 1:
                 raise InputError(
@@ -110,27 +113,8 @@ class Piecewise(AbstractProtocol):
         bursts = 1.0 - np.arange(len(edges) - 1) % 2
         return cls.constant(edges, amplitude * jnp.asarray(bursts), frequency)
 
-    def then(self, other: "Piecewise") -> "Piecewise":
-        """This protocol, then another of the same frequency."""
-        if self.frequency != other.frequency:
-            raise InputError(
-                f"then: expected the same frequency, got {self.frequency} and "
-                f"{other.frequency} Hz"
-            )
-        later = tuple(self.duration + t for t in other.edges[1:])
-        return Piecewise(
-            edges=self.edges + later,
-            starts=jnp.concatenate([self.starts, other.starts]),
-            ends=jnp.concatenate([self.ends, other.ends]),
-            frequency=self.frequency,
-        )
-
     def until(self, time: Number) -> "Piecewise":
-        """The intervals before a switch.
-
-        Raises:
-            InputError: the amplitude does not switch at that time.
-        """
+        """The intervals before a switch."""
         if time not in self.edges[1:]:
             raise InputError(
                 f"until: expected a switch or the end, {list(self.edges[1:])} s, got "
@@ -146,7 +130,6 @@ class Piecewise(AbstractProtocol):
 
     @property
     def largest(self) -> float:
-        """Largest amplitude [A m⁻¹]."""
         return float(jnp.maximum(self.starts.max(), self.ends.max()))
 
     def amplitude(
@@ -164,14 +147,6 @@ def _times(edges: Numbers) -> tuple[float, ...]:
     return tuple(np.asarray(edges, float).reshape(-1).tolist())
 
 
-def _check_edges(edges: tuple[float, ...]) -> None:
-    gaps = np.diff(edges)
-    if len(edges) < 2 or edges[0] != 0 or not np.all(gaps > 0):
-        raise InputError(
-            f"protocol: expected edges that increase from 0 s, got {list(edges)}"
-        )
-
-
 COINCIDENT = 1e-9
 """Times closer than this, relative to the duration, are one time."""
 
@@ -182,11 +157,8 @@ class Schedule(eqx.Module):
     Steps of no length fill up the last block, so that blocks are equal.
 
     Attributes:
-        starts: begin of each step [s].
-        steps: length of each step [s].
         intervals: of the protocol, in which each step lies.
         saved: indices of the steps whose ends are the saved times.
-        times: the saved times [s].
         block: steps whose states are recomputed together in reverse mode.
     """
 
@@ -275,7 +247,53 @@ def _saved_times(
 
 
 def _merge(times: np.ndarray, end: Number) -> np.ndarray:
-    """Sorted times, those that coincide only once."""
     ordered = np.sort(times)
     kept = np.append(True, np.diff(ordered) > COINCIDENT * end)
     return ordered[kept]
+
+
+class HfLimit(eqx.Module):
+    """A bound on the product of amplitude and frequency.
+
+    Attributes:
+        product: largest $Hf$ [A m⁻¹ s⁻¹], positive.
+    """
+
+    product: Number
+    name: str = eqx.field(static=True, default="Hf limit")
+
+    def __check_init__(self) -> None:
+        if not self.product > 0:
+            raise InputError(
+                f"HfLimit.product: expected > 0 A/(m s), got {self.product}"
+            )
+
+    def exposure(self, protocol: Piecewise) -> Float[Array, " interval"]:
+        """$Hf$ of each interval, differentiable by the amplitudes.
+
+        The largest of them has a kink, at which an optimiser stops.
+        """
+        return jnp.maximum(protocol.starts, protocol.ends) * protocol.frequency
+
+
+ATKINSON_BREZOVICH = HfLimit(product=4.85e8, name="Atkinson-Brezovich limit")
+"""Tolerated for over an hour by a torso of some 30 cm: Atkinson, Brezovich and
+Chakraborty, IEEE Trans. Biomed. Eng. 31, 70 (1984)."""
+
+HERGT_DUTZ = HfLimit(product=5e9, name="Hergt-Dutz limit")
+"""Proposed for smaller exposed regions: Hergt and Dutz, J. Magn. Magn. Mater. 311, 187
+(2007)."""
+
+LIMITS = {"atkinson-brezovich": ATKINSON_BREZOVICH, "hergt-dutz": HERGT_DUTZ}
+
+
+def require(protocol: Piecewise, *limits: HfLimit) -> None:
+    """Refuse a protocol that exceeds a limit."""
+    for limit in limits:
+        reached = float(jnp.max(limit.exposure(protocol)))
+        if reached > limit.product * (1 + 1e-9):
+            raise InputError(
+                f"protocol exceeds the {limit.name}: expected <= {limit.product:.4g} "
+                f"A/(m s), got {reached:.4g} A/(m s); lower the amplitude or "
+                "the frequency, or choose another limit"
+            )

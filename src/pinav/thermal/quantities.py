@@ -2,7 +2,10 @@
 
 import dataclasses
 import re
+import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import jax
@@ -40,7 +43,6 @@ Reference = Annotated[float, Meta(gt=0, le=1e6)]
 """[A m⁻¹]"""
 Frequency = Annotated[float, Meta(ge=1e3, le=1e9)]
 """[Hz]; the bounds refuse kilohertz."""
-Positive = Annotated[float, Meta(gt=0, le=1e15)]
 Magnitude = Annotated[float, Meta(ge=0, le=1e15)]
 PowerDensity = Annotated[float, Meta(ge=0, le=1e10)]
 """[W m⁻³]"""
@@ -76,61 +78,42 @@ class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A table in which an unknown key is a mistake."""
 
 
-ADVICE = {
-    "absorption": "give W/kg",
-    "perfusion": "give a perfusion in its unit",
-    "after": "give seconds",
-    "coefficient": "give the change of the shift per kelvin, about -1e-8",
-    "echo": "give seconds",
-    "magnet": "give tesla",
-    "turn": "give the temperature in kelvin that a turn of the phase is",
-    "until": "give seconds",
-    "ambient": "give it in °C, which is kelvins less 273.15",
-    "amplitudes": "give A/m; 1 mT are 796 A/m",
-    "axis": "give metres",
-    "anisotropy": "give kJ/m³",
-    "arterial": "give it in °C, which is kelvins less 273.15",
-    "cells": "give the number of cells along each axis",
-    "center": "give metres",
-    "coating": "give nanometres",
-    "concentration": "give mg/cm³, the same as kg/m³",
-    "conductivity": "give W/(m K), or S/m of eddy currents",
-    "energy": "give J/mol",
-    "log_factor": "give the natural logarithm of the factor in 1/s",
-    "density": "give kg/m³ of a tissue, W/m³ of a power",
-    "attempt_time": "give seconds",
-    "diameter": "give nanometres",
-    "every": "give seconds",
-    "exchange": "give W/(m² K)",
-    "frequencies": "give hertz",
-    "frequency": "give hertz",
-    "healthy_dose": "give CEM43 minutes",
-    "held_out": "give powers relative to that of the fit",
-    "largest": "give A/m; 1 mT are 796 A/m",
-    "magnetisation": "give kA/m",
-    "margin": "give metres",
-    "max_temperature": "give it in °C, which is kelvins less 273.15",
-    "metabolic": "give W/m³",
-    "noise": "give the standard deviation of a reading in kelvin",
-    "off": "give seconds",
-    "on": "give seconds",
-    "points": "give metres",
-    "radius": "give metres",
-    "ramp": "give A/m; 1 mT are 796 A/m",
-    "reference": "give A/m; 1 mT are 796 A/m",
-    "slp": "give W/g",
-    "solid_density": "give kg/m³",
-    "size": "give metres",
-    "specific_heat": "give J/(kg K)",
-    "spread": "give the standard deviation of the logarithm of the diameter",
-    "start": "give a fraction of the largest amplitude",
-    "step": "give seconds",
-    "temperature": "give it in °C, which is kelvins less 273.15",
-    "times": "give seconds",
-    "value": "give a perfusion in its unit",
-    "viscosity": "give Pa s",
-    "width": "give metres",
+_ADVICE = {
+    "give seconds": "after attempt_time echo every off on step times until",
+    "give metres": "axis center margin points radius size width",
+    "give it in °C, which is kelvins less 273.15": (
+        "ambient arterial max_temperature temperature"
+    ),
+    "give A/m; 1 mT are 796 A/m": "amplitudes largest ramp reference",
+    "give a perfusion in its unit": "perfusion value",
+    "give nanometres": "coating diameter",
+    "give hertz": "frequencies frequency",
+    "give W/kg": "absorption",
+    "give the change of the shift per kelvin, about -1e-8": "coefficient",
+    "give tesla": "magnet",
+    "give the temperature in kelvin that a turn of the phase is": "turn",
+    "give kJ/m³": "anisotropy",
+    "give the number of cells along each axis": "cells",
+    "give mg/cm³, the same as kg/m³": "concentration",
+    "give W/(m K), or S/m of eddy currents": "conductivity",
+    "give J/mol": "energy",
+    "give the natural logarithm of the factor in 1/s": "log_factor",
+    "give kg/m³ of a tissue, W/m³ of a power": "density",
+    "give W/(m² K)": "exchange",
+    "give CEM43 minutes": "healthy_dose",
+    "give powers relative to that of the fit": "held_out",
+    "give kA/m": "magnetisation",
+    "give W/m³": "metabolic",
+    "give the standard deviation of a reading in kelvin": "noise",
+    "give W/g": "slp",
+    "give kg/m³": "solid_density",
+    "give J/(kg K)": "specific_heat",
+    "give the standard deviation of the logarithm of the diameter": "spread",
+    "give a fraction of the largest amplitude": "start",
+    "give Pa s": "viscosity",
 }
+
+ADVICE = {key: advice for advice, keys in _ADVICE.items() for key in keys.split()}
 """What a number under a key is; keys of the same name are of the same kind."""
 
 
@@ -145,14 +128,6 @@ def read_module(key: str, classes: tuple[type[Kind], ...], table: Table | str) -
 
     A class without fields is stated by a word, its name in small letters. Numbers must
     lie within the `range` in the metadata of their field.
-
-    Args:
-        key: where the table stands, for messages.
-        classes: among which its keys choose.
-        table: fields by their names.
-
-    Raises:
-        ValueError: there is no such class, or a number lies outside its range.
     """
     words = {c.__name__.lower(): c for c in classes if not _fields(c)}
     if isinstance(table, str) and table in words:
@@ -185,16 +160,11 @@ def read_module(key: str, classes: tuple[type[Kind], ...], table: Table | str) -
 
 
 def _fields(cls: Any) -> Mapping[str, dataclasses.Field]:
-    """The fields of a class that a table may state, by name."""
     return {f.name: f for f in dataclasses.fields(cls) if "range" in f.metadata}
 
 
 def within(key: str, numbers: Any, value: Any) -> Any:
-    """A value that lies within an annotated range.
-
-    Raises:
-        ValueError: it does not.
-    """
+    """A value that lies within an annotated range."""
     try:
         return msgspec.convert(value, numbers)
     except msgspec.ValidationError as error:
@@ -235,3 +205,27 @@ def _value_at(content: Any, place: str) -> Any:
             return None
         content = content[name] if name else content[int(index)]
     return content
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Arrays of an npz file by their names; that of an npy file has an empty one.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    try:
+        with open(path, "rb") as file:
+            content = np.load(file, allow_pickle=False)
+            if isinstance(content, np.ndarray):
+                return {"": content}
+            with content:
+                return dict(content)
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        MemoryError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error

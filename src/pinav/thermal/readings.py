@@ -1,136 +1,226 @@
-"""Readings that a case names: of probes in a CSV file, or of voxels in an image."""
+"""Readings of thermometers: the data that thermal models are fitted to, as tables."""
 
+import csv
 from pathlib import Path
 
+import equinox as eqx
+import jax
 import numpy as np
+from jaxtyping import Bool, Float, PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.thermal.case_geometry import Frames, Learn
-from pinav.thermal.images import NEGLIGIBLE, Image, check_place, read_image
-from pinav.thermal.probes import HOTTEST_READING, ProbeData, load_probes
-from pinav.thermal.quantities import NOISIEST
-from pinav.thermal.setup import Setup
-from pinav.thermal.thermometry import Thermometry, phase_turn
+from pinav.files import write_text
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.protocols import AbstractProtocol
+from pinav.thermal.quantities import Number
+from pinav.thermal.solve import probes_at, solve
+from pinav.thermal.starts import AT_REST, AbstractStart
+from pinav.thermal.steppers import AbstractStepper
 
-Readings = ProbeData | Thermometry
+HOTTEST_READING = 150.0
+"""Magnitude [°C] of a reading that is taken for kelvins."""
+
+AXES = {("r",): 1, ("x",): 1, ("x", "y"): 2, ("x", "y", "z"): 3}
 
 
-def read_data(settings: Learn, setup: Setup, folder: Path) -> Readings | None:
-    """The readings of a case; none where it makes its own.
+DRIFTS = ("none", "constant", "linear")
+"""What the drift of the field of a magnet is in space, at each frame a new one."""
+
+
+class Readings(eqx.Module):
+    """Temperatures over time, of probes or of every voxel of a grid.
+
+    Attributes:
+        times: [s], increasing.
+        values: [°C], at each time for each place; NaN where a reading is missing.
+        points: places of the probes [m]; None where voxels are read.
+        noise: standard deviation of a reading at each place [K]; 1 unless given.
+        turn: temperature [K] that a turn of the phase is; None without turns.
+        drift: one of `DRIFTS`.
 
     Raises:
-        InputError: a file cannot be read, or holds what no thermometer says.
+        InputError: times do not increase from above zero, shapes disagree, noise is not
+            positive, or nothing was read.
     """
-    if settings.thermometry is not None:
-        return _read_frames(settings.thermometry, setup, folder)
-    return None if settings.data is None else load_probes(folder / settings.data)
+
+    times: Float[np.ndarray, " time"]
+    values: Float[np.ndarray, "..."]
+    points: Float[np.ndarray, "probe axis"] | None = None
+    noise: Float[np.ndarray, "..."] | None = None
+    turn: Number | None = None
+    drift: str = eqx.field(static=True, default="none")
+
+    def __check_init__(self) -> None:
+        places = self.sd.shape if self.points is None else (len(self.points),)
+        if self.values.shape != (shape := (len(self.times), *places)):
+            raise InputError(
+                f"readings: expected values of shape {shape}, times by places, got "
+                f"{self.values.shape}"
+            )
+        if not (
+            len(self.times) and self.times[0] > 0 and np.all(np.diff(self.times) > 0)
+        ):
+            raise InputError(
+                "readings: expected increasing times > 0 s; the state at 0 s is where "
+                "a run starts, not a reading"
+            )
+        if not self.observed.any():
+            raise InputError("readings: expected a reading, got none")
+        if not np.all(self.sd[self.observed.any(axis=0)] > 0):
+            raise InputError(
+                "readings: expected a noise > 0 K at every voxel that is read; give "
+                "lost voxels no reading"
+            )
+        if self.turn is not None and not self.turn > 0:
+            raise InputError(f"readings: expected a turn > 0 K, got {self.turn:g}")
+        if self.drift not in DRIFTS:
+            raise InputError(
+                f"readings: expected a drift, {', '.join(DRIFTS)}, got {self.drift!r}"
+            )
+
+    @property
+    def sd(self) -> Float[np.ndarray, "..."]:
+        """Standard deviation of a reading at each place [K], or 1."""
+        return np.ones(self.values.shape[1:]) if self.noise is None else self.noise
+
+    @property
+    def observed(self) -> Bool[np.ndarray, "..."]:
+        return np.isfinite(self.values) & np.isfinite(self.sd)
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of all readings over their noise; 1 where it is zero."""
+        return float((self.values / self.sd)[self.observed].std()) or 1.0
+
+    def until(self, time: Number) -> "Readings":
+        """The readings up to a time [s]."""
+        kept = self.times <= time * (1 + 1e-9)
+        return eqx.tree_at(
+            lambda data: (data.times, data.values),
+            self,
+            (self.times[kept], self.values[kept]),
+        )
 
 
-def readings_until(data: Readings, time: float) -> Readings:
-    """Those up to a time [s].
+def simulate_probes(
+    model: Bioheat,
+    protocol: AbstractProtocol,
+    points: Float[np.ndarray, "probe axis"],
+    *,
+    every: Number,
+    noise: Number,
+    key: PRNGKeyArray,
+    stepper: AbstractStepper | None = None,
+    start: AbstractStart = AT_REST,
+) -> Readings:
+    """Synthetic readings of a model."""
+    solution = solve(
+        model,
+        protocol,
+        observe=probes_at(model, points),
+        save_every=every,
+        stepper=stepper,
+        start=start,
+    )
+    clean = np.asarray(solution.observed)
+    noisy = clean + noise * np.asarray(jax.random.normal(key, clean.shape))
+    return Readings(np.asarray(solution.times), noisy, points)
+
+
+def save_probes(data: Readings, path: Path, *, overwrite: bool = False) -> None:
+    """Write a CSV file with the columns t, the coordinates, and T, one reading a row.
 
     Raises:
-        InputError: there are none.
+        InputError: the file is there and `overwrite` is false.
     """
-    if data.times[0] > time:
+    assert data.points is not None
+    count = data.points.shape[1]
+    axes = ("r",) if count == 1 else ("x", "y", "z")[:count]
+    lines = [",".join(("t", *axes, "T"))]
+    for t, row in zip(data.times, data.values, strict=True):
+        for point, value in zip(data.points, row, strict=True):
+            cells = [t, *point] + ([value] if np.isfinite(value) else [])
+            words = [repr(float(cell)) for cell in cells]
+            lines.append(",".join(words + [""] * (len(axes) + 2 - len(words))))
+    write_text(path, "\n".join(lines) + "\n", overwrite=overwrite)
+
+
+def load_probes(path: Path) -> Readings:
+    """Read a CSV file: columns t [s], r or x, y, z [m], and T [°C]; empty is missing.
+
+    Raises:
+        InputError: the file cannot be read, has other columns, or a cell is no number.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            header, *rows = list(csv.reader(file)) or [[]]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    names = tuple(name.strip() for name in header)
+    if names[:1] != ("t",) or names[-1:] != ("T",) or names[1:-1] not in AXES:
         raise InputError(
-            f"learn.until: expected a time after the first reading at "
-            f"{data.times[0]:g} s, got {time:g} s; fit more of them"
+            f"{path}: expected the columns t, r, T or t, x, y, z, T, got "
+            f"{', '.join(names) or 'none'}"
         )
-    if isinstance(data, Thermometry):
-        return data.until(time)
-    count = int(np.sum(data.times <= time))
-    return ProbeData(data.times[:count], data.points, data.values[:count])
+    cells = [_numbers(path, i, row, len(names)) for i, row in enumerate(rows, 2)]
+    return _to_grid(path, np.array(cells).reshape(-1, len(names)))
 
 
-def _read_frames(frames: Frames, setup: Setup, folder: Path) -> Thermometry:
-    labels = setup.image
-    if labels is None:
+def _numbers(path: Path, line: int, row: list[str], count: int) -> list[float]:
+    if len(row) != count:
+        raise InputError(f"{path}, row {line}: expected {count} cells, got {len(row)}")
+    numbers = []
+    for column, cell in enumerate(row):
+        missing = not cell.strip() and column == count - 1
+        try:
+            numbers.append(np.nan if missing else float(cell))
+        except ValueError as error:
+            raise InputError(
+                f"{path}, row {line}, column {column + 1}: expected a number, got "
+                f"{cell!r}"
+            ) from error
+    return numbers
+
+
+def _to_grid(path: Path, cells: np.ndarray) -> Readings:
+    """One row for each time, one column for each probe, missing where nothing was."""
+    if not len(cells):
+        raise InputError(f"{path}: expected readings, got a header alone")
+    _check_rows(path, cells)
+    keys, counts = np.unique(cells[:, :-1], axis=0, return_counts=True)
+    if counts.max() > 1:
+        t, *place = keys[counts.argmax()]
         raise InputError(
-            "learn.thermometry: expected a grid of voxels, got another; take data, a "
-            "CSV file"
+            f"{path}: expected one reading for each time and place, got "
+            f"{counts.max()} at t = {t:g} s and {place} m; remove or average them"
         )
-    image = read_image(folder / frames.readings)
-    check_place(image, labels)
-    if image.values.ndim != labels.values.ndim + 1:
-        raise InputError(
-            f"{image.path}: expected frames along a last axis, got shape "
-            f"{image.values.shape}"
-        )
-    values = np.moveaxis(image.values, -1, 0)
-    if np.isinf(values).any():
-        raise InputError(
-            f"{image.path}: expected numbers, or NaN where a voxel is lost, got "
-            "infinity; replace it"
-        )
-    every = _interval(frames, image)
-    turn = frames.turn
-    arterial = setup.arterial
-    if frames.magnet is not None and frames.echo is not None:
-        turn = phase_turn(frames.magnet, frames.echo, frames.coefficient)
-        values = -values / (2 * np.pi) * turn  # the shift falls as tissue warms
-    if frames.quantity != "temperature":
-        values = arterial + values
-    _check_warmth(frames, image.path, image.values, values)
-    return Thermometry(
-        every * np.arange(1, len(values) + 1),
-        values,
-        _read_noise(frames, labels, folder),
-        turn,
-        frames.drift,
-    )
+    times, when = np.unique(cells[:, 0], return_inverse=True)
+    points, where = np.unique(cells[:, 1:-1], axis=0, return_inverse=True)
+    # What no row names stays NaN, and counts as not read.
+    values = np.full((len(times), len(points)), np.nan)
+    values[when.reshape(-1), where.reshape(-1)] = cells[:, -1]
+    return Readings(times, values, points)
 
 
-UNITS = {
-    "temperature": "°C; subtract 273.15 from kelvins, or name the quantity",
-    "rise": "kelvins above the arteries; subtract what the tissue had at first",
-    "phase": "radians; multiply degrees by pi/180",
-}
-"""Of readings by their quantity, and what to do with those that have another."""
-
-
-def _check_warmth(
-    frames: Frames, path: Path, given: np.ndarray, values: np.ndarray
-) -> None:
-    """Refuse readings that are no temperature of tissue in the unit that is said."""
-    hottest = np.abs(np.nan_to_num(values)).max()
-    if hottest <= HOTTEST_READING:
-        return
-    raise InputError(
-        f"{path}: expected a {frames.quantity} in {UNITS[frames.quantity]}; got "
-        f"{np.nanmax(np.abs(given)):g}, or {hottest:.4g} °C"
-    )
-
-
-def _interval(frames: Frames, image: Image) -> float:
-    """Time between two frames [s]."""
-    every = image.every if frames.every is None else frames.every
-    if image.every is not None and abs(image.every / (every or 1.0) - 1) > NEGLIGIBLE:
-        raise InputError(
-            f"learn.thermometry.every: expected {image.every:g} s, that of "
-            f"{image.path.name}, got {every:g} s; leave it out, or correct the file"
-        )
-    if every is None or not np.isfinite(every):
-        raise InputError(
-            f"{image.path}: expected a time between frames with a unit, or "
-            "learn.thermometry.every in the case, got neither; give it in seconds"
-        )
-    return every
-
-
-def _read_noise(frames: Frames, labels: Image, folder: Path) -> np.ndarray:
-    if not isinstance(frames.noise, str):
-        return np.full(labels.values.shape, frames.noise)
-    image = read_image(folder / frames.noise)
-    check_place(image, labels)
-    read = image.values[np.isfinite(image.values)]
-    if (
-        image.values.shape != labels.values.shape
-        or not read.size
-        or not (read.min() > 0 and read.max() <= NOISIEST)
+def _check_rows(path: Path, cells: np.ndarray) -> None:
+    numbers, readings = cells[:, :-1], cells[:, -1]
+    for wrong, expected, values in (
+        (~np.isfinite(numbers).all(axis=1), "finite times and places", numbers),
+        (numbers[:, 0] <= 0, "times > 0 s, the begin of the protocol", numbers[:, 0]),
+        (np.isinf(readings), "finite temperatures, or an empty cell", readings),
+        (
+            np.abs(readings) > HOTTEST_READING,
+            "temperatures in °C, which are kelvins less 273.15",
+            readings,
+        ),
     ):
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise InputError(
+                f"{path}, row {row + 2}: expected {expected}, got {values[row]}; "
+                "correct or remove the row"
+            )
+    if not np.isfinite(readings).any():
         raise InputError(
-            f"{image.path}: expected the standard deviation of each voxel, > 0 and <= "
-            f"{NOISIEST:g} K, got another number or frames; make lost voxels NaN"
+            f"{path}: expected a reading, got empty cells alone; fill the column T"
         )
-    return image.values

@@ -297,7 +297,6 @@ class _Matrices(eqx.Module):
         return jax.lax.linalg.tridiagonal_solve(*bands, right[:, None])[:, 0]
 
     def times(self, taken: Cells, right: Cells) -> Cells:
-        """The product with J."""
         below = self.lower[1:] * right[:-1]
         above = self.upper[:-1] * right[1:]
         neighbours = jnp.pad(below, (1, 0)) + jnp.pad(above, (0, 1))
@@ -308,7 +307,6 @@ class _Step(eqx.Module):
     """What the linearised equations of one step need, or of all.
 
     Attributes:
-        length: of the step [s].
         first: slope of what blood takes at the begin, over the capacity [s⁻¹].
         second: the same at the second stage.
         bends: by how much both stages change the first equation's matrix [s⁻¹].

@@ -1,8 +1,6 @@
 """A case as values that can be run: tissue, field, stepper, limits and start."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,15 +9,13 @@ import numpy as np
 
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.bodies import Body, build_body, read_heating
-from pinav.thermal.case import Before, Case, read_case
+from pinav.thermal.case import Case, FromFile, read_case
 from pinav.thermal.case_geometry import Probes
 from pinav.thermal.case_matter import Absorption, Power, heating_file
 from pinav.thermal.dose import Arrhenius
-from pinav.thermal.exposure_limits import HfLimit, limit
-from pinav.thermal.images import Image
-from pinav.thermal.probes import ProbeData, simulate_probes
-from pinav.thermal.protocols import Piecewise
+from pinav.thermal.protocols import LIMITS, HfLimit, Piecewise
 from pinav.thermal.quantities import Field
+from pinav.thermal.readings import Readings, simulate_probes
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import default_stepper
 from pinav.thermal.sources import (
@@ -28,8 +24,13 @@ from pinav.thermal.sources import (
     PowerSource,
     ShiftedSource,
 )
-from pinav.thermal.starts import AT_REST, AbstractStart, AtSteadyState, read_state
-from pinav.thermal.steady import find_steady_state
+from pinav.thermal.starts import (
+    AT_REST,
+    AbstractStart,
+    AtSteadyState,
+    find_steady_state,
+    read_state,
+)
 from pinav.thermal.steppers import RKL2, AbstractStepper
 
 
@@ -37,16 +38,8 @@ class Setup(eqx.Module):
     """A case as values that can be run.
 
     Attributes:
-        title: title of the case.
-        model: tissue.
-        protocol: field.
-        body: grid, tissues and target.
-        stepper: method of time integration.
-        limits: limits of the field.
         points: places of the probes [m], none if there are none.
         every: interval between readings of the probes [s].
-        start: where a run begins.
-        damage: law of damage that is added up, if any.
     """
 
     title: str = eqx.field(static=True)
@@ -73,10 +66,6 @@ class Setup(eqx.Module):
     @classmethod
     def of(cls, case: Case, folder: Path) -> "Setup":
         """The setup of a case.
-
-        Args:
-            case: the case.
-            folder: folder of the files that it names.
 
         Raises:
             InputError: a name or a unit is unknown, a perfusion implausible, or a file
@@ -108,20 +97,15 @@ class Setup(eqx.Module):
             protocol=case.field.build(),
             body=body,
             stepper=stepper,
-            limits=() if case.limit is None else (limit(case.limit),),
+            limits=() if case.limit is None else (LIMITS[case.limit],),
             points=np.array(probes.points, float).reshape(-1, len(grid.shape)),
             every=probes.every,
             start=start,
             damage=case.damage,
         )
 
-    def readings(self, noise: float = 0.0, seed: int = 0) -> ProbeData:
-        """Readings of the probes, as if the case were the truth.
-
-        Args:
-            noise: standard deviation of a reading [K].
-            seed: seed of the noise.
-        """
+    def readings(self, noise: float = 0.0, seed: int = 0) -> Readings:
+        """Readings of the probes, as if the case were the truth."""
         return simulate_probes(
             self.model,
             self.protocol,
@@ -134,33 +118,14 @@ class Setup(eqx.Module):
         )
 
     @property
-    def target(self) -> Field:
-        """Volume fraction of the target in each cell."""
-        return self.body.target
-
-    @property
-    def laws(self) -> dict[str, Callable[[Any], Any]]:
-        """For each tissue, what picks its perfusion from a model."""
-        return self.body.laws
-
-    @property
-    def fractions(self) -> dict[str, Field]:
-        """Volume fraction of each tissue in each cell."""
-        return self.body.fractions
-
-    @property
-    def image(self) -> Image | None:
-        """Labels, where the cells are voxels."""
-        return self.body.image
-
-    @property
     def arterial(self) -> float:
-        """Arterial temperature [°C]."""
         return float(self.model.blood.arterial)
 
 
-def _start(start: Before | str, shape: tuple[int, ...], folder: Path) -> AbstractStart:
-    if isinstance(start, Before):
+def _start(
+    start: FromFile | str, shape: tuple[int, ...], folder: Path
+) -> AbstractStart:
+    if isinstance(start, FromFile):
         return read_state(folder / start.file, shape)
     return AtSteadyState() if start == "steady" else AT_REST
 
@@ -191,7 +156,6 @@ def _source(case: Case, body: Body, folder: Path) -> AbstractSource:
 
 
 def _density(power: Power, body: Body) -> Field:
-    """Power density of each cell [W m⁻³]."""
     grid, target = body.grid, body.target
     if power.width is not None:
         center = body.middle if power.center is None else power.center

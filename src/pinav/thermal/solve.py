@@ -20,13 +20,11 @@ from pinav.thermal.steppers import RKL2, AbstractStepper, Watch
 
 
 class EnergyBalance(eqx.Module):
-    """Where the heat of a run went [J]; per area of a slab, per length of a cylinder.
+    """Heat of a run [J], that of a slab per area, of a cylinder per length.
 
     Attributes:
-        brought: by metabolism and sources.
         perfused: taken by blood.
         lost: through the sides.
-        stored: in the tissue.
     """
 
     brought: Float[Array, ""]
@@ -46,7 +44,6 @@ class Solution(eqx.Module):
     """A run over a protocol.
 
     Attributes:
-        times: saved times [s].
         observed: what `observe` made of the temperature at those times.
         observed_dose: what `observe_dose` made of the dose at those times.
         hottest: highest temperature [°C] at the end of every step.
@@ -76,7 +73,6 @@ def solve(
     save_every: Number | None = None,
     save_at: Numbers | None = None,
     start: AbstractStart = AT_REST,
-    cutoff: Number = 37.0,
     damage: Arrhenius | None = None,
 ) -> Solution:
     """Run a protocol, from rest, a steady state or a state of another run.
@@ -93,7 +89,6 @@ def solve(
         save_every: interval between saved times [s].
         save_at: saved times [s]; the end alone unless given.
         start: where to begin; at rest unless given.
-        cutoff: temperature [°C] below which no dose counts.
         damage: law of damage that is accumulated beside the dose.
 
     Raises:
@@ -117,7 +112,6 @@ def solve(
         observe=observe,
         observe_dose=observe_dose,
         start=begin,
-        cutoff=cutoff,
         damage=damage,
     )
 
@@ -137,7 +131,6 @@ def run(
     observe: Observe,
     observe_dose: Observe = lambda dose: None,
     start: AbstractStart = AT_REST,
-    cutoff: Number = 37.0,
     damage: Arrhenius | None = None,
 ) -> Solution:
     """Run a protocol with a given schedule; see `solve`.
@@ -146,7 +139,7 @@ def run(
     and of one block at a time, about twice the square root of the number of steps.
     """
     balance, begin = HeatBalance.of(model), _with_damage(start.state(model), damage)
-    watch = _Following(observe, observe_dose, jnp.asarray(cutoff), damage).watch
+    watch = _watch(observe, observe_dose, damage)
 
     def advance(carry: HeatState, inputs: PyTree) -> tuple[HeatState, PyTree]:
         durations, forced = inputs
@@ -184,25 +177,17 @@ def run(
     )
 
 
-class _Following(eqx.Module):
+def _watch(observe: Observe, observe_dose: Observe, damage: Arrhenius | None) -> Watch:
     """What of a run is added up and kept."""
 
-    observe: Observe
-    observe_dose: Observe
-    cutoff: Scalar
-    damage: Arrhenius | None
+    def accrue(before: Field, after: Field, dt: Scalar) -> PyTree:
+        dose = cem43_segment(before, after, dt)
+        return dose, None if damage is None else damage.segment(before, after, dt)
 
-    @property
-    def watch(self) -> Watch:
-        def accrue(before: Field, after: Field, dt: Scalar) -> PyTree:
-            dose = cem43_segment(before, after, dt, self.cutoff)
-            law = self.damage
-            return dose, None if law is None else law.segment(before, after, dt)
+    def keep(after: Field, total: PyTree) -> PyTree:
+        return observe(after), observe_dose(total[0]), jnp.max(after)
 
-        def keep(after: Field, total: PyTree) -> PyTree:
-            return self.observe(after), self.observe_dose(total[0]), jnp.max(after)
-
-        return Watch(accrue, keep)
+    return Watch(accrue, keep)
 
 
 def _with_damage(state: HeatState, damage: Arrhenius | None) -> HeatState:
@@ -219,7 +204,6 @@ def _levels(
     schedule: Schedule,
     stepper: AbstractStepper,
 ) -> Float[Array, "step node source"]:
-    """Levels of the sources at the nodes of each step."""
     nodes = jnp.asarray(stepper.nodes)
 
     def each(begin: Array, dt: Array, interval: Array) -> Array:
@@ -231,26 +215,17 @@ def _levels(
 
 
 def probes_at(model: Bioheat, points: Any) -> Observe:
-    """Temperatures at points [m], as an `observe`; for a model that is not traced.
-
-    Raises:
-        InputError: a point is outside the grid.
-    """
+    """Temperatures at points [m], as an `observe`; for a model that is not traced."""
     return Probes(
         model.grid.interpolation(points, np.asarray(model.tissue.conductivity))
     )
 
 
 class Probes(eqx.Module):
-    """Temperatures at points, by the weights of `AbstractGrid.interpolation`.
-
-    Attributes:
-        weights: of the cells, for each point.
-    """
+    """Temperatures at points, by the weights of `AbstractGrid.interpolation`."""
 
     weights: Float[Array, "point ..."]
 
     def __call__(self, temperature: Field) -> Float[Array, " point"]:
-        """Temperatures of the points [°C]."""
         flat = self.weights.reshape(self.weights.shape[0], -1)
         return flat @ temperature.reshape(-1)

@@ -1,20 +1,18 @@
 """Where a run begins: at rest, in a steady state, or in a state of another run."""
 
 import abc
-import zipfile
-import zlib
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
-from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.quantities import Field
-from pinav.thermal.steady import NOT_STEADY, steady_state
+from pinav.thermal.bioheat import Bioheat, HeatBalance
+from pinav.thermal.quantities import Field, read_arrays
 
 
 class AbstractStart(eqx.Module):
@@ -22,11 +20,7 @@ class AbstractStart(eqx.Module):
 
     @abc.abstractmethod
     def state(self, model: Bioheat) -> "HeatState":
-        """The state of a model, differentiable by its numbers.
-
-        Raises:
-            InputError: the model has another grid.
-        """
+        """The state of a model, differentiable by its numbers."""
 
 
 class HeatState(AbstractStart):
@@ -34,7 +28,6 @@ class HeatState(AbstractStart):
 
     Attributes:
         time: since the begin of the protocol [s].
-        temperature: of each cell [°C].
         dose: CEM43 of each cell so far [min].
         damage: $\Omega$ of each cell so far, none where it is not followed.
     """
@@ -48,12 +41,6 @@ class HeatState(AbstractStart):
     def at(cls, temperature: Field) -> "HeatState":
         """A temperature [°C] at the begin of a protocol, no dose."""
         return cls(jnp.asarray(0.0), temperature, jnp.zeros_like(temperature))
-
-    @classmethod
-    def at_rest(cls, model: Bioheat) -> "HeatState":
-        """Everything at the arterial temperature, no dose."""
-        arterial = jnp.asarray(model.blood.arterial, float)
-        return cls.at(jnp.full(model.grid.shape, arterial))
 
     def state(self, model: Bioheat) -> "HeatState":
         for name in ("temperature", "dose"):
@@ -70,22 +57,15 @@ class AtRest(AbstractStart):
     """Everything at the arterial temperature."""
 
     def state(self, model: Bioheat) -> HeatState:
-        return HeatState.at_rest(model)
+        arterial = jnp.asarray(model.blood.arterial, float)
+        return HeatState.at(jnp.full(model.grid.shape, arterial))
 
 
 class AtSteadyState(AbstractStart):
-    """The steady state of a constant field, or without one: a cooled wall at rest.
-
-    Attributes:
-        amplitude: of that field [A m⁻¹].
-        frequency: of that field [Hz].
-    """
-
-    amplitude: Scalar = 0.0
-    frequency: Scalar = 1e5
+    """The steady state without a field, such as that of a cooled wall at rest."""
 
     def state(self, model: Bioheat) -> HeatState:
-        steady = steady_state(model, self.amplitude, self.frequency)
+        steady = steady_state(model)
         return HeatState.at(
             eqx.error_if(steady.temperature, ~steady.converged, NOT_STEADY)
         )
@@ -104,14 +84,12 @@ HOTTEST = 150.0
 def read_state(path: Path, shape: tuple[int, ...]) -> HeatState:
     """The end of another run, or temperatures of a file of NumPy.
 
-    Args:
-        path: `results.npz` of a run, or an array of temperatures [°C].
-        shape: shape of the grid.
-
     Raises:
         InputError: the file cannot be read, or is of another grid.
     """
-    arrays = _read_arrays(path)
+    content = read_arrays(path)
+    named = {"temperature": content[""]} if "" in content else content
+    arrays = {name: named[name] for name in ("temperature", "dose") if name in named}
     for name, values in arrays.items():
         if values.dtype.kind not in "biuf":
             raise InputError(
@@ -145,22 +123,152 @@ def read_state(path: Path, shape: tuple[int, ...]) -> HeatState:
     )
 
 
-def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Arrays of an npz file by their names, or of an npy file as temperatures."""
-    try:
-        with open(path, "rb") as file:
-            content = np.load(file, allow_pickle=False)
-            if isinstance(content, np.ndarray):
-                return {"temperature": content}
-            with content:
-                names = [n for n in ("temperature", "dose") if n in content]
-                return {name: content[name] for name in names}
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        MemoryError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
+FIRST_STEP, GROWTH, LAST_STEP = 100.0, 10.0, 1e9
+"""Pseudo-time steps [s]: the first, the factor of each to the next, the longest."""
+
+MOST_ITERATIONS = 60
+
+ROUGH, EXACT = 1e-6, 1e-12
+"""Relative residuals of the conjugate gradients: on the way, and of the last step."""
+
+SMALL_CHANGE = 1e-8
+"""Change [K] of a Newton step that ends the iteration."""
+
+NOT_STEADY = (
+    "steady state: none was reached; heat must be able to leave, by perfusion or "
+    "through a side, and the field must not be too strong"
+)
+
+
+class SteadyState(eqx.Module):
+    """A steady temperature."""
+
+    temperature: Field
+    iterations: Int[Array, ""]
+    converged: Bool[Array, ""]
+
+
+class _Progress(eqx.Module):
+    temperature: Field
+    step: Float[Array, ""]
+    change: Float[Array, ""]
+    iterations: Int[Array, ""]
+
+
+@eqx.filter_jit
+def steady_state(
+    model: Bioheat, amplitude: Scalar = 0.0, frequency: Scalar = 1e5
+) -> SteadyState:
+    r"""The temperature that no longer changes at a constant field [A m⁻¹, Hz].
+
+    Newton's method in pseudo-time, $(C/\Delta t + K + S')\,\delta = F(T)$: implicit
+    Euler steps that grow until they are Newton's. $K$ is symmetric, so that one
+    tridiagonal solve, or conjugate gradients in planes and boxes, is all that a step
+    needs. From arterial temperature on: where the perfusion of a tumour collapses, so
+    that two steady states exist, it is the colder one.
+    """
+    levels = [source.level(amplitude, frequency) for source in model.sources]
+    forced = jnp.stack(levels) if levels else jnp.zeros(0)
+    balance = HeatBalance.of(model)
+    # gradients come from one Newton step at the solution, not from the iteration
+    arterial = jnp.asarray(model.blood.arterial, float)
+    still = jax.lax.stop_gradient((balance, forced, arterial))
+    end = _iterate(*still)
+    residual = _residual(balance, forced, end.temperature)
+    slope = still[0].sink_slope(end.temperature)
+    last = _solve(still[0], slope * still[0].volumes, residual, EXACT)
+    return SteadyState(
+        end.temperature + last, end.iterations, end.change <= SMALL_CHANGE
+    )
+
+
+def find_steady_state(
+    model: Bioheat, amplitude: Scalar = 0.0, frequency: Scalar = 1e5
+) -> SteadyState:
+    """The same, outside of transformations.
+
+    Raises:
+        InputError: there is no steady state, or none was reached.
+    """
+    state = steady_state(model, amplitude, frequency)
+    if not bool(state.converged):
+        raise InputError(NOT_STEADY)
+    return state
+
+
+def _iterate(balance: HeatBalance, forced: Array, arterial: Array) -> _Progress:
+    capacity = 1 / balance.inverse_capacity
+
+    def go_on(progress: _Progress) -> Bool[Array, ""]:
+        unsettled = (progress.change > SMALL_CHANGE) | (progress.step < LAST_STEP)
+        finite = jnp.isfinite(progress.change)
+        return unsettled & finite & (progress.iterations < MOST_ITERATIONS)
+
+    def newton(progress: _Progress) -> _Progress:
+        at = progress.temperature
+        # a falling perfusion has a negative slope, with which the matrix may lose its
+        # definiteness before the steps are long
+        slope = jnp.maximum(balance.sink_slope(at), 0.0) * balance.volumes
+        diagonal = slope + capacity / progress.step
+        change = _solve(balance, diagonal, _residual(balance, forced, at), ROUGH)
+        step = jnp.minimum(GROWTH * progress.step, LAST_STEP)
+        size = jnp.max(jnp.abs(change))
+        return _Progress(at + change, step, size, progress.iterations + 1)
+
+    begin = jnp.full_like(capacity, arterial)
+    first = _Progress(
+        begin, jnp.asarray(FIRST_STEP), jnp.asarray(jnp.inf), jnp.asarray(0)
+    )
+    # the first change is not finite by definition: one step is taken before the loop
+    return jax.lax.while_loop(go_on, newton, newton(first))
+
+
+def _residual(balance: HeatBalance, forced: Array, temperature: Field) -> Field:
+    gain, _ = balance.conduction(temperature)
+    taken = balance.sink(temperature) * balance.volumes
+    return gain + balance.heating(forced) - taken
+
+
+def _solve(
+    balance: HeatBalance, diagonal: Field, right: Field, tolerance: float
+) -> Field:
+    """Solve conduction plus a diagonal, which is symmetric."""
+    # linear in the temperature: sides at zero leave the matrix alone
+    at_zero, _ = balance.conduction(jnp.zeros_like(right))
+
+    def times(change: Field) -> Field:
+        gain, _ = balance.conduction(change)
+        return diagonal * change - (gain - at_zero)
+
+    if right.ndim == 1:
+        return jax.lax.custom_linear_solve(
+            times,
+            right,
+            lambda _, b: _tridiagonal(balance, diagonal, b),
+            symmetric=True,
+        )
+    total = diagonal
+    for axis, conductance in enumerate(balance.conductances):
+        count = right.shape[axis]
+        total = total + jax.lax.slice_in_dim(conductance, 0, count, axis=axis)
+        total = total + jax.lax.slice_in_dim(conductance, 1, count + 1, axis=axis)
+    # periodic ends are counted in the diagonal as any others
+    change, _ = jax.scipy.sparse.linalg.cg(
+        times,
+        right,
+        tol=tolerance,
+        maxiter=20 * max(right.shape),
+        M=lambda b: b / total,
+    )
+    return change
+
+
+def _tridiagonal(balance: HeatBalance, diagonal: Field, right: Field) -> Field:
+    (conductance,) = balance.conductances
+    zero, inner = jnp.zeros(1), -conductance[1:-1]
+    return jax.lax.linalg.tridiagonal_solve(
+        jnp.concatenate([zero, inner]),
+        diagonal + conductance[1:] + conductance[:-1],
+        jnp.concatenate([inner, zero]),
+        right[:, None],
+    )[:, 0]

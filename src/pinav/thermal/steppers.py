@@ -58,11 +58,7 @@ class AbstractStepper(eqx.Module):
 
     @abc.abstractmethod
     def longest_step(self, model: Bioheat) -> float:
-        """Longest time step [s] to take.
-
-        Raises:
-            InputError: the step asked for is not positive, or is not stable.
-        """
+        """Longest time step [s] to take."""
 
     @property
     @abc.abstractmethod
@@ -79,23 +75,13 @@ class AbstractStepper(eqx.Module):
         levels: Levels,
         watch: Watch,
     ) -> "March":
-        """Take many steps.
-
-        Args:
-            balance: the equation.
-            temperature: at the begin [°C].
-            total: of what adds up, at the begin.
-            steps: their lengths [s].
-            levels: of the sources at the nodes of each step.
-            watch: what adds up over the steps, and what is kept of each.
-        """
+        """Take many steps."""
 
 
 class March(eqx.Module):
     """What many steps lead to.
 
     Attributes:
-        temperature: at the end [°C].
         total: of what adds up.
         flows: heat brought in, taken by blood, and lost through the sides [J].
         kept: of each step.
@@ -251,10 +237,6 @@ def _rkl2_coefficients(s: int) -> tuple[Any, float]:
 
 
 def check_step(name: str, value: Number | None) -> None:
-    """Refuse a time step [s] that is not positive.
-
-    Raises:
-        InputError: it is not.
-    """
+    """Refuse a time step [s] that is not positive."""
     if value is not None and not 0 < value < np.inf:
         raise InputError(f"{name}: expected a time > 0 s, got {value}")

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import EvidenceFit, Outcome
@@ -18,19 +18,17 @@ from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.case import Case
 from pinav.thermal.case_geometry import Learn
 from pinav.thermal.grids import CartesianGrid
-from pinav.thermal.learned_perfusion import kernel_perfusion, neural_perfusion
-from pinav.thermal.learning import (
-    ProbeResiduals,
-    learn,
-    read_residuals,
-    visited_range,
+from pinav.thermal.images import read_frames
+from pinav.thermal.learning import Residuals, learn, read_residuals, visited_range
+from pinav.thermal.perfusion import (
+    AbstractPerfusion,
+    ConstantPerfusion,
+    kernel_perfusion,
+    neural_perfusion,
 )
-from pinav.thermal.perfusion import AbstractPerfusion, ConstantPerfusion
-from pinav.thermal.probes import ProbeData
-from pinav.thermal.readings import Readings, read_data, readings_until
+from pinav.thermal.readings import Readings, load_probes
 from pinav.thermal.setup import Setup
 from pinav.thermal.sources import ShiftedSource
-from pinav.thermal.thermometry import Thermometry, ThermometryResiduals
 
 DEFAULT_RISE = 6.0
 """Range [K] of the law of a tissue without a probe."""
@@ -52,8 +50,6 @@ class TissueFit:
     """What is fitted to what, and what is known of the truth.
 
     Attributes:
-        setup: case.
-        settings: its table `learn`.
         names: tissues whose perfusion is learned.
         fitted: readings that are fitted; none where the case makes its own.
         every: all readings that there are.
@@ -76,24 +72,29 @@ class TissueFit:
         Raises:
             InputError: a file cannot be read, or nothing could be learned from it.
         """
-        settings = case.learn or Learn()
-        names = tuple(setup.laws) if settings.laws is None else settings.laws
+        settings, laws = case.learn or Learn(), setup.body.laws
+        names = tuple(laws) if settings.laws is None else settings.laws
         for name in names:
-            if name not in setup.laws:
+            if name not in laws:
                 raise InputError(
-                    f"learn.laws: expected names of tissues, {', '.join(setup.laws)}; "
-                    f"got {name!r}"
+                    f"learn.laws: expected names of tissues, {', '.join(laws)}; got "
+                    f"{name!r}"
                 )
             perfusion_at_rest(setup, name)
         require_heating(setup)
-        data = read_data(settings, setup, folder)
+        data = _read_data(settings, setup, folder)
         if data is None and not len(setup.points):
             raise InputError(
                 "learn: expected data, a CSV file, or probes whose readings are "
                 "simulated"
             )
         end = until or settings.until
-        fitted = data if data is None or end is None else readings_until(data, end)
+        if data is not None and end is not None and data.times[0] > end:
+            raise InputError(
+                f"learn.until: expected a time after the first reading at "
+                f"{data.times[0]:g} s, got {end:g} s; fit more of them"
+            )
+        fitted = data if data is None or end is None else data.until(end)
         truth = None
         if settings.truth is not None:
             truth = _read_truth(folder / settings.truth, setup, names)
@@ -101,12 +102,11 @@ class TissueFit:
         fit.movable()  # refuses a spot on a grid where none can be moved
         if fitted is not None:
             # refuses readings outside the grid or after the end of the protocol
-            fit.residuals(setup.model, fitted)
+            fit.residuals(fitted)
             fit._check_readings(fitted)
         return fit
 
     def _check_readings(self, data: Readings) -> None:
-        """Refuse fewer readings than numbers that are learned, and unread tissue."""
         settings, axes = self.settings, len(self.setup.model.grid.shape)
         numbers = len(self.names) + settings.power_scale + axes * settings.spot
         if (count := int(data.observed.sum())) <= numbers:
@@ -115,87 +115,64 @@ class TissueFit:
                 f"learned, got {count}; read more, or learn less"
             )
         read = data.observed.any(axis=0)
-        for name in self.names if isinstance(data, Thermometry) else ():
-            if not (read & (np.asarray(self.setup.fractions[name]) > 0.5)).any():
+        for name in self.names if data.points is None else ():
+            if not (read & (np.asarray(self.setup.body.fractions[name]) > 0.5)).any():
                 raise InputError(
                     f"learn.laws: expected tissues with a reading, got {name}, of "
                     "which no voxel is read; leave it out"
                 )
 
-    def residuals(
-        self, model: Bioheat, data: Readings
-    ) -> ProbeResiduals | ThermometryResiduals:
-        """Predicted less read temperatures, as a function of the model.
-
-        Raises:
-            InputError: the readings do not fit the grid or the protocol.
-        """
+    def residuals(self, data: Readings) -> Residuals:
+        """Predicted less read temperatures, as a function of the model."""
         setup = self.setup
-        return read_residuals(
-            model, setup.protocol, data, stepper=setup.stepper, start=setup.start
-        )
+        options = {"stepper": setup.stepper, "start": setup.start}
+        return read_residuals(setup.model, setup.protocol, data, **options)
 
-    def learn(self, data: Readings) -> EvidenceFit:
-        """Learn what the settings say.
+    def learn(self, data: Readings, kind: str | None = None) -> EvidenceFit:
+        """Learn laws of a kind, that of the settings unless given, and the sources.
 
         Raises:
             FitError: the fit did not converge.
         """
-        constant = self.settings.kind == "constant"
+        setup, kind = self.setup, kind or self.settings.kind
+        laws, model = [setup.body.laws[name] for name in self.names], self.movable()
+        for index, law in enumerate(laws):
+            model = eqx.tree_at(law, model, self._first_law(kind, index, data))
+
+        def constants(candidate: Any) -> PyTree:
+            values = [law(candidate).value for law in laws if kind == "constant"]
+            return tuple(values), self._numbers(candidate)
+
+        def learned(candidate: Any) -> tuple[Any, ...]:
+            return tuple(law(candidate) for law in laws if kind != "constant")
+
         try:
-            return self.learn_constants(data) if constant else self._learn_laws(data)
+            return learn(
+                model,
+                setup.protocol,
+                data,
+                laws=learned,
+                constants=constants,
+                stepper=setup.stepper,
+                start=setup.start,
+            )
         except FitError as error:
             advice = ADVICE.get(error.outcome, str(error))
             raise FitError(advice, error.outcome) from error
 
-    def learn_constants(self, data: Readings) -> EvidenceFit:
-        """Learn the same with perfusions that do not depend on temperature."""
-        laws = tuple(self.setup.laws[name] for name in self.names)
-        start = self.movable()
-        for name, law in zip(self.names, laws, strict=True):
-            rest = jnp.asarray(perfusion_at_rest(self.setup, name))
-            start = eqx.tree_at(law, start, ConstantPerfusion(rest))
-        return self._fit(
-            start,
-            data,
-            constants=lambda m: (
-                tuple(law(m).value for law in laws),
-                self._numbers(m),
-            ),
-        )
-
-    def _learn_laws(self, data: Readings) -> EvidenceFit:
-        """Learn laws of the temperature, with the numbers of the sources."""
-        setup, settings, model = self.setup, self.settings, self.movable()
-        laws = tuple(setup.laws[name] for name in self.names)
-        for index, (name, law) in enumerate(zip(self.names, laws, strict=True)):
-            rest, top = perfusion_at_rest(setup, name), self._hottest(name, data)
-            span = (setup.arterial, max(top, setup.arterial + 1.0))
-            key = jax.random.fold_in(jax.random.key(settings.seed), index)
-            learned = (
-                neural_perfusion(rest, span, key=key)
-                if settings.kind == "network"
-                else kernel_perfusion(rest, span)
-            )
-            model = eqx.tree_at(law, model, learned)
-        return self._fit(
-            model,
-            data,
-            laws=lambda m: tuple(law(m) for law in laws),
-            constants=self._numbers,
-        )
-
-    def _fit(self, start: Bioheat, data: Readings, **picked: Any) -> EvidenceFit:
-        setup = self.setup
-        options = {"stepper": setup.stepper, "start": setup.start}
-        return learn(start, setup.protocol, data, **picked, **options)
+    def _first_law(self, kind: str, index: int, data: Readings) -> AbstractPerfusion:
+        name, arterial = self.names[index], self.setup.arterial
+        rest = perfusion_at_rest(self.setup, name)
+        if kind == "constant":
+            return ConstantPerfusion(jnp.asarray(rest))
+        span = (arterial, max(self._hottest(name, data), arterial + 1.0))
+        if kind == "kernels":
+            return kernel_perfusion(rest, span)
+        key = jax.random.fold_in(jax.random.key(self.settings.seed), index)
+        return neural_perfusion(rest, span, key=key)
 
     def movable(self) -> Bioheat:
-        """The model, its first source one that can be shifted if that is learned.
-
-        Raises:
-            InputError: the grid is no box.
-        """
+        """The model, its first source one that can be shifted if that is learned."""
         model = self.setup.model
         if not self.settings.spot or isinstance(model.sources[0], ShiftedSource):
             return model
@@ -209,7 +186,6 @@ class TissueFit:
         return eqx.tree_at(lambda m: m.sources, model, (moved, *others))
 
     def _numbers(self, model: Any) -> tuple:
-        """The numbers of the first source that are learned too."""
         source: Any = model.sources[0]
         plain: Any = source.source if isinstance(source, ShiftedSource) else source
         numbers = (plain.scale,) if self.settings.power_scale else ()
@@ -217,8 +193,8 @@ class TissueFit:
 
     def _hottest(self, name: str, data: Readings) -> float:
         """Highest temperature of a tissue by its probes, or by the case about [°C]."""
-        setup, fraction = self.setup, self.setup.fractions[name]
-        if not isinstance(data, ProbeData):
+        setup, fraction = self.setup, self.setup.body.fractions[name]
+        if data.points is None:
             visited = visited_range(setup.model, setup.protocol, fraction, setup.start)
             return visited[1] + MORE_RISE
         weights = np.asarray(setup.model.grid.interpolation(data.points))
@@ -227,6 +203,14 @@ class TissueFit:
         if not readings.size:
             return setup.arterial + DEFAULT_RISE
         return float(np.nanmax(readings))
+
+
+def _read_data(settings: Learn, setup: Setup, folder: Path) -> Readings | None:
+    if settings.thermometry is not None:
+        return read_frames(
+            settings.thermometry, setup.body.image, setup.arterial, folder
+        )
+    return None if settings.data is None else load_probes(folder / settings.data)
 
 
 def _read_truth(path: Path, setup: Setup, names: tuple[str, ...]) -> Setup:
@@ -241,20 +225,16 @@ def _read_truth(path: Path, setup: Setup, names: tuple[str, ...]) -> Setup:
             f"{given}; take the same"
         )
     for name in names:
-        if name not in truth.laws:
+        if name not in truth.body.laws:
             raise InputError(
                 f"learn.truth: expected a case with the tissue {name}, got "
-                f"{', '.join(truth.laws)}; name its tissues as here"
+                f"{', '.join(truth.body.laws)}; name its tissues as here"
             )
     return truth
 
 
 def perfusion_at_rest(setup: Setup, name: str) -> float:
-    """Perfusion of a tissue at the arterial temperature [kg m⁻³ s⁻¹], on average.
-
-    Raises:
-        InputError: it is zero, from where no fit starts.
-    """
+    """Perfusion of a tissue at the arterial temperature [kg m⁻³ s⁻¹], on average."""
     value = mean_perfusion(setup, name, setup.arterial)
     if not value > 0:
         raise InputError(
@@ -266,18 +246,14 @@ def perfusion_at_rest(setup: Setup, name: str) -> float:
 
 def mean_perfusion(setup: Setup, name: str, celsius: float) -> float:
     """Perfusion of a tissue at a temperature [kg m⁻³ s⁻¹], on average over it."""
-    law: AbstractPerfusion = setup.laws[name](setup.model)
+    law: AbstractPerfusion = setup.body.laws[name](setup.model)
     flow = law(jnp.full(setup.model.grid.shape, celsius))
-    fraction = setup.fractions[name]
+    fraction = setup.body.fractions[name]
     return float(jnp.sum(flow * fraction) / jnp.sum(fraction))
 
 
 def require_heating(setup: Setup) -> None:
-    """Refuse a field that heats nothing: nothing could be learned or planned.
-
-    Raises:
-        InputError: it brings no power into the tissue.
-    """
+    """Refuse a field that heats nothing: nothing could be learned or planned."""
     protocol, grid = setup.protocol, setup.model.grid
     if not protocol.largest > 0:
         raise InputError(
@@ -298,7 +274,7 @@ def require_heating(setup: Setup) -> None:
 
 def describe_constant(path: str, setup: Setup) -> str:
     """The name of a number of the model, by its path in it."""
-    names = list(setup.laws)
+    names = list(setup.body.laws)
     path = path.replace("perfusion.inside.", "tumour ").replace(
         "perfusion.outside.", "tissue "
     )
@@ -312,58 +288,35 @@ def describe_constant(path: str, setup: Setup) -> str:
     return "factor of the power" if path.startswith("sources[0].") else path
 
 
-class Quantities(eqx.Module):
-    """Numbers of a model that can be compared with those of the truth.
+def quantities_of(
+    fit: TissueFit,
+) -> tuple[list[str], Callable[[Bioheat], Float[Array, " quantity"]]]:
+    """Numbers that can be compared with those of the truth, as functions of a model.
 
-    Attributes:
-        laws: of tissues whose perfusion does not depend on temperature, by their names.
-        amplitude: amplitude of the field at which the power is meant [A m⁻¹].
-        frequency: frequency of the field [Hz].
-        spot: True if the place of the first source is one of them.
-        power: True if its power is.
+    The perfusion of tissues where it does not depend on temperature, and power and
+    place of the first source, if they are learned; names have the unit.
     """
-
-    laws: dict[str, Callable[[Any], Any]] = eqx.field(static=True)
-    amplitude: float
-    frequency: Any
-    spot: bool = eqx.field(static=True)
-    power: bool = eqx.field(static=True)
-
-    @classmethod
-    def of(cls, fit: TissueFit) -> "Quantities":
-        """Those that are learned."""
-        setup, settings = fit.setup, fit.settings
-        names = fit.names if settings.kind == "constant" else ()
-        return cls(
-            {name: setup.laws[name] for name in names},
-            setup.protocol.largest,
-            setup.protocol.frequency,
-            settings.spot,
-            settings.power_scale,
-        )
-
-    def names(self, axes: int) -> list[str]:
-        """Name of each, with its unit, in a number of dimensions."""
-        names = [f"perfusion of {name} [kg/(m³ s)]" for name in self.laws]
-        names += ["power of the source [W]"] * self.power
-        places = [f"place of the spot along {axis} [mm]" for axis in "xyz"[:axes]]
-        return names + places * self.spot
+    setup, settings = fit.setup, fit.settings
+    amplitude, frequency = setup.protocol.largest, setup.protocol.frequency
+    constant = fit.names if settings.kind == "constant" else ()
+    laws = [setup.body.laws[name] for name in constant]
+    axes = "xyz"[: len(setup.model.grid.shape)] if settings.spot else ""
+    names = [f"perfusion of {name} [kg/(m³ s)]" for name in constant]
+    names += ["power of the source [W]"] * settings.power_scale
+    names += [f"place of the spot along {axis} [mm]" for axis in axes]
 
     @eqx.filter_jit
-    def __call__(self, model: Bioheat) -> Float[Array, " quantity"]:
-        """Their values for a model."""
+    def values(model: Bioheat) -> Float[Array, " quantity"]:
         at = jnp.asarray(model.blood.arterial, float)[None]
-        values = [jnp.mean(law(model)(at)) for law in self.laws.values()]
+        parts = [jnp.mean(law(model)(at)) for law in laws]
         source, grid = model.sources[0], model.grid
-        if self.power or self.spot:
-            shape = source.shape(grid) * grid.volumes
-            total = jnp.sum(shape)
-            if self.power:
-                level = source.level(self.amplitude, self.frequency)
-                values.append(level * total)
-            if self.spot:
-                values += [_middle(shape, grid, axis) for axis in range(shape.ndim)]
-        return jnp.stack(values) if values else jnp.zeros(0)
+        shape = source.shape(grid) * grid.volumes
+        if settings.power_scale:
+            parts.append(source.level(amplitude, frequency) * jnp.sum(shape))
+        parts += [_middle(shape, grid, axis) for axis in range(len(axes))]
+        return jnp.stack(parts)
+
+    return names, values
 
 
 def _middle(shape: Array, grid: Any, axis: int) -> Float[Array, ""]:

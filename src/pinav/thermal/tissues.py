@@ -21,11 +21,7 @@ Property = Scalar | Field
 
 
 def check_positive(name: str, value: Any, unit: str) -> None:
-    """Refuse a number or array, where it is known, that is not positive.
-
-    Raises:
-        InputError: it is not.
-    """
+    """Refuse a number or array, where it is known, that is not positive."""
     least = least_known(value)
     if least is not None and not least > 0:
         raise InputError(f"{name}: expected > 0 {unit}, got {least:g}")
@@ -78,7 +74,6 @@ _UNITS = {
     "conductivity": "W/(m K)",
     "density": "kg/m³",
     "specific_heat": "J/(kg K)",
-    "arterial": "°C",
 }
 
 
@@ -86,7 +81,6 @@ class Blood(eqx.Module):
     """Blood that perfuses the tissue.
 
     Attributes:
-        density: [kg m⁻³], positive.
         specific_heat: $c_b$ [J kg⁻¹ K⁻¹], positive.
         arterial: $T_a$ [°C].
 
@@ -107,9 +101,7 @@ class Preset(eqx.Module):
     """A tissue under a name, with where its numbers come from.
 
     Attributes:
-        tissue: its properties.
         perfusion: at rest, volume of blood per volume of tissue [s⁻¹].
-        source: where the numbers come from.
     """
 
     tissue: Tissue
@@ -148,11 +140,7 @@ PRESETS = {
 
 
 def preset(name: str) -> Preset:
-    """A tissue by its name.
-
-    Raises:
-        InputError: the name is unknown.
-    """
+    """A tissue by its name."""
     if name not in PRESETS:
         raise InputError(
             f"tissue preset {name!r} is unknown; choose one of: {', '.join(PRESETS)}"
@@ -165,11 +153,6 @@ def mix(fraction: Field, inside: Tissue, outside: Tissue) -> Tissue:
 
     $1/k$, $\rho$, $\rho c$ and $Q_{met}$ are averaged by volume: heat that crosses a
     cut cell meets both tissues in series.
-
-    Args:
-        fraction: volume fraction of `inside` in each cell.
-        inside: tissue where the share is one.
-        outside: tissue where it is zero.
     """
 
     def average(a: Any, b: Any) -> Any:

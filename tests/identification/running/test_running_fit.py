@@ -9,8 +9,7 @@ from tests.rig import Robot
 
 from pinav.codec import decode, encode
 from pinav.identification.running import DriveGrid, RunningFit, forecast
-from pinav.identification.running.bank import Bank
-from pinav.identification.running.drives import CommandHistory
+from pinav.identification.running.bank import Bank, CommandHistory
 from pinav.identification.running.forecast import estimate, gain_at, locate
 
 SMALL = dict(corners=(np.inf, 2.0), residuals=(1.0, 0.3), delays=(0.1, 0.3))

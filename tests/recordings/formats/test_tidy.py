@@ -266,9 +266,9 @@ BAD_READING = {
     "mpp": ({"mpp": 0.0}, r"mpp: expected > 0, got 0"),
     "gap": ({"gap": 0}, r"gap: expected > 0"),
     "jump": ({"jump": -1.0}, r"jump: expected > 0"),
-    "delay": ({"delay": -0.1}, r"delay: expected >= 0 s, got -0.1"),
+    "delay": ({"delay": -0.1}, r"delay: expected 0 or more, got -0.1"),
     "offset": ({"heading_offset": np.nan}, r"heading_offset: expected a number"),
-    "likelihood": ({"likelihood": 2.0}, r"likelihood: expected from 0 to 1, got 2"),
+    "likelihood": ({"likelihood": 2.0}, r"likelihood: expected 0 to 1, got 2"),
     "delay without commands": ({"delay": 0.1}, r"delay: the file has no commands"),
     "offset without commands": (
         {"heading_offset": 1.0},

@@ -11,7 +11,6 @@ from pinav.commands.heat.settings import HeatOptions
 from pinav.commands.results import keep
 from pinav.runs import RunFolder
 from pinav.thermal.case import Case, read_case
-from pinav.thermal.exposure_limits import require
 from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun, simulate
 from pinav.thermal.images import write_image
 from pinav.thermal.learned_tissue import (
@@ -19,7 +18,8 @@ from pinav.thermal.learned_tissue import (
     learn_tissue,
 )
 from pinav.thermal.planned_run import PlannedRun, PlanTask
-from pinav.thermal.probes import ProbeData, save_probes
+from pinav.thermal.protocols import require
+from pinav.thermal.readings import Readings, save_probes
 from pinav.thermal.setup import Setup
 from pinav.thermal.tissue_fit import TissueFit
 
@@ -29,7 +29,7 @@ READINGS = "probes.csv"
 END = "results.npz"
 """File of temperature and dose at the end, from which another run can start."""
 
-Task = Callable[[], tuple[AbstractHeatResult, ProbeData | None]]
+Task = Callable[[], tuple[AbstractHeatResult, Readings | None]]
 """Computes a result, and the readings of the probes of the case if there are any."""
 
 
@@ -53,9 +53,9 @@ def run(options: HeatOptions) -> CommandResult:
     if isinstance(heated, HeatedRun):
         end = {"temperature": heated.temperature, "dose": heated.dose}
         folder.write_arrays(END, end)
-    if setup.image is not None and setup.image.is_nifti:
+    if setup.body.image is not None and setup.body.image.is_nifti:
         for name, values in _images(heated).items():
-            write_image(folder.path / f"{name}.nii.gz", values, setup.image)
+            write_image(folder.path / f"{name}.nii.gz", values, setup.body.image)
             folder.record(f"{name}.nii.gz")
     return keep(HEAT, folder, result)
 
@@ -73,7 +73,7 @@ def _images(result: AbstractHeatResult) -> dict[str, np.ndarray]:
 def _simulate(case: Case, setup: Setup, folder: Path) -> Task:
     require(setup.protocol, *setup.limits)
 
-    def compute() -> tuple[HeatedRun, ProbeData | None]:
+    def compute() -> tuple[HeatedRun, Readings | None]:
         probes = setup.readings() if len(setup.points) else None
         return simulate(setup), probes
 
@@ -83,7 +83,7 @@ def _simulate(case: Case, setup: Setup, folder: Path) -> Task:
 def _learn(case: Case, setup: Setup, folder: Path) -> Task:
     task = TissueFit.of(case, setup, folder)
 
-    def compute() -> tuple[LearnedTissue, ProbeData | None]:
+    def compute() -> tuple[LearnedTissue, Readings | None]:
         if task.fitted is not None:
             return learn_tissue(task, task.fitted), None
         readings = setup.readings(task.settings.noise, task.settings.seed)

@@ -9,9 +9,8 @@ from pinav.figures.learned_tissue import (
     mean_curves_figure,
 )
 from pinav.report import Paragraph, Section, Table
-from pinav.thermal.forecast import Forecast
 from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun
-from pinav.thermal.learned_tissue import LearnedTissue
+from pinav.thermal.learned_tissue import Forecast, LearnedTissue
 from pinav.thermal.planned_run import Judgement, PlannedRun
 
 Rows = list[tuple[str, str | float]]

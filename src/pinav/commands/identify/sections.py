@@ -2,21 +2,16 @@
 
 from collections.abc import Callable
 
-from pinav.figures.identification import (
-    growth_figure,
-    horizons_figure,
-    pixels_figure,
-    rollouts_figure,
-    speed_figure,
-)
+from pinav.figures.identification import horizons_figure, track_figures
 from pinav.fitting import Estimate
 from pinav.identification import Identification, IdentifiedTrack, Row
-from pinav.identification.estimates import QUANTITIES, Quantity
 from pinav.identification.findings import interval, positive_interval
 from pinav.identification.identify import SHOWN, pooled_coverage
+from pinav.identification.parameters import ESTIMATED, Parameter, Scale
 from pinav.identification.rollouts import HORIZONS
 from pinav.identification.selection import LEAST_SQUARES
 from pinav.report import AbstractBlock, Cell, Paragraph, Section, Table
+from pinav.units import unit_of
 
 SCOPE = (
     "The robots in public recordings of this kind are rollers and cellbots of 5 to "
@@ -136,15 +131,7 @@ def _track(
     if track.paths is None:
         return blocks
     blocks += [_estimates(track, units), *_gain(track, units), _rows(track)]
-    if track.paths.rollouts:
-        blocks.append(rollouts_figure(track.paths, f"track-{index}", units))
-    if track.growth is not None and len(track.growth.lengths) > 1:
-        blocks.append(growth_figure(track.growth, f"growth-{index}", units))
-    if track.law is not None:
-        blocks.append(speed_figure(track.law, f"speed-{index}", units))
-    if track.image_paths is not None:
-        blocks.append(pixels_figure(track.image_paths, f"image-{index}"))
-    return blocks
+    return blocks + track_figures(index, track, units)
 
 
 def _estimates(track: IdentifiedTrack, units: dict[str, str]) -> Table:
@@ -157,10 +144,11 @@ def estimate_row(
     name: str, estimate: Estimate, units: dict[str, str]
 ) -> tuple[Cell, ...]:
     """A row of the table; a quantity that is not described there keeps its name."""
-    shown = QUANTITIES.get(name, Quantity(name, "1"))
-    between = positive_interval if shown.positive else interval
-    unit = shown.unit.format(length=units["x"], time=units["t"])
-    return (shown.title, unit, estimate.value, *between(estimate), shown.meaning)
+    shown = ESTIMATED.get(name, Parameter(name, name, "1", scale=Scale.PLAIN))
+    between = positive_interval if shown.scale is Scale.LOG else interval
+    unit = unit_of(shown.dimension, {"L": units["x"], "T": units["t"]})
+    title = shown.title or name
+    return (title, unit, estimate.value, *between(estimate), shown.meaning)
 
 
 def _gain(track: IdentifiedTrack, units: dict[str, str]) -> list[Table]:

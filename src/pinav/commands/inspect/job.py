@@ -18,8 +18,8 @@ from pinav.figures.images import Figures
 from pinav.files import write_text
 from pinav.fitting import judge_increments
 from pinav.recordings.conventions import in_words
-from pinav.recordings.quality.commands import Drive
-from pinav.recordings.quality.report import Quality, Run, Track, quality
+from pinav.recordings.drive import Drive
+from pinav.recordings.quality import Quality, Run, Track, quality
 from pinav.report import Cell, Code, Paragraph, Section, Table, number, render
 from pinav.report.text import sections_text
 from pinav.trajectories import Trajectories

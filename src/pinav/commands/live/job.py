@@ -1,7 +1,6 @@
 """`pinav live`: a session at a rig, or a recording told as a rig would."""
 
 import contextlib
-import dataclasses
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,7 +27,7 @@ CHECKPOINT = "session.npz"
 """Name of the checkpoint in --out."""
 
 
-class LiveMetrics(msgspec.Struct, frozen=True):
+class LiveMetrics(msgspec.Struct):
     """What a session came to.
 
     Attributes:
@@ -40,41 +39,31 @@ class LiveMetrics(msgspec.Struct, frozen=True):
         latency_p99_ms: of 99 % of the frames.
     """
 
-    frames: int
-    commands: int
-    refused: int
-    mode: str
-    latency_p50_ms: float | None
-    latency_p99_ms: float | None
-
-
-@dataclasses.dataclass
-class Tally:
-    """Counts what is said, and passes it on.
-
-    Attributes:
-        printer: prints it.
-        page: shows it in a browser, where there is one.
-    """
-
-    printer: EventPrinter
-    page: Page | None
-    states: int = 0
+    frames: int = 0
     commands: int = 0
     refused: int = 0
     mode: str = "waiting"
+    latency_p50_ms: float | None = None
+    latency_p99_ms: float | None = None
 
-    def __post_init__(self) -> None:
+
+class Tally:
+    """Counts what is said, and passes it on to a printer and a page."""
+
+    def __init__(self, printer: EventPrinter, page: Page | None) -> None:
+        self.printer, self.page = printer, page
+        self.counted = LiveMetrics()
         self.latencies: list[float] = []
 
     def show(self, answer: FromPinav) -> None:
         """Print an answer, and show it on the page."""
+        counted = self.counted
         if isinstance(answer, State):
-            self.states, self.mode = self.states + 1, str(answer.mode)
+            counted.frames, counted.mode = counted.frames + 1, str(answer.mode)
             if answer.latency_ms is not None:
                 self.add_latency(answer.latency_ms)
-        self.commands += isinstance(answer, Command)
-        self.refused += isinstance(answer, Event) and answer.kind == "refused"
+        counted.commands += isinstance(answer, Command)
+        counted.refused += isinstance(answer, Event) and answer.kind == "refused"
         self.printer.show(answer)
         if self.page is not None:
             self.page.show(answer)
@@ -87,11 +76,10 @@ class Tally:
 
     def metrics(self) -> LiveMetrics:
         """The numbers of the session."""
-        half, most = None, None
         if self.latencies:
             half, most = map(float, np.quantile(self.latencies, [0.5, 0.99]))
-        counts = (self.states, self.commands, self.refused, self.mode)
-        return LiveMetrics(*counts, half, most)
+            self.counted.latency_p50_ms, self.counted.latency_p99_ms = half, most
+        return self.counted
 
 
 MOST_LATENCIES = 100_000
@@ -181,7 +169,7 @@ def _replay(options: LiveOptions, tally: Tally) -> None:
             tally.show(answer)
             if isinstance(answer, State):
                 tally.add_latency(1e3 * took)
-            if options.frames is not None and tally.states >= options.frames:
+            if options.frames is not None and tally.counted.frames >= options.frames:
                 break
 
 

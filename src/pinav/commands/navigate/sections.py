@@ -14,8 +14,12 @@ from pinav.commands.navigate.online_sections import (
 )
 from pinav.figures.animation import Trails, save_animation
 from pinav.figures.images import Movie, Picture
-from pinav.figures.navigation import closed_loop_figure, outcome_bars, plan_map
-from pinav.figures.space import space_figure
+from pinav.figures.navigation import (
+    closed_loop_figure,
+    outcome_bars,
+    plan_map,
+    space_figure,
+)
 from pinav.figures.style import new_figure
 from pinav.navigation import (
     AbstractNavigation,

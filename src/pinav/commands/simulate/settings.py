@@ -10,7 +10,6 @@ from pinav.commands.settings import (
     Range,
     Settings,
 )
-from pinav.errors import InputError
 
 
 class SimulateSettings(Settings, frozen=True):
@@ -28,14 +27,8 @@ class SimulateSettings(Settings, frozen=True):
     seed: int = 0
     noise: Annotated[float | None, Range(0)] = None
     count: Annotated[int | None, Range(1)] = None
-    frame_loss: float = 0.0
+    frame_loss: Annotated[float, Range(0, below=1)] = 0.0
     positions_only: bool = False
-
-    def check_together(self) -> None:
-        if not 0 <= self.frame_loss < 1:
-            raise InputError(
-                f"--frame-loss: expected from 0 to below 1, got {self.frame_loss}"
-            )
 
 
 class SimulateOptions(Settings, frozen=True):

@@ -15,9 +15,13 @@ References:
     the unknown variance.
 """
 
+import itertools
+
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+
+from pinav.identification.kalman import ornstein_uhlenbeck
 
 P, W, B, G = 0, 1, 2, slice(3, 5)
 """Places in the state."""
@@ -36,7 +40,6 @@ class Bank(eqx.Module):
     r"""States of all members.
 
     Attributes:
-        mean: mean state of each member along each axis.
         covariance: that of each member, the same along both axes, over $\sigma^2$.
         log_weight: logarithm of the evidence of each member, less that of the best.
         squares: rate of the gamma posterior of $1/\sigma^2$ of each member.
@@ -51,12 +54,7 @@ class Bank(eqx.Module):
 
     @classmethod
     def prior(cls, log_prior: Float[np.ndarray, " member"], scale: float) -> "Bank":
-        """The bank before any block.
-
-        Args:
-            log_prior: of the members.
-            scale: rough speed per frequency [L per cycle].
-        """
+        """The bank before any block."""
         members = len(log_prior)
         covariance = np.zeros((members, 5, 5))
         covariance[:, B, B] = DRIFT_PRIOR**2
@@ -93,14 +91,7 @@ class Bank(eqx.Module):
         memory: Float[np.ndarray, " member"],
         frequency: float,
     ) -> "Bank":
-        """The states after an interval.
-
-        Args:
-            cycles: integral of the delayed response along the heading, of each member.
-            interval: from mean time to mean time [s].
-            memory: correlation time of each member [s].
-            frequency: mean of it [Hz].
-        """
+        """The states after an interval."""
         decay = np.exp(-interval / memory)
         row = rows(cycles, interval, memory)
         mean, covariance = self.mean.copy(), self.covariance.copy()
@@ -167,16 +158,174 @@ def wandering(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     r"""Variances that wandering adds in an interval, over $\sigma^2$.
 
-    Of the position, of position with velocity, and of the velocity: exact, as in
-    `pinav.identification.kalman`, for the strength at a frequency [Hz].
+    Of the position, of position with velocity, and of the velocity, for the strength
+    at a frequency [Hz].
     """
     strength = STILL**2 + np.sqrt(np.maximum(frequency, 0.0))
-    ratio = interval / memory
-    decay = np.exp(-ratio)
-    spread = 2 * ratio - 3 + 4 * decay - decay**2
-    spread = np.where(ratio < 1e-3, 2 * ratio**3 / 3, spread)  # cancellation
+    lost, _, spread, fresh = ornstein_uhlenbeck(interval / memory, np)
     return (
         strength * memory**2 * spread,
-        strength * memory * np.expm1(-ratio) ** 2,
-        -strength * np.expm1(-2 * ratio),
+        strength * memory * lost**2,
+        strength * fresh,
     )
+
+
+CORNERS = tuple(np.geomspace(0.25, 8.0, 6))
+"""Corner frequencies of the responses [Hz]."""
+
+RESIDUALS = (0.03, 0.12, 0.3, 0.55)
+"""Parts of the gain that remain far above the corner."""
+
+DELAYS = tuple(np.arange(0.0, 0.65, 0.1))
+"""Delays of the commands [s]."""
+
+DELAY_PRIOR = (0.2, 0.2)
+"""Mean and standard deviation of the delay [s], as in identification."""
+
+BLURS = (0.05, 0.2, 0.8)
+"""Noise of the mean position of a block, over the wandering speed at 1 Hz [s]."""
+
+MEMORIES = (0.4, 1.2)
+"""Correlation times of the wandering velocity [s]."""
+
+
+class DriveGrid(eqx.Module):
+    """The members of the bank: each a delay, a response, and a kind of noise.
+
+    The strength of the wandering is not among them: each member learns its own.
+    Frequencies are those of magnetic coils, delays those of a camera and its computer.
+
+    A *drive* is a pair of delay and response, counted delays first.
+
+    Attributes:
+        corners: corner frequency of each response [Hz]; infinite where it is linear.
+        residuals: part of the gain that each response keeps above it.
+        blur: noise of a block's mean position, over the wandering speed at 1 Hz [s].
+    """
+
+    corners: Float[np.ndarray, " response"]
+    residuals: Float[np.ndarray, " response"]
+    delays: Float[np.ndarray, " delay"]
+    drive: Int[np.ndarray, " member"]
+    blur: Float[np.ndarray, " member"]
+    memory: Float[np.ndarray, " member"]
+    log_prior: Float[np.ndarray, " member"]
+
+    @classmethod
+    def default(cls) -> "DriveGrid":
+        """The grid that was judged on recorded sessions (docs/live.md)."""
+        responses = [(np.inf, 1.0), *itertools.product(CORNERS, RESIDUALS)]
+        corners, residuals = np.array(responses).T
+        delays = np.array(DELAYS)
+        drives = len(delays) * len(responses)
+        noises = np.array(list(itertools.product(BLURS, MEMORIES)))
+        drive = np.repeat(np.arange(drives), len(noises))
+        blur, memory = np.tile(noises, (drives, 1)).T
+        mean, sd = DELAY_PRIOR
+        log_prior = -0.5 * ((delays[drive // len(responses)] - mean) / sd) ** 2
+        log_prior -= np.log(np.exp(log_prior).sum())
+        return cls(corners, residuals, delays, drive, blur, memory, log_prior)
+
+    def response(
+        self, frequency: Float[np.ndarray, "*times"]
+    ) -> Float[np.ndarray, "*times response"]:
+        r"""Effective frequencies $\rho f + (1 - \rho) f / \sqrt{1 + (f / f_c)^2}$ [Hz].
+
+        That of `SlippingResponse`; an infinite corner is the linear law.
+        """
+        f = frequency[..., None]
+        slip = f / np.sqrt(1 + (f / self.corners) ** 2)
+        return self.residuals * f + (1 - self.residuals) * slip
+
+    @property
+    def member_response(self) -> Int[np.ndarray, " member"]:
+        """Place of the response of each member."""
+        return self.drive % len(self.corners)
+
+    @property
+    def member_delay(self) -> Float[np.ndarray, " member"]:
+        """Delay of each member [s]."""
+        return self.delays[self.drive // len(self.corners)]
+
+
+REACH = 2.0
+"""Commands are kept for so much longer than the longest delay [s]."""
+
+
+class CommandHistory(eqx.Module):
+    r"""Held commands, and $C(t) = \int s(f) n(\theta) dt$ at the time of each.
+
+    Attributes:
+        rates: effective velocity per gain from each on, by response [Hz].
+        integrals: integral of the rates up to each command [cycles].
+    """
+
+    times: Float[np.ndarray, " command"]
+    rates: Float[np.ndarray, "command response 2"]
+    integrals: Float[np.ndarray, "command response 2"]
+
+    @classmethod
+    def begin(
+        cls, grid: DriveGrid, time: float, frequency: float, heading: float
+    ) -> "CommandHistory":
+        """One command, held from `time` on, and no drive before it."""
+        rates = effective_rates(grid, np.array([frequency]), np.array([heading]))
+        return cls(np.array([time]), rates, np.zeros_like(rates))
+
+    def extend(
+        self,
+        grid: DriveGrid,
+        times: Float[np.ndarray, " later"],
+        frequency: Float[np.ndarray, " later"],
+        heading: Float[np.ndarray, " later"],
+    ) -> "CommandHistory":
+        """The history with later commands, whose times increase."""
+        rates = np.concatenate([self.rates, effective_rates(grid, frequency, heading)])
+        times = np.concatenate([self.times, times])
+        first = len(self.times) - 1
+        steps = np.diff(times[first:])[:, None, None] * rates[first:-1]
+        later = self.integrals[-1] + np.cumsum(steps, axis=0)
+        return CommandHistory(times, rates, np.concatenate([self.integrals, later]))
+
+    def replace_last(
+        self,
+        grid: DriveGrid,
+        frequency: Float[np.ndarray, "1"],
+        heading: Float[np.ndarray, "1"],
+    ) -> "CommandHistory":
+        """The history with another command from its last time on."""
+        rates = np.concatenate(
+            [self.rates[:-1], effective_rates(grid, frequency, heading)]
+        )
+        return CommandHistory(self.times, rates, self.integrals)
+
+    def forget(self, before: float) -> "CommandHistory":
+        """Without what ended before a time; integrals keep their origin."""
+        first = max(int(np.searchsorted(self.times, before, side="right")) - 1, 0)
+        if first == 0:
+            return self
+        return CommandHistory(
+            self.times[first:], self.rates[first:], self.integrals[first:]
+        )
+
+    def at(
+        self, times: Float[np.ndarray, " time"], delays: Float[np.ndarray, " delay"]
+    ) -> Float[np.ndarray, "time drive 2"]:
+        """Integrals of the delayed commands [cycles], delays first, then responses."""
+        query = times[:, None] - delays
+        place = np.searchsorted(self.times, query, side="right") - 1
+        elapsed = query - self.times[np.maximum(place, 0)]
+        elapsed = np.where(place < 0, 0.0, elapsed)
+        place = np.maximum(place, 0)
+        values = self.integrals[place] + elapsed[..., None, None] * self.rates[place]
+        return values.reshape(len(times), -1, 2)
+
+
+def effective_rates(
+    grid: DriveGrid,
+    frequency: Float[np.ndarray, "*times"],
+    heading: Float[np.ndarray, "*times"],
+) -> Float[np.ndarray, "*times response 2"]:
+    """Velocity per gain that commands ask for, by response [Hz]."""
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    return grid.response(frequency)[..., None] * direction[..., None, :]

@@ -4,8 +4,15 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from pinav.identification.running.bank import Bank, G, P, W, rows, wandering
-from pinav.identification.running.drives import effective_rates
+from pinav.identification.running.bank import (
+    Bank,
+    G,
+    P,
+    W,
+    effective_rates,
+    rows,
+    wandering,
+)
 from pinav.identification.running.running_fit import RunningFit
 
 MEMBERS = 48
@@ -25,16 +32,7 @@ class DriveForecast(eqx.Module):
 
 
 class _Members(eqx.Module):
-    """The members that are asked.
-
-    Attributes:
-        drive: drive of each member.
-        memory: correlation time of each member [s].
-        weight: weight of each member; they add up to one.
-        mean: mean states, as in the bank.
-        covariance: covariances of the bank, times the unit of variance.
-        unit: unit of variance [L² T⁻²].
-    """
+    """The members that are asked."""
 
     drive: np.ndarray
     memory: np.ndarray
@@ -58,12 +56,7 @@ class _Members(eqx.Module):
         )
 
     def mix(self, row: np.ndarray, noise: np.ndarray) -> DriveForecast:
-        """Mean and variance of the mixture.
-
-        Args:
-            row: what each part of the state adds, by time and member.
-            noise: what wandering adds to the variance, in units of it.
-        """
+        """Mean and variance of the mixture."""
         paths = np.einsum("...ms,mas->...ma", row, self.mean)
         # A product with each covariance first: three factors at once are slow.
         by_member = np.einsum("...ms,msu->...mu", row, self.covariance)
@@ -158,14 +151,7 @@ def _turned_after(
 def _wandering(
     elapsed: np.ndarray, memory: np.ndarray, frequency: np.ndarray, fresh: np.ndarray
 ) -> Float[np.ndarray, "*plan time member"]:
-    """Variance of the way that wandering adds, in units of it.
-
-    Args:
-        elapsed: since the start [s].
-        memory: correlation time of each member [s].
-        frequency: held from each time on [Hz].
-        fresh: part of the present variance that is not in the covariance of a member.
-    """
+    """Variance of the way that wandering adds, in units of it."""
     _, _, velocity = wandering(np.inf, memory, frequency[..., :1])
     velocity = velocity * fresh
     way, cross = np.zeros_like(velocity), np.zeros_like(velocity)
@@ -187,9 +173,7 @@ class DriveEstimate(eqx.Module):
 
     Attributes:
         delay: time from command to motion [s].
-        delay_sd: [s].
         gain: speed at 1 Hz, over the frequency [L per cycle].
-        gain_sd: [L per cycle].
         offset: angle from the commanded heading to the motion [rad].
         drift: velocity without command [L T⁻¹].
     """

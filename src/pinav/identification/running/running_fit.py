@@ -3,18 +3,17 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Float
 
-from pinav.identification.running.bank import Bank
-from pinav.identification.running.drives import REACH, CommandHistory, DriveGrid
+from pinav.identification.running.bank import REACH, Bank, CommandHistory, DriveGrid
 
 
 class Frames(eqx.Module):
     """Positions and commands, in the order of time.
 
     Attributes:
-        times: [s].
         positions: [L]; NaN where the robot was not seen.
         frequency: applied from each time on [Hz].
         heading: likewise [rad].
@@ -40,31 +39,17 @@ class Frames(eqx.Module):
     ) -> "Frames":
         """A single frame; no position where the robot was not seen."""
         place = (np.nan, np.nan) if position is None else position
-        return cls(
-            np.array([time], float),
-            np.array([place], float),
-            np.array([frequency], float),
-            np.array([heading], float),
-        )
+        values = (time, place, frequency, heading)
+        return cls(*(np.array([value], float) for value in values))
 
     def __len__(self) -> int:
         return len(self.times)
 
     def __add__(self, later: "Frames") -> "Frames":
-        return Frames(
-            np.concatenate([self.times, later.times]),
-            np.concatenate([self.positions, later.positions]),
-            np.concatenate([self.frequency, later.frequency]),
-            np.concatenate([self.heading, later.heading]),
-        )
+        return jax.tree.map(lambda *both: np.concatenate(both), self, later)
 
     def __getitem__(self, places: slice | np.ndarray) -> "Frames":
-        return Frames(
-            self.times[places],
-            self.positions[places],
-            self.frequency[places],
-            self.heading[places],
-        )
+        return jax.tree.map(lambda values: values[places], self)
 
     @property
     def observed(self) -> "Frames":
@@ -95,20 +80,16 @@ class RunningFit(eqx.Module):
     the bank, some seconds of commands, and the frames of a block.
 
     Attributes:
-        grid: the hypotheses.
         bank: their states; none until the robot was driven for `SCALE_TIME`.
         history: the last seconds of commands; none before the first frame.
         frames: those that belong to no block that is closed.
         since: time at which the robot was first driven [s]; none before.
         scale: rough speed per frequency [L per cycle].
-        block_begin: beginning of the open block [s].
         block_time: mean time of the last closed block [s].
         cycles: mean of the integrated commands in that block, of each drive; none
             where positions begin anew.
         block_frequency: mean frequency in it [Hz].
         jitter: variance of a coordinate of single frames about the path [L²].
-        jitter_count: coordinates that it was averaged over.
-        fastest: highest frequency so far [Hz].
     """
 
     grid: DriveGrid

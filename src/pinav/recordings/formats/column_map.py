@@ -9,9 +9,8 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.recordings import units
 from pinav.recordings.conventions import TURNS
-from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
-from pinav.recordings.source import Source
+from pinav.recordings.source import AbstractFormat, Source
 from pinav.recordings.table import Table
 
 QUANTITIES = (
@@ -49,43 +48,24 @@ class MappedTable(AbstractFormat):
     def suits(self, source: Source) -> bool:
         return False  # it is chosen by giving a column map
 
-    def tracks(self, source: Source, reading: Reading) -> Tracks:
+    def tracks(self, source: Source) -> Tracks:
+        reading = source.reading
         columns = _check_columns(reading.columns or {}, reading.units or {})
         whole_table = source.table()
         table, columns = long_table(whole_table, columns)
         units_of = _units(table, columns, reading)
         check_one_unit(units_of)
-
-        def whole(name: str) -> np.ndarray | None:
-            if name not in columns:
-                return None
-            return table.whole_numbers(columns[name], least=0)
-
-        def words(name: str) -> list[str] | None:
-            return table.labels(columns[name]) if name in columns else None
-
-        x, y = (table.numbers(columns[name], lost=True) for name in "xy")
-        particle = words("particle")
-        time, time_unit = _times(table, columns, particle, units_of.get("t", ""))
         factor, length_unit = units.length(units_of.get("x"))
+        time, time_unit = _times(table, columns, units_of.get("t", ""))
         commands = _commands(table, columns, units_of)
-        return Tracks(
-            x=factor * x,
-            y=factor * y,
-            z=factor * table.numbers(columns["z"], lost=True)
-            if "z" in columns
-            else None,
-            place=table.row,
-            particle=particle,
-            run=words("run"),
-            kind=words("kind"),
-            frame=whole("frame"),
+        return Tracks.of_table(
+            table,
+            columns,
+            scale=factor,
             time=time,
-            segment=whole("segment"),
             commands=commands,
             length_unit=length_unit,
             time_unit=time_unit,
-            columns={"time": columns.get("t", ""), "frame": columns.get("frame", "")},
             notes=(*table.notes, *unread_particles(whole_table, columns)),
             facts={"columns": dict(columns), "units of columns": dict(units_of)},
             doubts=doubts_of_columns(table, columns, units_of, reading, time, commands),
@@ -106,7 +86,7 @@ def _units(
 
 
 def _times(
-    table: Table, columns: Mapping[str, str], particle: list[str] | None, unit: str
+    table: Table, columns: Mapping[str, str], unit: str
 ) -> tuple[np.ndarray | None, str]:
     """Times and their unit: of a column, or summed from the intervals of the frames."""
     if "t" in columns:
@@ -118,8 +98,11 @@ def _times(
     steps = table.numbers(columns["dt"])
     factor, known = units.duration(table.unit(columns["dt"]))
     times = np.empty_like(steps)
-    names = np.array(particle or [""] * len(steps), object)
-    for name in dict.fromkeys(names):
+    words = [""] * len(steps)
+    if "particle" in columns:
+        words = table.labels(columns["particle"])
+    names = np.array(words, object)
+    for name in dict.fromkeys(words):
         rows = np.flatnonzero(names == name)
         times[rows] = np.cumsum(steps[rows]) - steps[rows[0]]
     return factor * times, known

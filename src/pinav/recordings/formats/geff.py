@@ -11,10 +11,9 @@ from scipy.sparse.csgraph import connected_components
 
 from pinav.errors import InputError
 from pinav.recordings import units
-from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.formats.zarr_arrays import Group
-from pinav.recordings.rows import Reading, Tracks
-from pinav.recordings.source import Source
+from pinav.recordings.rows import Tracks, varying
+from pinav.recordings.source import AbstractFormat, Source
 
 
 @final
@@ -30,7 +29,7 @@ class Geff(AbstractFormat):
     def suits(self, source: Source) -> bool:
         return source.kind == "folder" and is_zarr(source.path)
 
-    def tracks(self, source: Source, reading: Reading) -> Tracks:
+    def tracks(self, source: Source) -> Tracks:
         group = _graph(source.path)
         said: Any = group.attributes()["geff"]
         axes = {a["name"]: a for a in said.get("axes") or ({"name": n} for n in "tzyx")}
@@ -50,11 +49,11 @@ class Geff(AbstractFormat):
         factor, length_unit = units.length(unit_of["x"])
         rate, time_unit = units.duration(unit_of["t"])
         frames = time_unit in ("frame", "?")
-        z = values.get("z")
+        z = varying(values["z"]) if "z" in values else None
         return Tracks(
             x=factor * values["x"],
             y=factor * values["y"],
-            z=None if z is None or np.ptp(z) == 0 else factor * z,
+            z=None if z is None else factor * z,
             place=lambda row: f"node {row}",
             particle=[str(one) for one in _particles(group, said)],
             frame=np.round(values["t"]).astype(np.int64) if frames else None,

@@ -1,5 +1,6 @@
 """Workbooks of MagScope: what the coils did in one sheet, each robot in another."""
 
+import dataclasses
 import io
 import re
 import zipfile
@@ -11,11 +12,10 @@ from jaxtyping import Float64
 
 from pinav.errors import InputError
 from pinav.recordings import units
-from pinav.recordings.formats.format import AbstractFormat
+from pinav.recordings.layout import read_sheets
 from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
-from pinav.recordings.source import Source
+from pinav.recordings.source import AbstractFormat, Source
 from pinav.recordings.table import Table
-from pinav.recordings.workbook import read_sheets
 
 ACTIONS = "Magnetic Field Actions"
 _ROBOT = re.compile(r"Robot (\d+)$")
@@ -48,7 +48,7 @@ class MagScope(AbstractFormat):
     def suits(self, source: Source) -> bool:
         return source.kind == "workbook" and _is_recorders(source.content)
 
-    def tracks(self, source: Source, reading: Reading) -> Tracks:
+    def tracks(self, source: Source) -> Tracks:
         rows = read_sheets(source.content)
         sheets = {
             name: _table(name, cells, source.faults)
@@ -66,37 +66,27 @@ class MagScope(AbstractFormat):
                 "MagScope workbook? Of any other, name a sheet and its columns"
             )
         tables = list(robots.values())
-        frame = np.concatenate([t.whole_numbers("Frame", least=0) for t in tables])
-        times, positions, clock_notes = [], [], ()
         unit = _length_unit(tables)
-        for table in tables:
-            clock, said = _times(table)
-            times.append(clock)
-            clock_notes += said
-            positions.append(
-                [
-                    table.numbers(_column_named(table, n), lost=True)
-                    for n in ("Pos X", "Pos Y")
-                ]
-            )
-        x, y = np.concatenate(positions, axis=1)
-        scale, scale_notes = _scale(tables, unit, reading)
-        places = [table.row(row) for table in tables for row in range(len(table))]
+        scale, scale_notes = _scale(tables, unit, source.reading)
+        whole = Table.concatenate([_named(table) for table in tables])
+        clocks = [_times(table) for table in tables]
+        frame = whole.whole_numbers("Frame", least=0)
         commands, notes = _commands(sheets, frame)
-        return Tracks(
-            x=scale * x,
-            y=scale * y,
-            place=places.__getitem__,
+        return Tracks.of_table(
+            whole,
+            {
+                "x": "Pos X",
+                "y": "Pos Y",
+                "frame": "Frame",
+                "t": _column_named(tables[0], "Time", "Times"),
+            },
+            scale=scale,
             particle=[number for number, t in robots.items() for _ in range(len(t))],
             frame=frame,
-            time=np.concatenate(times),
+            time=np.concatenate([times for times, _ in clocks]),
             commands=commands,
             length_unit="um" if scale_notes else unit,
-            columns={
-                "frame": "Frame",
-                "time": _column_named(tables[0], "Time", "Times"),
-            },
-            notes=(*notes, *scale_notes, *clock_notes),
+            notes=(*notes, *scale_notes, *(n for _, said in clocks for n in said)),
         )
 
 
@@ -166,13 +156,16 @@ def _unit_of(column: str) -> str:
 
 def _robot(table: Table) -> Table:
     """A robot's sheet without exact repeats of a row."""
-    cells = list(zip(*(table.columns[n] for n in _columns_to_keep(table)), strict=True))
+    cells = list(zip(*_named(table).columns.values(), strict=True))
     again = [i > 0 and row == cells[i - 1] for i, row in enumerate(cells)]
     return table.select(~np.array(again))
 
 
-def _columns_to_keep(table: Table) -> list[str]:
-    return [_column_named(table, n) for n in ("Frame", "Pos X", "Pos Y")]
+def _named(table: Table) -> Table:
+    """Frame and position of a robot, without the units in their headings."""
+    names = ("Frame", "Pos X", "Pos Y")
+    columns = {name: table.columns[_column_named(table, name)] for name in names}
+    return dataclasses.replace(table, columns=columns)
 
 
 def _length_unit(tables: list[Table]) -> str:

@@ -1,4 +1,4 @@
-"""MATLAB files: `[x y frame id]`, or cells of `[t x y]` as msdanalyzer keeps them."""
+"""MATLAB files: `[x y frame id]`, cells of `[t x y]`, and the tracks of u-track."""
 
 import io
 from typing import Any, final
@@ -6,10 +6,9 @@ from typing import Any, final
 import numpy as np
 
 from pinav.errors import InputError
-from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.formats.zarr_arrays import open_group
-from pinav.recordings.rows import Reading, Tracks
-from pinav.recordings.source import Source
+from pinav.recordings.rows import Tracks, varying
+from pinav.recordings.source import AbstractFormat, Source
 from pinav.recordings.table import Table
 
 _FIRST = ("tr", "tracks", "trajectories", "res", "result")
@@ -32,11 +31,10 @@ class Matlab(AbstractFormat):
     def suits(self, source: Source) -> bool:
         return source.content.startswith(b"MATLAB")
 
-    def tracks(self, source: Source, reading: Reading) -> Tracks:
+    def tracks(self, source: Source) -> Tracks:
         variables = _variables(source)
-        name, value = _choose_variable(
-            variables, (reading.columns or {}).get("variable")
-        )
+        stated = (source.reading.columns or {}).get("variable")
+        name, value = _choose_variable(variables, stated)
         if value.dtype == object:
             return _of_cells(name, value)
         return _of_matrix(name, value)
@@ -120,12 +118,10 @@ def _of_matrix(name: str, matrix: np.ndarray) -> Tracks:
         np.arange(1, len(matrix) + 1),
         f"variable {name!r}, row",
     )
-    return Tracks(
-        x=table.numbers("x", lost=True),
-        y=table.numbers("y", lost=True),
-        place=table.row,
+    return Tracks.of_table(
+        table,
+        {"x": "x", "y": "y", "frame": "frame"},
         particle=[str(i) for i in table.whole_numbers("id")],
-        frame=table.whole_numbers("frame", least=0),
         facts={"variable": name},
     )
 
@@ -142,15 +138,75 @@ def _of_cells(name: str, cells: np.ndarray) -> Tracks:
     ]
     if not tables:
         raise InputError(f"variable {name!r}: all cells are empty; expected [t x y]")
-    places = [table.row(row) for table in tables for row in range(len(table))]
-    return Tracks(
-        x=np.concatenate([table.numbers("x", lost=True) for table in tables]),
-        y=np.concatenate([table.numbers("y", lost=True) for table in tables]),
-        place=places.__getitem__,
+    return Tracks.of_table(
+        Table.concatenate(tables),
+        {"x": "x", "y": "y", "t": "t"},
         particle=[str(i) for i, t in enumerate(tables, start=1) for _ in range(len(t))],
-        time=np.concatenate([table.numbers("t") for table in tables]),
         length_unit="?",
         time_unit="?",
-        columns={"time": "t"},
         facts={"variable": name},
     )
+
+
+_FIELDS = ("tracksCoordAmpCG", "seqOfEvents")
+_PER_FRAME = 8
+"""Numbers of a particle in a frame: x, y, z, amplitude, and their deviations."""
+
+
+@final
+class UTrack(AbstractFormat):
+    """`tracksFinal` with `tracksCoordAmpCG` and `seqOfEvents`; px, y down.
+
+    Each row of a compound track, a segment between merges and splits, is a particle.
+    Files of MATLAB 7.3 are not read: save them with -v7.
+    """
+
+    name = "u-track"
+
+    def suits(self, source: Source) -> bool:
+        return source.kind == "matlab" and _compound(source) is not None
+
+    def tracks(self, source: Source) -> Tracks:
+        value = _compound(source)
+        if value is None:
+            raise InputError("no variable tracksFinal with tracksCoordAmpCG; save it")
+        frames, names, rows = [], [], []
+        for number, track in enumerate(np.ravel(value), start=1):
+            numbers = np.atleast_2d(np.asarray(track[_FIELDS[0]], np.float64))
+            events = np.atleast_2d(np.asarray(track[_FIELDS[1]], np.float64))
+            if numbers.shape[1] % _PER_FRAME or not events.size:
+                raise InputError(
+                    f"track {number}: expected {_PER_FRAME} columns for each frame, "
+                    f"got {numbers.shape[1]}; save tracksFinal again"
+                )
+            first = int(events[:, 0].min())
+            for part, row in enumerate(numbers, start=1):
+                table = row.reshape(-1, _PER_FRAME)
+                observed = np.flatnonzero(np.isfinite(table[:, 0]))
+                frames.append(first + observed)
+                rows.append(table[observed, :3])
+                label = f"{number}" if len(numbers) == 1 else f"{number}.{part}"
+                names += [label] * len(observed)
+        x, y, z = np.concatenate(rows).T
+        frame = np.concatenate(frames).astype(np.int64)
+        return Tracks(
+            x=x,
+            y=y,
+            z=varying(z),
+            place=lambda row: f"track {names[row]}, frame {frame[row]}",
+            particle=names,
+            frame=frame,
+        )
+
+
+def _compound(source: Source) -> Any:
+    """The structures of the tracks, or None; loading is quick and runs nothing."""
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(io.BytesIO(source.content), variable_names=["tracksFinal"])
+    except Exception:  # zlib's, scipy's and Python's own share no base
+        return None
+    value = content.get("tracksFinal")
+    names = getattr(getattr(value, "dtype", None), "names", None) or ()
+    return value if set(_FIELDS) <= set(names) else None

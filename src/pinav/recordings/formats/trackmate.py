@@ -1,18 +1,25 @@
-"""TrackMate: spots as CSV, raw or re-saved, and tracks as XML."""
+"""TrackMate and Icy: spots as CSV, raw or re-saved; tracks and projects as XML."""
 
-from typing import Any, final
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
 from pinav.errors import InputError
 from pinav.recordings import units
-from pinav.recordings.formats.described import number, parse_xml
-from pinav.recordings.formats.format import AbstractFormat
-from pinav.recordings.rows import Reading, Tracks
-from pinav.recordings.source import Source
+from pinav.recordings.formats.tables import tracked
+from pinav.recordings.rows import Reading, Tracks, varying
+from pinav.recordings.source import AbstractFormat, Source
 from pinav.recordings.table import Table
 
-_COLUMNS = ("TRACK_ID", "POSITION_X", "POSITION_Y", "FRAME")
+_HEADINGS = {
+    "particle": "TRACK_ID",
+    "x": "POSITION_X",
+    "y": "POSITION_Y",
+    "frame": "FRAME",
+    "t": "POSITION_T",
+}
 _ABOVE = 3
 """Rows between the names and the numbers of a raw file: two of names, one of units."""
 
@@ -36,40 +43,35 @@ class TrackMateCSV(AbstractFormat):
     def suits(self, source: Source) -> bool:
         return {"TRACK_ID", "POSITION_X", "FRAME"} <= set(source.column_names)
 
-    def tracks(self, source: Source, reading: Reading) -> Tracks:
+    def tracks(self, source: Source) -> Tracks:
         table = source.read_text_table()
         stated: dict[str, str] = {}
         if "POSITION_X" in table.columns and _is_raw(table):
             stated = _units(table)
             table = source.read_text_table(below=_ABOVE)
-        for name in _COLUMNS:
-            table.column(name)
-        tracked = np.array(
-            [str(c or "").strip() not in ("", "None") for c in table.column("TRACK_ID")]
-        )
-        if not tracked.any():
+        for name in ("particle", "x", "y", "frame"):
+            table.column(_HEADINGS[name])
+        spots = tracked(table, "TRACK_ID", "None")
+        if not len(spots):
             raise InputError(
                 f"{table.where(0, 'TRACK_ID')}: no spot belongs to a track; track "
                 "them first, then export again"
             )
-        spots = table.select(tracked)
         factor, unit = units.length(stated.get("POSITION_X"))
         frame = spots.whole_numbers("FRAME", least=0)
-        time, time_unit, notes = _times(spots, frame, stated, reading)
-        if not tracked.all():
-            notes = (*notes, f"{int((~tracked).sum())} spots without a track left out")
+        time, time_unit, notes = _times(spots, frame, stated, source.reading)
+        if left_out := len(table) - len(spots):
+            notes = (*notes, f"{left_out} spots without a track left out")
         if not stated:
             notes = (*notes, "no row of units: positions are px if mpp is given")
-        return Tracks(
-            x=factor * spots.numbers("POSITION_X", lost=True),
-            y=factor * spots.numbers("POSITION_Y", lost=True),
-            place=spots.row,
-            particle=spots.labels("TRACK_ID"),
+        return Tracks.of_table(
+            spots,
+            _HEADINGS,
+            scale=factor,
             frame=frame,
             time=time,
             length_unit=unit,
             time_unit=time_unit,
-            columns={"frame": "FRAME", "time": "POSITION_T"},
             notes=notes,
             facts={"header rows": 1 + _ABOVE if stated else 1},
         )
@@ -113,6 +115,79 @@ def _calibration_remarks(unit: str, reading: Reading) -> tuple[str, ...]:
     return () if reading.fps is not None else (UNCALIBRATED.format(unit=unit),)
 
 
+def _parse(content: bytes) -> Any:
+    """The root element of a document, parsed without entities."""
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import ParseError, fromstring
+
+    try:
+        return fromstring(content, forbid_dtd=True)
+    except ParseError as error:
+        line, column = error.position
+        raise InputError(
+            f"line {line}, column {column}: not well-formed XML "
+            f"({str(error).partition(':')[0]}); export the tracks again"
+        ) from error
+    except DefusedXmlException as error:
+        raise InputError(
+            "the XML declares entities or a document type, which is not read; "
+            "export the tracks again"
+        ) from error
+
+
+def _root_tag(content: bytes) -> str:
+    """Name of the first element, without parsing the rest."""
+    match = re.search(rb"<([A-Za-z_][\w.-]*)[\s/>]", content[:5000])
+    return match[1].decode() if match else ""
+
+
+def _number(element: Any, name: str, where: str) -> float:
+    """A number among the attributes of an element."""
+    text = element.get(name)
+    try:
+        value = float(text) if text is not None and "_" not in text else float("nan")
+    except ValueError:
+        value = float("nan")
+    if value - value != 0:  # neither NaN nor infinite
+        got = "nothing" if text is None else repr(text)
+        raise InputError(
+            f"{where}, attribute {name!r}: expected a finite number, got {got}; "
+            "export the tracks again"
+        )
+    return value
+
+
+class _Spot(NamedTuple):
+    """A position among the elements of a document, and the name of its particle."""
+
+    particle: str
+    place: str
+    element: Any
+
+
+def _numbers(spots: Sequence[_Spot], names: Iterable[str]) -> np.ndarray:
+    """Numbers of each name [name, spot]."""
+    return np.array(
+        [[_number(spot.element, name, spot.place) for spot in spots] for name in names]
+    )
+
+
+def _tracks(
+    spots: Sequence[_Spot], positions: np.ndarray, frame: np.ndarray, **others: Any
+) -> Tracks:
+    """Tracks of spots at positions x, y and perhaps z."""
+    x, y, *heights = positions
+    return Tracks(
+        x=x,
+        y=y,
+        z=varying(heights[0]) if heights else None,
+        place=lambda row: spots[row].place,
+        particle=[spot.particle for spot in spots],
+        frame=frame,
+        **others,
+    )
+
+
 @final
 class TrackMateXML(AbstractFormat):
     """`<Tracks>` of `<particle>` of `<detection t x y z/>` ("Export tracks to XML")."""
@@ -122,32 +197,29 @@ class TrackMateXML(AbstractFormat):
     def suits(self, source: Source) -> bool:
         return source.kind == "xml"
 
-    def tracks(self, source: Source, reading: Reading) -> Tracks:
+    def tracks(self, source: Source) -> Tracks:
         root = _root(source.content)
         particles = root.findall("particle")
         if not particles:
             raise InputError("element <Tracks>: no <particle> in it; export again")
-        rows: list[tuple[str, str]] = []
-        numbers: list[list[float]] = []
+        spots = []
         for index, particle in enumerate(particles, start=1):
-            spots = particle.findall("detection")
-            _check_count(particle, index, len(spots))
-            for count, spot in enumerate(spots, start=1):
-                where = f"particle {index}, detection {count}"
-                rows.append((str(index - 1), where))
-                numbers.append([number(spot, name, where) for name in "txy"])
-        if not numbers:
+            detections = particle.findall("detection")
+            _check_count(particle, index, len(detections))
+            spots += [
+                _Spot(str(index - 1), f"particle {index}, detection {count}", one)
+                for count, one in enumerate(detections, start=1)
+            ]
+        if not spots:
             raise InputError("element <particle>: no <detection>; export again")
-        table = np.array(numbers, np.float64)
         factor, unit = units.length(root.get("spaceUnits"))
-        frame = _frames(table[:, 0], [where for _, where in rows])
-        time, time_unit, notes = _calibrated_times(root, frame, reading)
-        return Tracks(
-            x=factor * table[:, 1],
-            y=factor * table[:, 2],
-            place=lambda row: rows[row][1],
-            particle=[particle for particle, _ in rows],
-            frame=frame,
+        values = _numbers(spots, "txy")
+        frame = _frames(values[0], spots)
+        time, time_unit, notes = _calibrated_times(root, frame, source.reading)
+        return _tracks(
+            spots,
+            factor * values[1:],
+            frame,
             time=time,
             length_unit=unit,
             time_unit=time_unit,
@@ -158,7 +230,7 @@ class TrackMateXML(AbstractFormat):
 
 def _root(content: bytes) -> Any:
     """The element <Tracks>."""
-    root = parse_xml(content)
+    root = _parse(content)
     if root.tag != "Tracks":
         raise InputError(
             f"element <{root.tag}>: expected <Tracks>; in TrackMate choose 'Export "
@@ -176,13 +248,13 @@ def _check_count(particle: Any, index: int, count: int) -> None:
         )
 
 
-def _frames(values: np.ndarray, places: list[str]) -> np.ndarray:
+def _frames(values: np.ndarray, spots: Sequence[_Spot]) -> np.ndarray:
     wrong = (values != np.round(values)) | (values < 0)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(
-            f"{places[row]}, attribute 't': expected a frame, a whole number >= 0, got "
-            f"{values[row]:g}; export the tracks again"
+            f"{spots[row].place}, attribute 't': expected a frame, a whole number "
+            f">= 0, got {values[row]:g}; export the tracks again"
         )
     return values.astype(np.int64)
 
@@ -208,3 +280,105 @@ def _calibrated_times(
         unit = root.get("timeUnits") or "a unit of time"
         return None, "frame", _calibration_remarks(unit, reading)
     return factor * interval * frame, unit, ()
+
+
+@final
+class TrackMateProject(AbstractFormat):
+    """`<TrackMate>` with `<AllSpots>`, `<AllTracks>` and `<FilteredTracks>`; y down.
+
+    A spot belongs to the track whose edges name it; tracks that the filters dropped,
+    and spots without a track, are left out. Times are frames times the interval of the
+    settings, unless that is the 1 of a film that was never calibrated.
+    """
+
+    name = "trackmate-project"
+
+    def suits(self, source: Source) -> bool:
+        return source.kind == "xml" and _root_tag(source.content) == "TrackMate"
+
+    def tracks(self, source: Source) -> Tracks:
+        root = _parse(source.content)
+        model = root.find("Model")
+        if model is None:
+            raise InputError("element <TrackMate>: no <Model> in it; save it again")
+        owner = _owners(model)
+        spots = [
+            _Spot(owner[spot.get("ID")], f"spot {spot.get('ID')}", spot)
+            for spot in model.iterfind("AllSpots/SpotsInFrame/Spot")
+            if spot.get("ID") in owner
+        ]
+        if not spots:
+            raise InputError(
+                "element <AllTracks>: no spot belongs to a track; track them, then "
+                "save the project again"
+            )
+        names = ("POSITION_X", "POSITION_Y", "POSITION_Z", "FRAME")
+        *positions, frame = _numbers(spots, names)
+        factor, unit = units.length(model.get("spatialunits"))
+        rate, time_unit = units.duration(model.get("timeunits"))
+        interval = None if time_unit == "frame" else _interval(root)
+        frames = np.round(frame).astype(np.int64)
+        return _tracks(
+            spots,
+            factor * np.array(positions),
+            frames,
+            time=None if interval is None else rate * interval * frames,
+            length_unit=unit,
+            time_unit="frame" if interval is None else time_unit,
+            columns={"frame": "FRAME"},
+        )
+
+
+def _owners(model: Any) -> dict[str, str]:
+    """Track of each spot, by their numbers; of the tracks that the filters kept."""
+    kept = {t.get("TRACK_ID") for t in model.iterfind("FilteredTracks/TrackID")}
+    owners = {}
+    for track in model.iterfind("AllTracks/Track"):
+        name = track.get("TRACK_ID")
+        if kept and name not in kept:
+            continue
+        for edge in track.iterfind("Edge"):
+            for end in ("SPOT_SOURCE_ID", "SPOT_TARGET_ID"):
+                owners[edge.get(end)] = name
+    return owners
+
+
+def _interval(root: Any) -> float | None:
+    """Time from frame to frame; None where the film was never calibrated."""
+    image = root.find("Settings/ImageData")
+    if image is None or image.get("timeinterval") is None:
+        return None
+    value = _number(image, "timeinterval", "element <ImageData>")
+    return None if value in (0.0, 1.0) else value
+
+
+@final
+class Icy(AbstractFormat):
+    """`<root><trackgroup><track id><detection t x y z/>`, in pixels, y down.
+
+    Frames are the `t` of the detections; z is kept where it varies.
+    """
+
+    name = "icy"
+
+    def suits(self, source: Source) -> bool:
+        is_root = source.kind == "xml" and _root_tag(source.content) == "root"
+        return is_root and b"<trackgroup" in source.content
+
+    def tracks(self, source: Source) -> Tracks:
+        names: list[str] = []
+        spots = []
+        for track in _parse(source.content).iterfind("trackgroup/track"):
+            name = track.get("id") or str(len(set(names)))
+            names.append(name)
+            spots += [
+                _Spot(name, f"track {name}, detection {count}", one)
+                for count, one in enumerate(track.iterfind("detection"), start=1)
+            ]
+        if not spots:
+            raise InputError(
+                "element <trackgroup>: no <detection>; save the tracks again"
+            )
+        frame, *positions = _numbers(spots, "txyz")
+        frames = np.round(frame).astype(np.int64)
+        return _tracks(spots, np.array(positions), frames, columns={"frame": "t"})

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pinav.recordings.quality.localisation import localisation
+from pinav.recordings.localisation import localisation
 
 
 def observed(*, deviation, diffusion=0.0, speed=0.0, jitter=0.0, count=4000, seed=0):

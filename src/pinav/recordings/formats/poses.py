@@ -1,4 +1,4 @@
-"""DeepLabCut: x, y and likelihood of every body part, as CSV or HDF5."""
+"""Body parts: DeepLabCut as CSV or HDF5, and the analysis files of SLEAP."""
 
 import csv
 import pickletools
@@ -8,10 +8,9 @@ from typing import Any, final
 import numpy as np
 
 from pinav.errors import InputError
-from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.formats.zarr_arrays import open_group
-from pinav.recordings.rows import Reading, Tracks
-from pinav.recordings.source import Source
+from pinav.recordings.rows import Tracks
+from pinav.recordings.source import AbstractFormat, Source
 from pinav.recordings.table import Table
 
 _LEVELS = ("scorer", "individuals", "bodyparts", "coords")
@@ -34,24 +33,23 @@ class DeepLabCut(AbstractFormat):
         first = [line.split(",")[0] for line in source.first_lines[:3]]
         return first[:1] == ["scorer"] or "bodyparts" in first
 
-    def tracks(self, source: Source, reading: Reading) -> Tracks:
+    def tracks(self, source: Source) -> Tracks:
         read = _from_hdf5 if source.kind == "hdf5" else _from_csv
         frame, parts = read(source)
-        rows = range(len(frame))
-        places = [parts[name].row(row) for name in parts for row in rows]
-        tables = list(parts.values())
-        observed = np.concatenate([_is_observed(t, reading.likelihood) for t in tables])
-        x, y = (np.concatenate([t.numbers(c, lost=True) for t in tables]) for c in "xy")
+        likelihood = source.reading.likelihood
+        table = Table.concatenate(list(parts.values()))
+        observed = _is_observed(table, likelihood)
+        x, y = (np.where(observed, table.numbers(c, lost=True), np.nan) for c in "xy")
         lost = int((~observed).sum())
         return Tracks(
-            x=np.where(observed, x, np.nan),
-            y=np.where(observed, y, np.nan),
-            place=places.__getitem__,
-            particle=[name for name in parts for _ in rows],
+            x=x,
+            y=y,
+            place=table.row,
+            particle=[name for name in parts for _ in frame],
             frame=np.tile(frame, len(parts)),
-            notes=(f"{lost} positions of likelihood < {reading.likelihood:g} are lost",)
+            notes=(f"{lost} positions of likelihood < {likelihood:g} are lost",)
             * (lost > 0),
-            facts={"likelihood": reading.likelihood},
+            facts={"likelihood": likelihood},
         )
 
 
@@ -224,3 +222,56 @@ def _since_mark(stack: list[Any]) -> list[Any]:
     while (item := stack.pop()) is not _MARK:
         items.insert(0, item)
     return items
+
+
+@final
+class Sleap(AbstractFormat):
+    """`tracks` (track, axis, node, frame), `node_names`, `point_scores`; px, y down.
+
+    Each node of each track is a particle, named by both where there are several nodes.
+    Points with a score below the likelihood of the reading are lost.
+    """
+
+    name = "sleap"
+
+    def suits(self, source: Source) -> bool:
+        return source.kind == "hdf5" and b"node_names" in source.content
+
+    def tracks(self, source: Source) -> Tracks:
+        with open_group(source.content) as file:
+            if "tracks" not in file or "node_names" not in file:
+                raise InputError(
+                    f"groups {', '.join(file)}: expected tracks and node_names; export "
+                    "an analysis file (sleap-convert --format analysis)"
+                )
+            points = np.asarray(file["tracks"], np.float64)
+            nodes = [_text(name) for name in file["node_names"]]
+            names = [_text(name) for name in file.get("track_names", ())]
+            scores = file.get("point_scores")
+            scores = None if scores is None else np.asarray(scores, np.float64)
+        if points.ndim != 4 or points.shape[1:3] != (2, len(nodes)):
+            raise InputError(
+                f"tracks: expected the shape (track, 2, {len(nodes)} nodes, frame), "
+                f"got {points.shape}; export the analysis file again"
+            )
+        count, _, parts, frames = points.shape
+        names = names if len(names) == count else [str(i) for i in range(count)]
+        labels = [n if parts == 1 else f"{n} {part}" for n in names for part in nodes]
+        # One row of positions for each track and node.
+        x, y = (points[:, axis].reshape(count * parts, frames) for axis in (0, 1))
+        lost = np.isnan(x) | np.isnan(y)
+        if scores is not None and scores.shape == (count, parts, frames):
+            lost |= ~(scores.reshape(x.shape) >= source.reading.likelihood)
+        places = [f"{label!r}, frame" for label in labels]
+        return Tracks(
+            x=np.where(lost, np.nan, x).ravel(),
+            y=np.where(lost, np.nan, y).ravel(),
+            place=lambda row: f"{places[row // frames]} {row % frames}",
+            particle=[label for label in labels for _ in range(frames)],
+            frame=np.tile(np.arange(frames), count * parts),
+            facts={"likelihood": source.reading.likelihood},
+        )
+
+
+def _text(value: Any) -> str:
+    return value.decode() if isinstance(value, bytes) else str(value)

@@ -179,7 +179,7 @@ class Speed:
     windows: int
 
 
-def _window_ends(segment: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+def window_ends(segment: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """First and last row of every window of about `WINDOW`, lost rows left out.
 
     Where rows are further apart than that, as with times in frames, a window is a step.
@@ -193,24 +193,16 @@ def _window_ends(segment: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def window_speeds(segment: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Speed of every window [L T⁻¹], and its first and last row.
-
-    Args:
-        segment: of a particle.
-    """
-    first, last = _window_ends(segment)
+    """Speed of every window [L T⁻¹], and its first and last row."""
+    first, last = window_ends(segment)
     steps = segment.states[last, :2] - segment.states[first, :2]
     lengths = np.linalg.norm(steps, axis=1)
     return lengths / (segment.times[last] - segment.times[first]), first, last
 
 
 def path_length(segment: Trajectory) -> float:
-    """Length of the path in steps of a window, in which errors do not add up [L].
-
-    Args:
-        segment: of a particle.
-    """
-    first, last = _window_ends(segment)
+    """Length of the path in steps of a window, in which errors do not add up [L]."""
+    first, last = window_ends(segment)
     rows, at = [0], 0
     following = dict(zip(first.tolist(), last.tolist(), strict=True))
     while at in following:

@@ -6,8 +6,9 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
+from pinav.recordings.assembly import groups
 from pinav.recordings.conventions import doubts, heading_remark
-from pinav.recordings.quality.commands import (
+from pinav.recordings.drive import (
     Drive,
     Speed,
     drive,
@@ -15,8 +16,7 @@ from pinav.recordings.quality.commands import (
     speeds_by_frequency,
     window_speeds,
 )
-from pinav.recordings.quality.localisation import Localisation, localisation
-from pinav.recordings.segments import groups
+from pinav.recordings.localisation import Localisation, localisation
 from pinav.trajectories import UNKNOWN_UNIT, Trajectories, Trajectory
 
 

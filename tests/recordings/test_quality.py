@@ -8,8 +8,8 @@ import pytest
 from pinav.codec import decode, encode
 from pinav.errors import InputError
 from pinav.recordings import Reading, read_recording
-from pinav.recordings.quality.commands import WARNINGS, drive
-from pinav.recordings.quality.report import Quality, quality
+from pinav.recordings.drive import WARNINGS, drive
+from pinav.recordings.quality import Quality, quality
 from pinav.trajectories import Trajectories
 
 TIMES = np.arange(0, 60, 0.05)

@@ -1,0 +1,324 @@
+"""Displacements by the commands of a swimmer, whatever drives it.
+
+A rolling propulsion is linear in its gain, and one compiled program serves all of its
+responses. Any other propulsion is driven by its own `drive_by`; the open numbers of it
+are parameters of the search.
+"""
+
+import abc
+import dataclasses
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from pinav.actuation import (
+    AbstractResponse,
+    HeldProgramme,
+    LinearResponse,
+    SaturatingResponse,
+    SlippingResponse,
+    StepOutResponse,
+)
+from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_arrays
+from pinav.errors import InputError
+from pinav.fitting import EvidenceFit
+from pinav.forces import RollingPropulsion, ZeroFlow, ZeroForce
+from pinav.identification.parameters import (
+    CORNER,
+    DELAY,
+    DRIFT,
+    GAIN,
+    LAG,
+    RESIDUAL,
+    ROLLING,
+    Coordinates,
+    Parameter,
+    Scale,
+    fitted_noise,
+)
+from pinav.identification.tracks import Blocks
+from pinav.systems import FreeNumber, LogNormal, Normal, System
+
+RESPONSES: dict[str, AbstractResponse] = {
+    "linear": LinearResponse(),
+    "saturating": SaturatingResponse(1.0),
+    "slipping": SlippingResponse(1.0, 0.5),
+    "step-out": StepOutResponse(1.0),
+}
+"""Responses to high frequencies, with placeholders for their numbers."""
+
+
+def response_name(swimmer: Swimmer | OverdampedSwimmer) -> str:
+    """Name of the response of a swimmer among `RESPONSES`; linear if it rolls not."""
+    kind = type(getattr(swimmer.propulsion, "response", RESPONSES["linear"]))
+    return next(name for name, made in RESPONSES.items() if type(made) is kind)
+
+
+class AbstractDrive(eqx.Module):
+    """Displacements of a swimmer as a function of the numbers of its propulsion."""
+
+    @property
+    @abc.abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The numbers in which displacements are not linear."""
+
+    @abc.abstractmethod
+    def coordinates(self, swimmer: OverdampedSwimmer) -> Coordinates:
+        """Coordinates of its parameters in a swimmer."""
+
+    @abc.abstractmethod
+    def displacements(
+        self, coordinates: Float[Array, " parameter"], blocks: Blocks
+    ) -> Float[Array, "sample 2"]:
+        """Displacement since the first sample of a track, for a gain of 1."""
+
+    @abc.abstractmethod
+    def gains(self, system: System) -> Float[np.ndarray, "4 2 2"]:
+        """Gain matrix by each number of an open gain, zeros where there are fewer."""
+
+    @abc.abstractmethod
+    def known_gain(
+        self, system: System, mobility: Float[Array, "2 2"]
+    ) -> Float[Array, "2 2"]:
+        """Gain matrix that is not open, which a mobility makes a velocity of."""
+
+
+def drive_of(system: System) -> AbstractDrive:
+    """The drive of the propulsion of a system."""
+    propulsion = system.swimmer.propulsion
+    if isinstance(propulsion, RollingPropulsion | ZeroForce):
+        return RollingDrive.of(system.swimmer)
+    return OtherDrive.of(system)
+
+
+class RollingDrive(AbstractDrive):
+    """The drive of a rolling propulsion, or of none [cycles].
+
+    A swimmer without a lag has one that is too short to matter: one program for all.
+    """
+
+    response: Int[Array, ""]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return ROLLING
+
+    @classmethod
+    def of(cls, swimmer: Swimmer | OverdampedSwimmer) -> "RollingDrive":
+        """The drive of a swimmer."""
+        return cls(jnp.asarray(list(RESPONSES).index(response_name(swimmer))))
+
+    def coordinates(self, swimmer: Swimmer | OverdampedSwimmer) -> Coordinates:
+        return rolling_coordinates(swimmer)
+
+    def displacements(
+        self, coordinates: Float[Array, "4"], blocks: Blocks
+    ) -> Float[Array, "sample 2"]:
+        along: Any = blocks  # as JAX arrays
+        programme = HeldProgramme(along.times, along.frequency, along.heading)
+        return self.cycles(coordinates, programme)
+
+    def cycles(
+        self, coordinates: Float[Array, "4"], programme: HeldProgramme
+    ) -> Float[Array, "sample 2"]:
+        """Integral of the response along the heading, delayed and lagged."""
+        corner, residual, delay, lag = coordinates
+        response = SwitchedResponse(self.response, corner, residual)
+        times = programme.times - delay
+        return programme.lagged_integral(response, times, jnp.exp(lag))
+
+    def gains(self, system: System) -> Float[np.ndarray, "4 2 2"]:
+        gains, propulsion = np.zeros((4, 2, 2)), system.swimmer.propulsion
+        if isinstance(propulsion, RollingPropulsion) and is_open(system, GAIN):
+            basis = gain_basis(np.ndim(propulsion.gain))
+            gains[: len(basis)] = basis
+        return gains
+
+    def known_gain(
+        self, system: System, mobility: Float[Array, "2 2"]
+    ) -> Float[Array, "2 2"]:
+        propulsion = system.swimmer.propulsion
+        if isinstance(propulsion, RollingPropulsion) and not is_open(system, GAIN):
+            return mobility @ propulsion.matrix
+        return jnp.zeros((2, 2))
+
+
+def is_open(system: System, path: str) -> bool:
+    """True where a system leaves a number open."""
+    return any(number.path == path for number in system.learn)
+
+
+def rolling_coordinates(swimmer: Swimmer | OverdampedSwimmer) -> Coordinates:
+    """Coordinates of `ROLLING` in a swimmer, absent ones without a propulsion."""
+    coordinates = np.array([parameter.absent for parameter in ROLLING])
+    propulsion = swimmer.propulsion
+    if isinstance(propulsion, RollingPropulsion):
+        numbers = {
+            DELAY: propulsion.delay,
+            LAG: propulsion.lag,
+            CORNER: getattr(propulsion.response, "corner", None),
+            RESIDUAL: getattr(propulsion.response, "residual", None),
+        }
+        for place, parameter in enumerate(ROLLING):
+            number = numbers[parameter.path]
+            at = (
+                math.nan
+                if number is None
+                else parameter.scale.coordinate(float(number))
+            )
+            coordinates[place] = coordinates[place] if math.isnan(at) else at
+    return coordinates
+
+
+def fitted_coordinates(fit: EvidenceFit) -> Coordinates:
+    """Coordinates of a rolling swimmer that was fitted, and of the noise found."""
+    return np.concatenate([rolling_coordinates(fit.model), fitted_noise(fit)])
+
+
+def gain_basis(ndim: int) -> Float[np.ndarray, "number 2 2"]:
+    """Gain matrix by each number of a gain: one, one for each axis, or a matrix."""
+    if ndim == 2:
+        return np.eye(4).reshape(4, 2, 2)
+    axes = np.array([np.diag([1.0, 0.0]), np.diag([0.0, 1.0])])
+    return axes if ndim else axes.sum(axis=0, keepdims=True)
+
+
+class SwitchedResponse(AbstractResponse):
+    """Any of the responses, by a number that may be traced: one compilation for all.
+
+    Attributes:
+        log_corner: logarithm of the corner frequency [Hz].
+        logit_residual: logit of the part of the gain that remains above it.
+    """
+
+    index: Int[Array, ""]
+    log_corner: Float[Array, ""]
+    logit_residual: Float[Array, ""]
+
+    def __call__(self, frequency: Array) -> Array:
+        branches = [
+            lambda f, a, b, made=made: _with_numbers(made, a, b)(f)
+            for made in RESPONSES.values()
+        ]
+        return jax.lax.switch(
+            self.index, branches, frequency, self.log_corner, self.logit_residual
+        )
+
+
+def _with_numbers(
+    response: AbstractResponse, log_corner: Array, logit_residual: Array
+) -> AbstractResponse:
+    """A response with its numbers at these coordinates."""
+    values = {
+        "corner": jnp.exp(log_corner),
+        "residual": jax.nn.sigmoid(logit_residual),
+    }
+    names = {field.name for field in dataclasses.fields(response)}
+    return dataclasses.replace(response, **{n: values[n] for n in values if n in names})
+
+
+class OtherDrive(AbstractDrive):
+    """The drive of any propulsion [L], by the force that its commands make of it.
+
+    Its numbers have the priors of the system: nothing else is known of their scales.
+    """
+
+    swimmer: OverdampedSwimmer
+    numbers: tuple[Parameter, ...] = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return self.numbers
+
+    @classmethod
+    def of(cls, system: System) -> "OtherDrive":
+        """The drive of a system.
+
+        Raises:
+            InputError: an open number has no prior, or is no single number.
+        """
+        numbers = [n for n in system.learn if n.path.startswith("propulsion.")]
+        parameters = tuple(_parameter(number, system) for number in numbers)
+        swimmer = eqx.tree_at(
+            lambda s: (s.environment, s.known_force, s.flow),
+            system.swimmer,
+            (ZeroForce(), ZeroForce(), ZeroFlow()),
+        )
+        return cls(swimmer, parameters)
+
+    def coordinates(self, swimmer: OverdampedSwimmer) -> Coordinates:
+        picked = [FreeNumber(one.path).pick(swimmer) for one in self.parameters]
+        several = zip(self.parameters, picked, strict=True)
+        return np.array([one.scale.coordinate(float(at)) for one, at in several])
+
+    def displacements(
+        self, coordinates: Float[Array, " parameter"], blocks: Blocks
+    ) -> Float[Array, "sample 2"]:
+        along: Any = blocks  # as JAX arrays
+        swimmer = self.swimmer
+        if self.parameters:
+            numbers = [
+                jnp.exp(at) if one.scale is Scale.LOG else at
+                for one, at in zip(self.parameters, coordinates, strict=True)
+            ]
+            picks = [FreeNumber(one.path).pick for one in self.parameters]
+            swimmer = eqx.tree_at(lambda s: [p(s) for p in picks], swimmer, numbers)
+        commands = {"frequency": along.frequency, "heading": along.heading}
+        driven = drive_by_arrays(swimmer, along.times, commands)
+        jumps = getattr(driven.propulsion, "jumps", along.times)
+        return integrate_between(driven, jumps, along.times, along.positions)
+
+    def gains(self, system: System) -> Float[np.ndarray, "4 2 2"]:
+        return np.zeros((4, 2, 2))
+
+    def known_gain(
+        self, system: System, mobility: Float[Array, "2 2"]
+    ) -> Float[Array, "2 2"]:
+        return jnp.eye(2)
+
+
+def _parameter(number: FreeNumber, system: System) -> Parameter:
+    """An open number, in the coordinate in which its prior is normal."""
+    prior, path = number.prior, number.path
+    known = isinstance(prior, Normal | LogNormal)
+    if np.ndim(number.pick(system.swimmer)) or not known:
+        raise InputError(
+            f"learn: expected a prior Normal or LogNormal of {path!r}, a single "
+            "number, because beside commands nothing else tells its scale"
+        )
+    if isinstance(prior, LogNormal):
+        wide = math.log(float(prior.median)), float(prior.deviation)
+        return Parameter(path, path, prior=wide)
+    wide = float(prior.mean), float(prior.deviation)
+    return Parameter(path, path, scale=Scale.PLAIN, prior=wide)
+
+
+def integrate_between(
+    swimmer: OverdampedSwimmer,
+    jumps: Float[Array, " jump"],
+    times: Float[Array, " sample"],
+    positions: Float[Array, "sample 2"],
+) -> Float[Array, "sample 2"]:
+    """Integral of a swimmer's velocity along a path that is known.
+
+    By the midpoint rule between all times and jumps, so that a velocity that is held
+    from one jump to the next is integrated exactly, and so are derivatives by a delay,
+    which moves the jumps.
+    """
+    knots = jnp.sort(jnp.concatenate([times, jnp.clip(jumps, times[0], times[-1])]))
+    middle = (knots[1:] + knots[:-1]) / 2
+    places = jnp.stack([jnp.interp(middle, times, x) for x in positions.T], axis=1)
+    velocity = jax.vmap(swimmer)(middle, places)
+    steps = velocity * jnp.diff(knots)[:, None]
+    path = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
+    return path[jnp.searchsorted(knots, times)]
+
+
+def drift_basis(system: System) -> Float[np.ndarray, "2 2"]:
+    """Drift by each number of an open drift, zeros where it is not open."""
+    return np.eye(2) if is_open(system, DRIFT) else np.zeros((2, 2))

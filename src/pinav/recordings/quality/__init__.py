@@ -1,1 +1,0 @@
-"""Quality of a recording: frames, localisation, speeds, commands."""
