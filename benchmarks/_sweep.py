@@ -7,8 +7,8 @@ from typing import Protocol, TypeVar
 
 import msgspec
 
+from pinav.commands.settings import WorkerSettings
 from pinav.commands.sweep import workers_of
-from pinav.commands.worker_settings import WorkerSettings
 from pinav.files import write_text
 from pinav.sweeps import Cell, CellStore, claim, map_cells
 

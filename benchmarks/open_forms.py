@@ -11,22 +11,90 @@ import re
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from pinav.analysis.discovery.force_sample import (
+    FLOOR,
     Centrality,
     CentralTest,
     ForceSample,
-    ProfileSample,
+    Sampling,
     central_test,
     project_covariance,
 )
+from pinav.arguments import Scalar
 from pinav.errors import InputError
+from pinav.fitting import ParametricModel
+from pinav.forces import AbstractProfileTerm, ObstaclesTerm, split_structure
 
 SYMBOLS = "add,sub,mul,div,exp,square,sqrt,constant,variable"
 """What a formula may be made of."""
 
 _NUMBER = re.compile(r"\d+\.\d+")
+
+
+class ProfileSample(eqx.Module):
+    """A force along one coordinate, with the joint covariance of its errors.
+
+    Attributes:
+        z: values of the coordinate [L].
+        force: along it [L T⁻²].
+        num_effective: number of independent numbers that the data tell about it.
+    """
+
+    z: Float[np.ndarray, " point"]
+    force: Float[np.ndarray, " point"]
+    covariance: Float[np.ndarray, "point point"]
+    num_effective: float
+
+    @property
+    def total_covariance(self) -> Float[np.ndarray, "point point"]:
+        """The covariance with the error of `FLOOR` at every point."""
+        floor = FLOOR * float(np.sqrt(np.mean(self.force**2)))
+        floor = max(floor, np.finfo(float).tiny ** 0.25)
+        return self.covariance + floor**2 * np.eye(len(self.force))
+
+
+def sample_profile(sampling: Sampling, index: int) -> ProfileSample:
+    """The profile of one term of a structured force, along its coordinate.
+
+    Raises:
+        InputError: the term has no such profile.
+    """
+    term = split_structure(sampling.posterior.model.environment)[0][index]
+    several = isinstance(term, ObstaclesTerm)
+    if several or not isinstance(term, AbstractProfileTerm):
+        raise InputError(
+            f"term {index} of the structure ({term.kind}) has no profile of a "
+            "single coordinate; choose another one"
+        )
+    with jax.enable_x64(new_val=True):
+        z = jax.vmap(lambda x: term.coordinates(x)[0])(jnp.asarray(sampling.positions))
+        z = jnp.sort(z)
+        theta = jnp.asarray(sampling.posterior.mean)
+        values, rows = _profile_and_jacobian(sampling.posterior.free, theta, z, index)
+    rows = np.asarray(rows)
+    covariance = rows @ sampling.posterior.covariance @ rows.T
+    return ProfileSample(
+        np.asarray(z), np.asarray(values), covariance, sampling.num_effective
+    )
+
+
+@eqx.filter_jit
+def _profile_and_jacobian(
+    free: ParametricModel,
+    theta: Float[Array, " parameter"],
+    z: Float[Array, " point"],
+    index: int,
+) -> tuple[Float[Array, " point"], Float[Array, "point parameter"]]:
+    def force(theta: Float[Array, " parameter"], z: Scalar) -> Float[Array, ""]:
+        return free(theta).environment.terms[index].profile(z)
+
+    values = jax.vmap(force, (None, 0))(theta, z)
+    return values, jax.vmap(jax.jacrev(force), (None, 0))(theta, z)
 
 
 class OpenForm(eqx.Module):

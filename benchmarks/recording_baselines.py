@@ -20,7 +20,8 @@ from scipy.optimize import minimize
 
 from pinav.forces import tanh_network
 from pinav.identification import Baseline, Track
-from pinav.identification.baselines import Samples, command_vector
+from pinav.identification.baselines import Samples
+from pinav.identification.forecast import command_vector
 from pinav.identification.tracks import commands_of
 from pinav.trajectories import Trajectory
 

@@ -26,9 +26,9 @@ from pinav.identification.identify import pooled_coverage
 from pinav.runs import RunFolder
 
 KNOWN = {
-    "ecoli_pillars_trackmate": ("--fps", "20", "--mpp", "0.656"),
+    "ecoli_pillars_trackmate": ("fps=20", "mpp=0.656"),
 }
-"""Options for the files of a folder, from the notes of the recordings."""
+"""How the files of a folder are read, from the notes of the recordings."""
 
 COLD = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
 """Of a first run: nothing was compiled before."""
@@ -92,8 +92,9 @@ def timed(file: Path, options: Options) -> dict[str, Any]:
     name = f"{file.parent.name}/{file.name}"
     out = options.out / name.replace("/", "-")
     known = KNOWN.get(file.parent.name, ())
-    inspected = _run("inspect", file, out / "inspect", known)
-    extra = (*known, "--candidates", "all") if options.selection else known
+    inspected = _run("inspect", file, out / "inspect", [f"--{word}" for word in known])
+    extra = ["--reading", *known] if known else []
+    extra += ["--candidates", "all"] if options.selection else []
     fitted = _run("identify", file, out / "fit", extra)
     scores = _scores(out / "fit") if (out / "fit" / "metrics.json").is_file() else {}
     return {"recording": name, "inspect": inspected, "fit": fitted, **scores}

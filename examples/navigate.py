@@ -27,9 +27,12 @@ from pinav.fitting import fit_bayes, kernel_environment
 from pinav.forces import KernelPotential
 from pinav.navigation.control.controller import StraightLine
 from pinav.navigation.control.default import controller
-from pinav.navigation.design.candidates import Experiment
-from pinav.navigation.design.information import PosteriorInformation, best_candidate
-from pinav.navigation.design.result import PriorField, prior_uncertainty
+from pinav.navigation.design.candidates import Experiment, best_candidate
+from pinav.navigation.design.information import (
+    PosteriorInformation,
+    PriorField,
+    prior_uncertainty,
+)
 from pinav.navigation.maps import Course
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.task.catalogue import task, training

@@ -69,26 +69,34 @@ def langevin(folder: Path) -> list[str]:
     return ["fit", str(folder / DATA), "--recipe", "langevin"]
 
 
-def identified(folder: Path) -> list[str]:
-    """A robot that circles under commands, 40 s at 8 Hz: which response it has."""
-    from pinav.trajectories import Trajectories, save
+def circling(*, commanded=True):
+    """A robot that circles under commands, 40 s at 8 Hz; or its drift."""
+    from pinav.trajectories import Trajectories
 
     random = np.random.default_rng(3)
     times = np.arange(0, 40, 0.125)
     heading = np.cumsum(random.normal(0, 0.2, len(times)))
     frequency = np.where(times < 20, 1.0, 2.0)
     velocity = 4 * frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], 1)
+    if not commanded:
+        velocity = np.full_like(velocity, 0.7)
     path = np.concatenate([np.zeros((1, 2)), np.cumsum(0.125 * velocity[:-1], axis=0)])
     path += np.cumsum(0.02 * random.normal(size=path.shape), axis=0)
-    path += 0.05 * random.normal(size=path.shape)
-    recording = Trajectories.from_arrays(
+    commands = {"frequency": [frequency], "heading": [heading]} if commanded else {}
+    return Trajectories.from_arrays(
         [times],
-        [path],
+        [path + 0.05 * random.normal(size=path.shape)],
         channels=("x", "y"),
-        commands={"frequency": [frequency], "heading": [heading]},
+        commands=commands,
         units={"x": "um", "y": "um", "t": "s"},
     )
-    save(recording, folder / DATA)
+
+
+def identified(folder: Path) -> list[str]:
+    """Which response a robot has that circles under commands."""
+    from pinav.trajectories import save
+
+    save(circling(), folder / DATA)
     return ["identify", str(folder / DATA)]
 
 

@@ -13,12 +13,13 @@ import pytest
 from pinav import __version__, cli, numerics
 from pinav.commands import COMMANDS, dispatch
 from pinav.commands.command import resolve
-from pinav.commands.fit.settings import FitOptions
-from pinav.commands.identify.settings import IdentifyOptions
+from pinav.commands.fit import FitOptions
+from pinav.commands.identify import IdentifyOptions
 from pinav.commands.parsing import parse
-from pinav.commands.reproduce.settings import ReproduceOptions
+from pinav.commands.reproduce import ReproduceOptions
 from pinav.commands.settings import Settings
 from pinav.errors import InputError
+from pinav.reading import Reading
 
 
 def fails(capsys, *argv: str) -> str:
@@ -98,7 +99,7 @@ def test_every_part_of_a_command_can_be_imported(command):
             "--lbfgs-steps: only the recipe paper uses it; drop it or choose --recipe",
         ),
         (["fit", "absent.npz", "--out", "b"], "absent.npz.*No such file"),
-        (["reproduce", "--seeds"], "--seeds: expected at least one seed"),
+        (["reproduce", "--seeds"], "--seeds: expected at least one, got 0"),
         (["reproduce", "--seeds", "1", "1"], "--seeds: 1 is given twice"),
         (["reproduce", "--resume", "--overwrite"], "--resume and --overwrite: choose"),
         (
@@ -173,12 +174,19 @@ def test_an_error_without_an_interrupt_is_raised(monkeypatch):
 
 def test_a_config_file_of_a_recording_sets_how_it_is_read_and_split(tmp_path):
     config = tmp_path / "c.toml"
-    config.write_text('train_fraction = 0.6\nfps = 20.0\n[run]\ncommand = "identify"\n')
+    config.write_text(
+        "train_fraction = 0.6\n[reading]\nfps = 20.0\nunits = {t = 's'}\n"
+    )
     argv = ["d.csv", "--out", "o", "--config", str(config), "--train-fraction", "0.8"]
     parsed = parse(IdentifyOptions, argv, "pinav identify")
     assert parsed is not None
     assert parsed.settings.train_fraction == 0.8
-    assert parsed.recording.fps == 20.0
+    assert parsed.reading == Reading(fps=20.0, units={"t": "s"})
+    argv[-2:] = ["--reading", "fps=10", "units.heading=rad", "runs=a,b"]
+    parsed = parse(IdentifyOptions, argv, "pinav identify")
+    assert parsed is not None
+    assert parsed.reading.runs == ("a", "b")
+    assert parsed.reading.units == {"heading": "rad"}
 
 
 def test_a_config_file_sets_and_options_win(tmp_path):

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import pinav
+import pinav.commands
 import pinav.forces
 
 ORDER = [
@@ -20,6 +21,7 @@ ORDER = [
     "threads",
     "units",
     "settings",
+    "reading",
     "sweeps",
     "arguments",
     "codec",
@@ -128,7 +130,7 @@ def test_a_command_does_not_import_another_command():
     tangles = set()
     folders = {path.name for path in COMMANDS.iterdir() if path.is_dir()}
     for path in COMMANDS.rglob("*.py"):
-        if path not in (COMMANDS / "__init__.py", COMMANDS / "table.py"):
+        if path != COMMANDS / "__init__.py":
             own = path.relative_to(COMMANDS).parts[0]
             imports = imported_siblings(path, COMMANDS) & folders
             tangles |= {f"{own} -> {name}" for name in imports}
@@ -139,12 +141,22 @@ KEYS_TOO = {"data", "fit"}
 """Commands whose names are keys of files as well, which other modules must spell."""
 
 
+def test_the_folder_of_a_command_holds_its_options_and_what_runs_it():
+    """No module for the options alone, nor one that a single other one could hold."""
+    for command in pinav.commands.COMMANDS:
+        folder = COMMANDS / command.name
+        options, _, _ = command.options.partition(":")
+        assert options == f"pinav.commands.{command.name}"
+        modules = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+        assert "job" in modules or not modules
+
+
 def test_the_name_of_a_command_is_spelled_in_its_folder_alone():
     """Elsewhere a command is a value; the public names of functions are others."""
     names = {path.name for path in COMMANDS.iterdir() if path.is_dir()} - KEYS_TOO
     own_words = COMMANDS / "heat"  # whose tasks have names of their own
     for path in SOURCES:
-        if own_words not in path.parents:
+        if own_words not in path.parents and path != COMMANDS / "__init__.py":
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Constant) and node.value in names:
                     folder = COMMANDS / str(node.value)

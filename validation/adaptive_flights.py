@@ -24,7 +24,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pinav.actuation import LinearResponse
 from pinav.arguments import Scalar, Vector
 from pinav.commands.design.job import DESIGNS
-from pinav.commands.navigate.online import online_task
+from pinav.commands.navigate.cells import online_task
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.forces import AbstractForce, LinearDrag, PlaneWaves, ZeroForce
 from pinav.navigation import (
@@ -36,12 +36,10 @@ from pinav.navigation import (
     SteeredSwimmer,
     Task,
 )
-from pinav.navigation.adaptive.flight import fly
-from pinav.navigation.adaptive.known import with_known
+from pinav.navigation.adaptive.flight import Flight, fly, score_force
 from pinav.navigation.adaptive.prior import with_truth
-from pinav.navigation.adaptive.scores import Flight, score_force
 from pinav.navigation.adaptive.steering import AdaptiveController
-from pinav.navigation.adaptive.strategies import MeanForce
+from pinav.navigation.adaptive.strategies import MeanForce, with_known
 from pinav.navigation.belief.belief import Frame
 from pinav.navigation.design.campaign import record_positions, run_campaign
 from pinav.navigation.trials.situation import (

@@ -8,7 +8,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from pinav.commands.reproduce.result import Reproduction
+from pinav.commands.reproduce.sections import Reproduction
 from pinav.runs import RunFolder
 
 COLD = {"JAX_ENABLE_COMPILATION_CACHE": "false"}

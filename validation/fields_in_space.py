@@ -25,7 +25,7 @@ from pinav.forces import (
     SumForce,
     split_structure,
 )
-from pinav.scenarios.spaces import box
+from pinav.scenarios.vessels import box
 from pinav.trajectories import simulate
 
 WAVES = 200

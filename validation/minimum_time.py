@@ -17,9 +17,8 @@ from jaxtyping import Float
 from pinav.dynamics import Swimmer
 from pinav.errors import FitError, InputError
 from pinav.forces import AbstractForce, GaussianBarrier, LinearDrag
-from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import greatest_thrust
-from pinav.navigation.task.task import Disc, Task
+from pinav.navigation.task.task import Disc, ReachGoal, Task
 
 INTERVALS = 80
 """Of constant thrust."""

@@ -44,7 +44,7 @@ POOLED = 1000
 
 SHORT = ("--thrust", "1", "--time-limit", "8", "--step", "0.5", "--seeds", "2")
 COARSE = ("--arena=0,0,10,10", "--tolerance", "0.5", "--designs", "grid")
-RAW = ("--heading-offset", "1.5708")
+RAW = ("--reading", "heading_offset=1.5708")
 
 STEPS: dict[str, tuple[str, ...]] = {
     "exact": ("simulate", "barrier-crossings", "--count", "3"),
@@ -97,6 +97,11 @@ WITHIN = {"evaluate": "fit-noisy", "analyse": "fit-noisy", "discover": "fit-nois
 """Steps that add to the run of another one."""
 
 OLD_WORDS: dict[str, tuple[str, ...]] = {
+    "identify-cellbot": ("identify", "cellbot.csv", "--heading-offset", "1.5708"),
+    "fit-recording": (
+        *("fit", "cellbot.csv", "--heading-offset", "1.5708", "--structure", "free"),
+        *("--system", "identify-cellbot/system.toml"),
+    ),
     "navigate-online": (
         *("navigate", "--learn-online", "--task", "barrier-weak"),
         *("--seeds", "1", "--visits", "1", "--time-limit", "10"),

@@ -23,9 +23,13 @@ from pinav.navigation.design.candidates import (
     CandidateTrajectories,
     CommandedThrust,
     Experiment,
+    best_candidate,
 )
-from pinav.navigation.design.information import PosteriorInformation, best_candidate
-from pinav.navigation.design.result import PriorField, prior_uncertainty
+from pinav.navigation.design.information import (
+    PosteriorInformation,
+    PriorField,
+    prior_uncertainty,
+)
 from pinav.navigation.task.steering import CommandLimits, RollingActuator
 from pinav.navigation.task.task import Rectangle
 from pinav.scenarios import many_barriers

@@ -15,7 +15,7 @@ from pinav.errors import FitError, InputError
 from pinav.forces import GaussianBarrier
 from pinav.navigation.control.controller import StraightLine
 from pinav.navigation.task import catalogue as tasks
-from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.task.task import ReachGoal
 from pinav.navigation.trials.closed_loop import run
 from validation import minimum_time
 

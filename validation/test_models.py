@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pinav import cli
+from pinav.commands.compare import CompareSettings
 from pinav.commands.compare.job import compare
-from pinav.commands.compare.settings import CompareSettings
 from pinav.errors import FitError
 from pinav.evaluation import VISITED, field_map, force_errors
 from pinav.fitting import (

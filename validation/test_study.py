@@ -7,7 +7,7 @@ import pytest
 from benchmarks.paper_weakness import KERNEL, UDE, Weakness
 from validation.conftest import pinav, program
 
-from pinav.commands.study.result import Study, StudyFit
+from pinav.commands.study.job import Study, StudyFit
 from pinav.runs import RunFolder
 
 

@@ -11,8 +11,8 @@ from scipy.optimize import minimize, root
 from pinav.errors import FitError, InputError
 from pinav.forces import ShearFlow
 from pinav.navigation.task import catalogue as tasks
-from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import direction
+from pinav.navigation.task.task import ReachGoal
 from validation import zermelo
 
 

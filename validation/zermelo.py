@@ -24,9 +24,8 @@ from scipy.optimize import root
 from pinav.arguments import Planar, Scalar
 from pinav.dynamics import RK4, FixedStep
 from pinav.errors import FitError, InputError
-from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import direction, greatest_thrust
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.task import ReachGoal, Task
 
 Current = Callable[[Planar], Planar]
 """Velocity of the fluid [L T⁻¹] at a position [L]."""

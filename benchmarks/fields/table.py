@@ -17,8 +17,7 @@ from benchmarks.fields.cells import (
 )
 from benchmarks.fields.families import FAMILIES
 from pinav.commands.parsing import parse
-from pinav.commands.settings import Settings
-from pinav.commands.worker_settings import WorkerSettings
+from pinav.commands.settings import Settings, WorkerSettings
 from pinav.errors import InputError
 from pinav.figures.images import save_figure
 from pinav.figures.style import label_axes, new_figure, prepare_axes

@@ -18,9 +18,8 @@ from pinav.learning.recipes import ModelName
 from pinav.navigation.control.controller import AbstractController, StraightLine
 from pinav.navigation.control.default import controller
 from pinav.navigation.task.catalogue import TASKS, task, training
-from pinav.navigation.task.objectives import FollowPath
 from pinav.navigation.task.steering import SteeredSwimmer, physics_only
-from pinav.navigation.task.task import Task, steered_swimmer
+from pinav.navigation.task.task import FollowPath, Task, steered_swimmer
 from pinav.navigation.trials.closed_loop import (
     Episodes,
     concatenate_episodes,

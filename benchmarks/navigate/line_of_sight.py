@@ -6,7 +6,6 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from pinav.arguments import Scalar, Vector
 from pinav.navigation.control.controller import AbstractController, Observation
-from pinav.navigation.task.objectives import AbstractObjective, FollowPath
 from pinav.navigation.task.steering import (
     AbstractActuator,
     Command,
@@ -16,7 +15,7 @@ from pinav.navigation.task.steering import (
     greatest_thrust,
     physics_only,
 )
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.task import AbstractObjective, FollowPath, Task
 
 CATCH_UP = 0.5
 """Time in which an offset from a path is made up for [T]."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from pinav.codec import decode, encode
-from pinav.commands.navigate.online import online_task
+from pinav.commands.navigate.cells import online_task
 from pinav.commands.navigate.online_sections import online_table
 from pinav.navigation import (
     AdaptiveController,
@@ -16,7 +16,7 @@ from pinav.navigation import (
     judge_controllers,
     task,
 )
-from pinav.navigation.adaptive.scores import ORACLE
+from pinav.navigation.adaptive.flight import ORACLE
 from pinav.navigation.adaptive.strategies import (
     AbstractStrategy,
     ExplorationBonus,

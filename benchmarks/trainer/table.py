@@ -17,8 +17,7 @@ from benchmarks.trainer.cells import (
 )
 from benchmarks.trainer.systems import DEVELOPMENT, JUDGED
 from pinav.commands.parsing import parse
-from pinav.commands.settings import Settings
-from pinav.commands.worker_settings import WorkerSettings
+from pinav.commands.settings import Settings, WorkerSettings
 from pinav.errors import InputError
 from pinav.sweeps import Cell
 

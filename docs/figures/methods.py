@@ -125,7 +125,7 @@ def film_of_a_robot(path: Path) -> None:
 def identification(workshop: Workshop) -> Figure:
     """The response that was found to a simulated robot, and its errors by horizon."""
     film = workshop.file("robot.csv", film_of_a_robot)
-    words = ("identify", film.name, "--heading-offset", "0")
+    words = ("identify", film.name, "--reading", "heading_offset=0")
     folder = workshop.run("robot", *words)
     result = RunFolder.open(folder).load("metrics", Identification)
     law = result.tracks[0].law

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from pinav.analysis import analyse as analyse
     from pinav.analysis import discover as discover
     from pinav.commands.explore.job import explorer as explorer
-    from pinav.commands.export.datatree import datatree_of as datatree_of
+    from pinav.commands.export.job import datatree_of as datatree_of
     from pinav.dynamics import OverdampedSwimmer as OverdampedSwimmer
     from pinav.dynamics import Swimmer as Swimmer
     from pinav.dynamics import rollout as rollout
@@ -58,7 +58,7 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "analysis": ("analyse", "discover"),
     "commands.explore.job": ("explorer",),
-    "commands.export.datatree": ("datatree_of",),
+    "commands.export.job": ("datatree_of",),
     "dynamics": ("OverdampedSwimmer", "Swimmer", "rollout"),
     "errors": ("FitError", "InputError"),
     "evaluation": ("estimate_starts", "evaluate", "field_map", "predict", "score"),

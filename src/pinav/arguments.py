@@ -87,8 +87,14 @@ def check_range(module: Any, allowed: Range, *names: str) -> None:
 
 
 def check_positive(module: eqx.Module, *names: str) -> None:
-    """Raise `InputError` where a field of a module is a number <= 0."""
-    check_range(module, POSITIVE, *names)
+    """Raise `InputError` where a field of a module is a number <= 0.
+
+    Unlike a setting it may be infinite, as a limit that is none.
+    """
+    for name in names:
+        value = getattr(module, name)
+        if isinstance(value, float | int) and not value > 0:
+            POSITIVE.check(f"{type(module).__name__}.{name}", value)
 
 
 def dimension(text: str) -> dict[str, str]:

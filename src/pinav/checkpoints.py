@@ -72,7 +72,6 @@ def read_tree(
     """Read what `write_tree` wrote; `build(header)` gives a tree of the same shape.
 
     Args:
-        path: the file.
         build: gives a tree of the same shape from the header.
         repair: how the file is made again, for messages.
 

@@ -26,8 +26,6 @@ def main(
     """Entry point of the `pinav` command; exits the process.
 
     Args:
-        argv: The words after the name of the program; those of the process unless
-            given.
         program: Another program, which returns its exit code as `run` does.
     """
     words = sys.argv[1:] if argv is None else list(argv)
@@ -67,7 +65,6 @@ def run(argv: Sequence[str], on_start: OnStart = lambda: None) -> int:
     """Run one command and return its exit code.
 
     Args:
-        argv: the words after `pinav`.
         on_start: called when all modules are imported and the run begins.
     """
     if not argv or argv[0] in ("-h", "--help"):
@@ -93,11 +90,7 @@ def exit_code(work: Callable[[], None], *, again: str = "") -> int:
     """Do a piece of work; say in one line what is wrong with it.
 
     Args:
-        work: What is done.
         again: The command that goes on with it; empty where nothing is kept.
-
-    Returns:
-        The exit code of the process.
     """
     try:
         _check_limits()
@@ -144,11 +137,7 @@ LEAST_MEMORY = 4 * 2**30
 
 
 def _check_limits() -> None:
-    """Refuse a limit of address space under which libraries abort without a word.
-
-    Raises:
-        InputError: the limit is too small.
-    """
+    """Refuse a limit of address space under which libraries abort without a word."""
     try:
         import resource
     except ImportError:  # not on this platform

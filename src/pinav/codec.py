@@ -41,7 +41,6 @@ class Encoded(typing.NamedTuple):
     """A value as files hold it.
 
     Attributes:
-        document: what JSON holds.
         arrays: what it only mentions, by path.
     """
 
@@ -85,11 +84,7 @@ def encode(value: Any) -> Encoded:
 
 
 def decode(wanted: Any, document: Json, arrays: Mapping[str, np.ndarray]) -> Any:
-    """The value of that type which `encode` gave this form.
-
-    Raises:
-        InputError: they are not of one; says where.
-    """
+    """The value of that type which `encode` gave this form."""
     left = dict(arrays)
     value = _decode("", wanted, document, left)
     if left:

@@ -31,11 +31,7 @@ class Entry(msgspec.Struct, frozen=True):
 
 @dataclasses.dataclass(frozen=True)
 class Manifest:
-    """What a run wrote; `--overwrite` deletes nothing else.
-
-    Attributes:
-        folder: of the run.
-    """
+    """What a run wrote; `--overwrite` deletes nothing else."""
 
     folder: Path
 

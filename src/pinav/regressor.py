@@ -42,7 +42,6 @@ class ForceRegressor(BaseEstimator):
         system: what is known of the swimmer: a `System`, a system file, or the name of
             a built-in system.
         model: what stands for the unknown; that of the system unless given.
-        noise: standard deviation of the observations; estimated unless given.
         structure: "search" for a structure of the force, or "free" kernels alone.
         columns: what the columns of an array are; a table of pandas or polars, or
             `Trajectories`, says it itself.
@@ -72,11 +71,9 @@ class ForceRegressor(BaseEstimator):
         Args:
             X: `Trajectories`, a table of pandas or polars with columns as in CSV
                 files, or an array with those of `columns`.
-            y: not used; scikit-learn passes it.
 
         Raises:
             InputError: the table is none of these, or cannot be fitted.
-            FitError: the data do not determine the force.
         """
         given = {"noise": self.noise, "structure": self.structure}
         try:
@@ -96,13 +93,6 @@ class ForceRegressor(BaseEstimator):
         | tuple[Float[np.ndarray, "point dim"], Float[np.ndarray, "point dim"]]
     ):
         """The force on a swimmer at rest at each position.
-
-        Args:
-            X: positions, one a row [L].
-            return_std: return the standard deviations, too.
-
-        Returns:
-            The forces, one a row, or a pair of them and their standard deviations.
 
         Raises:
             NotFittedError: nothing was fitted.
@@ -134,7 +124,6 @@ class ForceRegressor(BaseEstimator):
 
         Args:
             X: tracks as `fit` takes them, each longer than 20 samples.
-            y: not used; scikit-learn passes it.
 
         Returns:
             At most 1; minus infinity where a rollout diverged.

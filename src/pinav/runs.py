@@ -39,7 +39,6 @@ from pinav.errors import InputError
 from pinav.files import append_line, atomic_write, is_temporary, write_text
 from pinav.manifest import MANIFEST_FILE, Manifest
 
-Metrics = TypeVar("Metrics", bound=msgspec.Struct)
 Result = TypeVar("Result")
 
 METRICS_FILE = "metrics.json"
@@ -66,9 +65,6 @@ class Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The document of a result.
 
     Attributes:
-        format: version of the file.
-        kind: of the result.
-        value: its fields.
         arrays: hash of the file with its long arrays; empty where it has none.
     """
 
@@ -79,11 +75,7 @@ class Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RunFolder:
-    """One run on disk.
-
-    Attributes:
-        path: the folder.
-    """
+    """One run on disk."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -102,8 +94,6 @@ class RunFolder:
         A run that ended before it had results worth keeping is replaced, too.
 
         Args:
-            path: the folder, made if absent.
-            config: settings that decide the numbers.
             overwrite: replace the run that the folder holds.
             resumable: the command that makes the run can continue it.
 
@@ -223,11 +213,7 @@ class RunFolder:
         self.manifest.record(*names)
 
     def check_file(self, name: str) -> None:
-        """Require that a file is the one that the run wrote.
-
-        Raises:
-            InputError: it is missing, damaged, or taken from another run.
-        """
+        """Require that a file is the one that the run wrote."""
         self.manifest.check(name)
 
     def repair(self, name: str) -> str:
@@ -258,11 +244,7 @@ class RunFolder:
         self.write_text(name, text + "\n")
 
     def read_json(self, name: str) -> Any:
-        """Read a JSON file of the run.
-
-        Raises:
-            InputError: it is missing or damaged.
-        """
+        """Read a JSON file of the run."""
         path = self.path / name
         try:
             return json.loads(path.read_text(encoding="utf-8"))
@@ -321,23 +303,6 @@ class RunFolder:
                 f"{self.path / file} is damaged ({error}); {repair}"
             ) from error
 
-    def write_metrics(self, name: str, metrics: msgspec.Struct) -> None:
-        """Write results as JSON."""
-        self.write_json(name, metrics)
-
-    def read_metrics(self, name: str, kind: type[Metrics]) -> Metrics:
-        """Read what `write_metrics` wrote.
-
-        Raises:
-            InputError: the file is missing or damaged.
-        """
-        try:
-            return msgspec.convert(self.read_json(name), kind)
-        except msgspec.ValidationError as error:
-            raise InputError(
-                f"{self.path / name} is damaged ({error}); {self.repair(name)}"
-            ) from error
-
     def write_table(
         self, name: str, header: Sequence[str], rows: Sequence[Sequence]
     ) -> None:
@@ -357,11 +322,7 @@ class RunFolder:
         self.record(name)
 
     def read_arrays(self, name: str) -> dict[str, np.ndarray]:
-        """Read arrays written by `write_arrays`.
-
-        Raises:
-            InputError: the file is missing or damaged.
-        """
+        """Read arrays written by `write_arrays`."""
         path = self.path / name
         try:
             # opened here, because NumPy leaves a damaged file open

@@ -55,7 +55,7 @@ def test_a_file_has_its_row_and_its_paths_lie_on_the_image(
     tmp_path, capsys, monkeypatch
 ):
     drifter(tmp_path / "lab" / "a.csv")
-    monkeypatch.setitem(recordings.KNOWN, "lab", ("--fps", "10", "--mpp", "0.5"))
+    monkeypatch.setitem(recordings.KNOWN, "lab", ("fps=10", "mpp=0.5"))
     out = tmp_path / "out"
     recordings.main(["--folder", str(tmp_path / "lab"), "--out", str(out)])
     (row,) = json.loads((out / "recordings.json").read_text())

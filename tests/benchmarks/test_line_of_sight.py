@@ -10,8 +10,8 @@ from tests.navigation.steering_worlds import DRAG, open_water
 from pinav.actuation import SaturatingResponse
 from pinav.forces import Advection, UniformFlow
 from pinav.navigation.task import catalogue as tasks
-from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import CommandLimits, RollingActuator, physics_only
+from pinav.navigation.task.task import ReachGoal
 from pinav.navigation.trials import metrics
 from pinav.navigation.trials.closed_loop import run, run_many
 

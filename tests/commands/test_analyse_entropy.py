@@ -6,7 +6,7 @@ import pytest
 from pinav import cli
 from pinav.analysis import EntropyProduction
 from pinav.analysis.effects import produce_entropy
-from pinav.commands.analyse.sections import entropy_sentence
+from pinav.commands.analyse.job import entropy_sentence
 from pinav.errors import InputError
 from pinav.fitting import Estimate
 from pinav.learning.learned import Learned

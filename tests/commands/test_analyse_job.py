@@ -9,8 +9,8 @@ import pytest
 
 from pinav import cli
 from pinav.analysis import Analysis, LyapunovMap, effects, helmholtz_split
-from pinav.commands.analyse.sections import growth_sentence, rotation_sentence
-from pinav.commands.analyse.settings import AnalyseSettings
+from pinav.commands.analyse import AnalyseSettings
+from pinav.commands.analyse.job import growth_sentence, rotation_sentence
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap, Regions
 from pinav.runs import RunFolder

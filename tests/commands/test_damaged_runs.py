@@ -30,7 +30,7 @@ from benchmarks import __main__ as benchmarks
 from pinav import cli
 from pinav.analysis import analysis
 from pinav.analysis.discovery import discovery
-from pinav.commands import report_page
+from pinav.commands import results
 from pinav.commands.explore import job as explore_job
 from pinav.commands.heat import job as heat_job
 from pinav.commands.navigate import job as navigate_job
@@ -65,7 +65,7 @@ STAGES = (
     (explore_job, "document"),
     (heat_job, "simulate"),
     (Setup, "readings"),
-    (report_page, "write_report"),
+    (results, "write_report"),
     (compare, "_train"),
 )
 """Where the numbers of each command begin."""

@@ -10,17 +10,15 @@ import pytest
 
 from pinav import cli
 from pinav.codec import decode, encode
-from pinav.commands.design.sections import sections
+from pinav.commands.design.job import sections
 from pinav.evaluation import FieldMap
-from pinav.navigation import Course, ForceMaps
+from pinav.navigation import Course, ForceMaps, Suggestion
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.motion import OverdampedMotion
 from pinav.navigation.design.campaign import Campaign, Decision
 from pinav.navigation.design.result import (
     CampaignSummary,
     DesignResult,
-    NextTrajectory,
-    Recorded,
 )
 from pinav.report.text import sections_text
 
@@ -91,16 +89,19 @@ def test_a_summary_counts_trajectories_and_what_was_right():
     assert CampaignSummary.of([right]).reached == 1
 
 
-def words(**parts):
+NOTHING = Decision(np.zeros((3, 2)), arrives=True, error=0.3)
+
+
+def words(decision=NOTHING, paths=None, **parts):
     field = FieldMap(*np.eye(2), np.zeros((2, 2, 2)), np.zeros((2, 2)))
     result = DesignResult(
         system="mine",
         accuracy=0.1,
         course=Course(np.eye(2), np.zeros(2), np.ones(2), 0.3, np.zeros((0, 3))),
         maps=ForceMaps(field, sd=np.zeros((2, 2, 2))),
-        way=np.zeros((3, 2)),
+        decision=decision,
         thrust=1.0,
-        paths={},
+        paths={} if paths is None else paths,
         **parts,
     )
     again = decode(DesignResult, *encode(result))
@@ -117,14 +118,16 @@ def test_the_words_compare_designs():
 
 
 def test_the_words_say_what_to_record_next():
-    left = Recorded(trajectories=8, arrives=True, error=0.3, certain=False, sd=0.1)
-    advice = NextTrajectory(0.06, (1.0, 2.0), *np.zeros((3, 2)))
-    found = words(recorded=left, next=advice)
+    recorded = {"recorded": (np.zeros((2, 2)),) * 8}
+    advice = Suggestion(0.1, 0.06, (1.0, 2.0), *np.zeros((3, 2)))
+    found = words(paths=recorded, next=advice)
+    assert "After 8 trajectories the force" in found
     assert "known to 30 % with a probability of 95 %. Record next" in found
     assert "released at (1, 2)" in found
-    done = dataclasses.replace(left, error=0.08, certain=True)
-    assert "nothing further need be recorded" in words(recorded=done, next=advice)
-    lost = words(recorded=dataclasses.replace(left, arrives=False))
+    assert "now 0.1, should then be 0.06" in found
+    done = dataclasses.replace(NOTHING, error=0.08)
+    assert "nothing further need be" in words(done, recorded, next=advice)
+    lost = words(dataclasses.replace(NOTHING, arrives=False), recorded)
     assert "no plan reaches the goal" in lost
     assert "no candidate trajectory" in lost
 

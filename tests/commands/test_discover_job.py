@@ -23,12 +23,12 @@ from pinav.analysis.discovery.potentials import (
     POTENTIALS,
     SADDLE,
 )
-from pinav.analysis.discovery.profiles import Yukawa
-from pinav.commands.discover import DISCOVER
+from pinav.commands import DISCOVER
 from pinav.commands.discover.sections import central_sentence, sections, sentences
 from pinav.commands.results import sections_of
 from pinav.figures.images import Figures
 from pinav.fitting import Outcome
+from pinav.forces.profiles import Yukawa
 from pinav.report.text import sections_text
 from pinav.runs import RunFolder
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.evaluate import EVALUATE
-from pinav.commands.evaluate.sections import error_name, purpose, sections
+from pinav.commands import EVALUATE
+from pinav.commands.evaluate.job import error_name, purpose, sections
 from pinav.commands.results import sections_of
 from pinav.errors import InputError
 from pinav.evaluation import Evaluation, Regions, evaluate, held_out

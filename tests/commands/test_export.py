@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.export.datatree import datatree_of
-from pinav.commands.export.spots import force_sds, learned_force, spot_table
+from pinav.commands.export.job import datatree_of, force_sds, learned_force, spot_table
 from pinav.dynamics import paper_black_box
 from pinav.errors import InputError
 from pinav.learning.learned import Learned

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pinav.commands.fit.sections import sections
+from pinav.commands.fit.job import sections
 from pinav.evaluation import RestartErrors
 from pinav.fitting import Estimate
 from pinav.learning.findings import FoundStructure
 from pinav.learning.learned import Learned
-from pinav.report import Paragraph, Table
+from pinav.report import Paragraph, Table, number
 
 
 @pytest.fixture
@@ -49,7 +49,10 @@ def test_constants_have_units_and_intervals(content_with):
         "1.02002",
         "2.97998",
     ]
-    assert list(table.rows[1]) == ["delay", "?", "1.00000", None, "–", "–"]
+    name, unit, value, sd, *ends = table.rows[1]
+    assert [name, unit, value, *ends] == ["delay", "?", "1.00000", "–", "–"]
+    assert isinstance(sd, float)
+    assert number(sd) == "–"
 
 
 def test_a_fit_says_whether_the_evidence_supports_a_field(content_with):

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pinav.commands.fit.sections import structure_sentences, term_words
+from pinav.commands.fit.job import structure_sentences, term_words
 from pinav.fitting import Estimate
 from pinav.learning.findings import FoundLaw, FoundStructure, FoundTerm
 

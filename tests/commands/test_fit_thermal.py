@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.fit.sections import thermal_sentences
+from pinav.commands.fit.job import thermal_sentences
 from pinav.fitting import Estimate, LangevinChecks, ReferencePath
 from pinav.fitting.langevin.checks import ThinnedDiffusion
 from pinav.learning.learned import Learned

@@ -5,10 +5,11 @@ import contextlib
 import jax
 import numpy as np
 import pytest
+from tests.fitted_runs import circling
 
 from pinav import cli
+from pinav.commands.identify import IdentifySettings
 from pinav.commands.identify.sections import estimate_row, gain_text, sections
-from pinav.commands.identify.settings import IdentifySettings
 from pinav.errors import InputError
 from pinav.fitting import Estimate
 from pinav.identification import (
@@ -37,48 +38,22 @@ def standard_promotion():
         jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
-ALL = ("--candidates", "all")
-
-
-def small(commanded):
-    """A robot that circles under constant commands, 40 s at 8 Hz; or its drift."""
-    random = np.random.default_rng(3)
-    times = np.arange(0, 40, 0.125)
-    heading = np.cumsum(random.normal(0, 0.2, len(times)))
-    frequency = np.where(times < 20, 1.0, 2.0)
-    velocity = 4 * frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], 1)
-    if not commanded:
-        velocity = np.full_like(velocity, 0.7)
-    path = np.concatenate([np.zeros((1, 2)), np.cumsum(0.125 * velocity[:-1], axis=0)])
-    wander = np.cumsum(0.02 * random.normal(size=path.shape), axis=0)
-    commands = {"frequency": [frequency], "heading": [heading]} if commanded else {}
-    return Trajectories.from_arrays(
-        [times],
-        [path + wander + 0.05 * random.normal(size=path.shape)],
-        channels=("x", "y"),
-        commands=commands,
-        units={"x": "um", "y": "um", "t": "s"},
-    )
+def identify_file(recording, folder, *more):
+    """Run the command on a recording, compared with all candidates; its folder."""
+    save(recording, folder / "robot.npz", overwrite=True)
+    words = ["identify", str(folder / "robot.npz"), "--candidates", "all", *more]
+    with standard_promotion():
+        assert cli.run([*words, "--out", str(folder / "run")]) == 0
+    return folder / "run"
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("selection")
-    save(small(commanded=True), folder / "robot.csv")
-    out = folder / "run"
-    words = [
-        "identify",
-        str(folder / "robot.csv"),
-        "--candidates",
-        "all",
-        "--out",
-        str(out),
-    ]
-    with pytest.MonkeyPatch.context() as patch, standard_promotion():
+    with pytest.MonkeyPatch.context() as patch:
         for name in ("Gaussian process", "potential"):  # tests/selection has kernels
             patch.delitem(RESIDUALS, name)
-        assert cli.run(words) == 0
-    return out
+        return identify_file(circling(), folder)
 
 
 @pytest.mark.slow
@@ -114,21 +89,14 @@ def test_the_page_says_what_it_is_about(run):
 @pytest.mark.slow
 def test_resuming_a_finished_run_changes_nothing(run, capsys):
     before = (run / "metrics.json").read_text()
-    words = [
-        "identify",
-        str(run.parent / "robot.csv"),
-        "--candidates",
-        "all",
-        "--resume",
-    ]
-    assert cli.run([*words, "--out", str(run)]) == 0
+    identify_file(circling(), run.parent, "--resume")
     assert (run / "metrics.json").read_text() == before
     assert "gain (um per turn)" in capsys.readouterr().out
 
 
 def idle():
-    """As `small`, with commands recorded that never asked for motion."""
-    drift = small(commanded=False)
+    """As `circling`, with commands recorded that never asked for motion."""
+    drift = circling(commanded=False)
     nothing = [np.zeros_like(drift.times[0])]
     return Trajectories.from_arrays(
         [drift.times[0]],
@@ -140,18 +108,7 @@ def idle():
 
 
 def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys):
-    save(idle(), tmp_path / "idle.csv")
-    out = tmp_path / "run"
-    words = [
-        "identify",
-        str(tmp_path / "idle.csv"),
-        "--candidates",
-        "all",
-        "--max-tracks",
-        "0",
-    ]
-    with standard_promotion():
-        assert cli.run([*words, "--out", str(out)]) == 0
+    out = identify_file(idle(), tmp_path, "--max-tracks", "0")
     assert "The commands ask for no motion: gain" in capsys.readouterr().out
     (track,) = RunFolder.open(out).load("metrics", Identification).tracks
     assert track.gain is None
@@ -160,22 +117,12 @@ def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys
 
 
 def test_a_recording_without_commands(tmp_path, capsys):
-    save(small(commanded=False), tmp_path / "cell.npz")
-    words = [
-        "identify",
-        str(tmp_path / "cell.npz"),
-        "--candidates",
-        "all",
-        "--max-tracks",
-        "0",
-    ]
-    with standard_promotion():
-        assert cli.run([*words, "--out", str(tmp_path / "run")]) == 0
+    identify_file(circling(commanded=False), tmp_path, "--max-tracks", "0")
     assert "No commands recorded: gain" in capsys.readouterr().out
 
 
 def test_tracks_that_are_done_are_not_fitted_again():
-    recording, fitted = small(commanded=False), []
+    recording, fitted = circling(commanded=False), []
     with standard_promotion():
         first = identify(recording, on_track=lambda *done: fitted.append(done))
         again = identify(recording, done={0: first.tracks[0]}, on_track=pytest.fail)

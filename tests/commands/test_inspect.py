@@ -45,6 +45,7 @@ def test_inspect_prints_a_table_and_writes_a_report(circles, tmp_path, capsys):
     assert [run["particles"] for run in found["runs"]] == [2]
     scatter = found["runs"][0]["scatter"]
     np.testing.assert_allclose(scatter, 0.1 * 0.345, rtol=0.1)
+    assert Reading.of_words([str(out / "reading.toml")]) == Reading(mpp=0.345)
     page = (out / "inspection.html").read_text()
     assert "data:image/png;base64," in page
     for name in ("recording.png", "recording.svg"):
@@ -126,9 +127,24 @@ def test_paths_are_drawn_over_a_still_of_the_film(circles, tmp_path, capsys):
     assert "still.png: cannot be read as an image" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("y_down", [True, False])
-def test_positions_go_back_to_the_pixels_of_the_file(circles, y_down):
-    data = read_recording(circles, Reading(mpp=0.345, y_down=y_down))
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("fps=a", "reading: Expected `float . null`, got `str` - at `..fps`"),
+        ("speed=1", "reading: Object contains unknown field `speed`"),
+        ("fps=", "expected a value after 'fps='"),
+        ("nowhere.toml", "nowhere.toml: expected NAME=VALUE, or a TOML file"),
+        ("delay=-1", "delay: expected 0 or more, got -1.0"),
+    ],
+)
+def test_a_word_of_a_reading_that_says_nothing_is_refused(word, message):
+    with pytest.raises(InputError, match=message):
+        Reading.of_words([word])
+
+
+@pytest.mark.parametrize("y", ["down", "up"])
+def test_positions_go_back_to_the_pixels_of_the_file(circles, y):
+    data = read_recording(circles, Reading(mpp=0.345, y=y))
     text = circles.read_text().splitlines()[1:401]
     pixels = np.array([line.split(",")[4:6] for line in text], float)
     again = image_positions(data, data.trajectory(0).states)

@@ -10,7 +10,7 @@ import pytest
 
 from pinav import cli
 from pinav.codec import encode
-from pinav.commands.navigate.online import online_task, with_prior
+from pinav.commands.navigate.cells import online_task, with_prior
 from pinav.commands.navigate.online_sections import online_sections
 from pinav.dynamics import paper_black_box
 from pinav.errors import InputError
@@ -26,7 +26,7 @@ from pinav.navigation import (
     OnlineNavigation,
     Quantiles,
 )
-from pinav.navigation.adaptive.swimmer import ShownFlight
+from pinav.navigation.adaptive.flight import ShownFlight
 from pinav.navigation.belief.belief import Frame
 from pinav.report.text import sections_text
 from pinav.runs import RunFolder

@@ -8,7 +8,7 @@ import pytest
 from tests.live.sessions import HELLO, frame_line
 
 from pinav import cli
-from pinav.commands.live.settings import LiveOptions, LiveSettings
+from pinav.commands.live import LiveOptions, LiveSettings
 from pinav.errors import InputError
 from pinav.live.messages import encode
 

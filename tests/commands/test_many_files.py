@@ -7,9 +7,9 @@ import shutil
 import pytest
 
 from pinav import cli
-from pinav.commands.fit import FIT
-from pinav.commands.fit.settings import FitOptions
-from pinav.commands.many_files import _cell, _numbers
+from pinav.commands import FIT
+from pinav.commands.fit import FitOptions
+from pinav.commands.sweep import _cell, _numbers
 
 
 def test_a_cell_of_a_file_is_its_content_and_the_options(tmp_path):
@@ -32,7 +32,7 @@ def test_numbers_are_named_by_the_words_on_the_way():
     ("words", "message"),
     [
         ([], "expected a file of data, got none; give one or more"),
-        (["a.csv", "--workers", "2"], "are for several files; drop them"),
+        (["a.csv", "--workers", "2"], "a.csv: cannot read: No such file"),
         (["a.csv", "b.csv"], "a.csv: cannot read: No such file"),
     ],
 )

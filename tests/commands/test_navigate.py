@@ -16,10 +16,10 @@ from pinav.actuation import (
     SaturatingResponse,
 )
 from pinav.codec import encode
-from pinav.commands.navigate import NAVIGATE
+from pinav.commands import NAVIGATE
+from pinav.commands.navigate import NavigateSettings
 from pinav.commands.navigate.cells import navigation_problem
 from pinav.commands.navigate.sections import controller_table, sentences
-from pinav.commands.navigate.settings import NavigateSettings
 from pinav.commands.results import keep, sections_of
 from pinav.commands.settings import numbers
 from pinav.commands.steering import system_task
@@ -47,7 +47,7 @@ from pinav.navigation import (
     Way,
     navigate,
 )
-from pinav.navigation.result import ComputingTimes, PlannedWay
+from pinav.navigation.comparison import ComputingTimes, PlannedWay
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System
@@ -74,7 +74,7 @@ def test_places_are_numbers_with_commas():
         ({"time_limit": -1.0}, "--time-limit: expected > 0"),
         ({"delay": -0.1}, "--delay: expected 0 or more"),
         ({"seeds": 0}, "--seeds: expected 1 or more"),
-        ({"samples": 1}, "--samples: expected 0, or 2 and more"),
+        ({"samples": -1}, "--samples: expected 0 or more"),
         ({"keep_out": ("1,2",)}, "--keep-out: expected 3 or 4 numbers"),
         ({"arena": "1,2,3"}, "--arena: expected 4 or 6 numbers"),
     ],
@@ -114,7 +114,13 @@ FOUND = Navigation(
     course=Course(np.eye(2), np.zeros(2), np.ones(2), 0.3, np.zeros((0, 3))),
     episodes={},
     suggestion=Suggestion(
-        0.3, 0.1, 0.2, (1.0, 2.0), 5.0, *np.zeros((3, 2)), np.zeros((4, 2))
+        0.3,
+        0.1,
+        (1.0, 2.0),
+        np.array([0.0, 5.0]),
+        *np.zeros((2, 2)),
+        sd_after_random=0.2,
+        path=np.zeros((4, 2)),
     ),
 )
 
@@ -221,7 +227,7 @@ def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
     effective = 3.0 / np.sqrt(1 + (3.0 / 4.0) ** 2)
     np.testing.assert_allclose(rate, [0.3 - 0.5 * effective, 2.0 * effective])
     assert problem.task.limits.max_frequency == 10.0
-    assert problem.data.units["x"] == "um"
+    assert problem.fit.data.units["x"] == "um"
     assert problem.task.delay == pytest.approx(0.2)
     assert float(problem.task.keep_out[0].distance(jnp.array([4.0, 6.0]))) == 1.0
 

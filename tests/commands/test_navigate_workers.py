@@ -11,12 +11,11 @@ import pytest
 from tests.sweeps.here import here
 
 from pinav import cli
-from pinav.commands import sweep
-from pinav.commands.navigate import NAVIGATE, cells
+from pinav.commands import NAVIGATE, sweep
+from pinav.commands.navigate import NavigateOptions, NavigateSettings, cells
 from pinav.commands.navigate.cells import navigation_problem, sweep_loops
-from pinav.commands.navigate.settings import NavigateOptions, NavigateSettings
+from pinav.commands.settings import WorkerSettings
 from pinav.commands.sweep import start_sweep
-from pinav.commands.worker_settings import WorkerSettings
 from pinav.learning.learned import Learned
 from pinav.navigation import Episodes, Flight, SwimmerFlights
 from pinav.navigation.comparison import try_model

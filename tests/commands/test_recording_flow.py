@@ -73,7 +73,7 @@ def test_a_recording_goes_through_all_commands_on_the_same_runs(tmp_path, capsys
 def test_bacteria_that_overlap_in_time_are_identified(recording, name, tmp_path):
     jax.config.update("jax_numpy_dtype_promotion", "standard")
     file = recording(f"ecoli_pillars_trackmate/{name}-rep1-02022024.csv")
-    words = ["identify", str(file), "--fps", "20", "--mpp", "0.656"]
+    words = ["identify", str(file), "--reading", "fps=20", "mpp=0.656"]
     try:
         assert cli.run([*words, "--out", str(tmp_path / "I")]) == 0
     finally:

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from tests.fitted_runs import reproduced
 
 from pinav import cli, files
-from pinav.commands.reproduce import sections, table2
-from pinav.commands.reproduce.result import Reproduction, short
+from pinav.commands.reproduce import sections
+from pinav.commands.reproduce.sections import Reproduction, short
 from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
 
@@ -37,7 +37,7 @@ def results(folder: RunFolder) -> dict[str, bytes]:
 def test_the_table_has_every_model_and_seed(run):
     with open(run.path / "table2.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == table2.HEADER
+    assert tuple(rows[0]) == sections.HEADER
     assert [(row["model"], row["seed"]) for row in rows] == [
         ("physics-only", ""),
         *((m, s) for m in ("nn-only", "ude-untrained", "ude") for s in ("42", "1")),
@@ -142,7 +142,7 @@ def test_the_table_for_people_sets_the_paper_beside_ours(run, plain_figures, cap
     assert cli.run(words(run.path, "--resume")) == 0
     lines = capsys.readouterr().out.splitlines()
     first = next(i for i, line in enumerate(lines) if line.startswith("model"))
-    assert lines[first].split() == ["model", "seed", *table2.HEADER[2:]]
+    assert lines[first].split() == ["model", "seed", *sections.HEADER[2:]]
     assert lines[first + 1].split()[:3] == ["physics-only", "–", "4.34"]
     assert lines[first + 2].startswith("physics-only, as printed in the paper")
     printed = ["4.34", "2.46", "0.49", "0.39", "2.52", "3.53"]

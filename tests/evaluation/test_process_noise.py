@@ -12,7 +12,7 @@ from pinav.evaluation import (
     rollout_coverage,
     without_first,
 )
-from pinav.evaluation.process_noise import wandering_variance
+from pinav.evaluation.coverage import wandering_variance
 from pinav.fitting import Posterior, ravel_model
 from pinav.forces import HarmonicTrap, ZeroForce
 from pinav.systems import WanderingVelocity

@@ -152,6 +152,7 @@ FORCES: dict[str, Callable[[], Any]] = {
     "power hill": lambda: forces.PowerHill(2.0, MIDDLE, 1.5, 0.5),
     "compact hill": lambda: forces.CompactHill(2.0, MIDDLE, 4.0),
     "ring": lambda: forces.RingBarrier(2.0, MIDDLE, 1.5, 0.8),
+    "Yukawa": lambda: forces.ProfileBarrier("Yukawa", 2.0, MIDDLE, (1.5, 0.8)),
     "soft wall": lambda: forces.SoftWall(2.0, 0.6, 5.0, 1.2),
     "plane waves": lambda: forces.PlaneWaves(
         [0.5, 0.3], jnp.array([[1.0, 0.2], [-0.3, 0.8]]), [0.1, 0.7]

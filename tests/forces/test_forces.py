@@ -43,6 +43,7 @@ from pinav.forces import (
     LinearForce,
     PlaneWaves,
     PowerHill,
+    ProfileBarrier,
     RingBarrier,
     ShearFlow,
     SoftWall,
@@ -299,6 +300,12 @@ def test_bad_landscapes_and_structures_are_refused():
         "PowerHill.core: expected > 0": lambda: PowerHill(2.0, [5, 4], -1.0, 0.5),
         "CompactHill.radius: expected > 0": lambda: CompactHill(2.0, [5, 4], 0.0),
         "RingBarrier.width: expected > 0": lambda: RingBarrier(2.0, [5, 4], 1.0, 0.0),
+        "ProfileBarrier.law: 'Hooke' is unknown; choose": lambda: ProfileBarrier(
+            "Hooke", 2.0, [5, 4]
+        ),
+        r"ProfileBarrier.shapes: Yukawa expects 2 \(core, range\), got 0": lambda: (
+            ProfileBarrier("Yukawa", 2.0, [5, 4])
+        ),
         "StructuredForce.terms: expected one or more": lambda: StructuredForce(
             (), kernel_potential()
         ),

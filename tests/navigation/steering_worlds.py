@@ -7,18 +7,28 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from pinav.actuation import LinearResponse
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import RK4, FixedStep, OverdampedSwimmer, Swimmer
 from pinav.forces import LinearDrag, ZeroForce
 from pinav.navigation.control.controller import AbstractController
-from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.predictors import AbstractPredictor
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
     SteeredSwimmer,
 )
-from pinav.navigation.task.task import Rectangle, Task
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task
 
 DRAG = 0.5
+
+
+class SwimmerPredictor(AbstractPredictor):
+    """A model itself, by a Runge-Kutta step."""
+
+    swimmer: SteeredSwimmer
+
+    def step(self, t, y, command, duration):
+        held = self.swimmer.under(command)
+        return FixedStep(RK4).looped_step(held, y, t, t + jnp.asarray(duration))
 
 
 class Held(AbstractController):

@@ -39,7 +39,7 @@ def files(tmp_path):
 OPTIONS = {
     "columns": {"t": "t", "x": "x", "y": "y"},
     "units": {"x": "um", "t": "s"},
-    "y_down": False,
+    "y": "up",
 }
 
 

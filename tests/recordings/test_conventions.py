@@ -9,8 +9,8 @@ from tests.recordings.formats.test_magscope import sheets, workbook
 from tests.recordings.synthetic import EXAMPLE
 
 from pinav.commands.data_file import read_data
-from pinav.commands.recording_settings import RecordingSettings
 from pinav.errors import InputError
+from pinav.recordings import Reading
 from pinav.recordings.conventions import doubts, heading_remark, remarks
 
 MAP = ("t=t", "x=x", "y=y", "heading=heading", "frequency=f")
@@ -33,7 +33,10 @@ def driven(*, mirror=False, offset=0.0, degrees=False, heading="heading", rows=2
 
 
 def settings(*columns, **options):
-    return RecordingSettings(columns=columns or MAP, **options)
+    """How a table is read, with names and units as words such as x=X."""
+    units = dict(word.split("=") for word in options.pop("units", ()))
+    named = dict(word.split("=") for word in columns or MAP)
+    return Reading(columns=named, units=units or None, **options)
 
 
 UM = {"units": ("x=um", "t=s")}
@@ -93,15 +96,15 @@ WRONG = {
     ),
     "frames without a rate": (
         "frame,particle,x,y\n0,1,1,2\n1,1,2,3\n",
-        RecordingSettings(),
+        Reading(),
         r"numbers of frames: give --fps",
     ),
     "TrackMate never calibrated": (
         "TRACK_ID,POSITION_X,POSITION_Y,POSITION_T,FRAME\n0,1,1,0,0\n0,2,2,1,1\n",
-        RecordingSettings(),
+        Reading(),
         r"numbers of frames: give --fps",
     ),
-    "frames that never meet": (far_frames(), RecordingSettings(), r"meet none of the"),
+    "frames that never meet": (far_frames(), Reading(), r"meet none of the"),
     "one particle without commands": (
         TWO,
         settings("t=t", "x=x", "y=y", "frequency=f", "particle=p"),
@@ -109,12 +112,12 @@ WRONG = {
     ),
     "log alone": (
         "t_s,angle_rad\n0,1\n1,2\n",
-        RecordingSettings(),
+        Reading(),
         r"a log of commands alone is no recording",
     ),
     "unknown names": (
         "Zeit;Lage\n0;1\n1;2\n",
-        RecordingSettings(),
+        Reading(),
         r"columns Zeit, Lage are: start from --columns t=Zeit x=Lage y=\?",
     ),
     "unit of no angle": (
@@ -179,17 +182,17 @@ WRONG = {
     ),
     "old workbook": (
         b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(100),
-        RecordingSettings(),
+        Reading(),
         r"Excel before 2007: save it as \.xlsx",
     ),
     "array of unnamed columns": (
         array(np.ones((4, 3))),
-        RecordingSettings(),
+        Reading(),
         r"columns 0, 1, 2 are: start from --columns t=0 x=1 y=2",
     ),
     "array of objects": (
         array(np.array([{}], object)),
-        RecordingSettings(format="table"),
+        Reading(format="table"),
         r"damaged array: .*without objects|columns: x",
     ),
     "array of one axis": (array(np.ones(4)), NO_FRAME, r"rows and columns, got shape"),
@@ -210,8 +213,8 @@ WRONG = {
     ),
     "options with a file of pinav": (
         PLAIN,
-        RecordingSettings(sheet="a"),
-        r"--sheet: .* holds trajectories of pinav",
+        Reading(sheet="a"),
+        r"sheet: .* holds trajectories of pinav",
     ),
     "sheet of a text file": (
         PLAIN,

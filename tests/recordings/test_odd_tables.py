@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 
 from pinav.commands.data_file import read_data
-from pinav.commands.recording_settings import RecordingSettings
 from pinav.errors import InputError
 from pinav.recordings import Reading, read_recording
 from pinav.recordings.table import example_of_columns
@@ -121,7 +120,7 @@ def test_a_layout_in_json_is_refused_as_such(read):
 def test_a_table_that_pinav_did_not_write_is_offered_as_a_recording(tmp_path):
     (tmp_path / "a.csv").write_text("t (s),x (um),y (um)\n0,1,2\n0.5,-,-\n1,2,3\n")
     with pytest.raises(InputError, match=r"; or read it as .*--columns 't=t \(s\)'"):
-        read_data(tmp_path / "a.csv", RecordingSettings())
+        read_data(tmp_path / "a.csv", Reading())
 
 
 def test_the_line_to_start_from_names_the_particles():

@@ -141,4 +141,4 @@ def test_the_list_has_origin_licence_and_checksum(capsys):
     assert {row["name"] for row in rows} == set(BUILT_IN)
     assert all(len(row["sha256"]) == 64 and row["licence"] for row in rows)
     assert cli.run(["data", "fetch"]) == 2
-    assert "expected the name of a recording after fetch" in capsys.readouterr().err
+    assert "recording '' is unknown; choose one of" in capsys.readouterr().err

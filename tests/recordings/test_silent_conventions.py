@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tests.recordings.test_conventions import NO_FRAME, UM, checked, driven, settings
 
-from pinav.commands.recording_settings import RecordingSettings
 from pinav.errors import InputError
+from pinav.recordings import Reading
 from pinav.recordings.conventions import remarks
 
 __all__ = ["checked"]  # the fixture
@@ -31,7 +31,7 @@ def clock(i):
 
 def mapped(**columns):
     """Options of a table with a column for each quantity."""
-    return RecordingSettings(columns=tuple(f"{q}={c}" for q, c in columns.items()))
+    return Reading(columns=columns)
 
 
 UP = {"y": "up", **UM}

@@ -182,7 +182,7 @@ def test_any_table_by_its_columns_and_units(read):
     assert data.units["t"] == "s"
     assert labels(data)[0]["particle"] == "a"
     assert data.provenance["columns"] == MAP
-    assert read(MAPPED, columns=MAP, y_down=False).states[0, 0].tolist() == [1, 2]
+    assert read(MAPPED, columns=MAP, y="up").states[0, 0].tolist() == [1, 2]
 
 
 BAD_MAPS = {

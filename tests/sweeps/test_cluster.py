@@ -17,11 +17,12 @@ from pathlib import Path
 
 import psutil
 import pytest
+from dask import config
 from tests.sweeps.here import Client
 from tests.sweeps.test_sweep import cells_of, sweep
 
 from pinav.errors import InputError
-from pinav.sweeps import CellStore, Cluster, TlsFiles, cluster_at, local_cluster
+from pinav.sweeps import CellStore, Cluster, cluster_at, local_cluster
 from pinav.sweeps import cluster as cluster_module
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of Dask
@@ -213,7 +214,7 @@ def workers_of(store):
 
 def test_nobody_at_the_address_is_one_line(monkeypatch):
     monkeypatch.setattr(cluster_module, "CONNECTION_TIME", 0.5)
-    refusal = pytest.raises(InputError, match=r"--scheduler tcp://127.0.0.1:9: ")
+    refusal = pytest.raises(InputError, match=r"--workers tcp://127.0.0.1:9: ")
     with refusal, cluster_at("tcp://127.0.0.1:9"):
         pass
 
@@ -221,8 +222,14 @@ def test_nobody_at_the_address_is_one_line(monkeypatch):
 def test_damaged_certificates_are_one_line(tmp_path):
     file = tmp_path / "ca.pem"
     file.write_text("nothing")
-    refusal = pytest.raises(InputError, match=r"--scheduler tls://127.0.0.1:9: ")
-    with refusal, cluster_at("tls://127.0.0.1:9", TlsFiles(file, file, file)):
+    tls = "distributed.comm.tls"
+    names = (f"{tls}.ca-file", f"{tls}.client.cert", f"{tls}.client.key")
+    refusal = pytest.raises(InputError, match=r"--workers tls://127.0.0.1:9: ")
+    with (
+        config.set(dict.fromkeys(names, str(file))),
+        refusal,
+        cluster_at("tls://127.0.0.1:9"),
+    ):
         pass
 
 

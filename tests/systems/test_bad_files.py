@@ -90,7 +90,7 @@ BAD = {
         "flows: this key is unknown; .* did you mean 'flow'",
     ),
     "no drag": (swap("drag = 0.36\n", ""), "drag: this key is missing; state the drag"),
-    "negative drag": (swap("0.36", "-0.36"), "drag: expected >= 0, got -0.36"),
+    "negative drag": (swap("0.36", "-0.36"), "drag: expected 0 or more, got -0.36"),
     "drag nan": (swap("0.36", "nan"), "drag: expected a finite number, got nan"),
     "drag text": (swap("0.36", '"0.36"'), "drag: expected a number, got '0.36'"),
     "mobility of order 2": (
@@ -169,7 +169,7 @@ BAD = {
     ),
     "noise negative": (
         swap("noise = 0.02", "noise = -1.0"),
-        "observation: observation.noise: expected >= 0, got -1.0",
+        "observation: Observation.noise: expected 0 or more, got -1.0",
     ),
     "noise infinite": (
         swap("noise = 0.02", "noise = inf"),
@@ -248,7 +248,7 @@ BAD = {
     ),
     "thermal negative": (
         warm("0.004", "-0.004"),
-        "thermal.energy: expected >= 0, got -0.004",
+        "thermal.energy: expected 0 or more, got -0.004",
     ),
     "thermal twice": (
         THERMAL + "diffusion = 1.0\n",

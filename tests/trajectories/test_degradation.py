@@ -137,8 +137,8 @@ def test_unobserved_channels_can_keep_their_first_sample():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: GaussianNoise(-0.1), "GaussianNoise.deviation: expected >= 0, got -0"),
-        (lambda: FrameLoss(1.0), "probability: expected from 0 to below 1, got 1.0"),
+        (lambda: GaussianNoise(-0.1), "Noise.deviation: expected 0 or more, got -0"),
+        (lambda: FrameLoss(1.0), "probability: expected 0 to below 1, got 1.0"),
         (lambda: MotionBlur(0.0), "MotionBlur.exposure: expected > 0, got 0.0"),
         (lambda: Subsample(0), "Subsample.every: expected 1 or more, got 0"),
         (

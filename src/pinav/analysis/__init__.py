@@ -26,7 +26,7 @@ from pinav.analysis.sensitivity.influence import Influence as Influence
 from pinav.analysis.sensitivity.influence import influence as influence
 from pinav.analysis.sensitivity.lyapunov import LyapunovMap as LyapunovMap
 from pinav.analysis.sensitivity.lyapunov import lyapunov_map as lyapunov_map
-from pinav.analysis.sensitivity.rollout_study import RolloutStudy as RolloutStudy
 from pinav.analysis.sensitivity.sobol import Factor as Factor
+from pinav.analysis.sensitivity.sobol import RolloutStudy as RolloutStudy
 from pinav.analysis.sensitivity.sobol import SobolIndices as SobolIndices
 from pinav.analysis.sensitivity.sobol import sobol_indices as sobol_indices

@@ -47,17 +47,9 @@ class Analysis(eqx.Module):
         shift: half range of each coordinate of the varied start [L].
         units: of the channels, with the order of the dynamics.
         paths: observed positions of each trajectory [L]; NaN where there is none.
-        field: the learned force.
-        split: its gradient and its rotational part.
         potential: on the grid of the field [L² T⁻²].
         is_potential_learned: it is that of the model, not of the gradient part.
-        lyapunov: growth of separations over starts.
-        doubt: by the posterior.
-        influence: of each trajectory.
-        constants: effects of constants.
-        sobol: indices of the reference rollout.
         landmark: highest point of the potential near the data [L].
-        entropy: production of thermal motion.
         left_out: sentences on what could not be found, and why.
     """
 

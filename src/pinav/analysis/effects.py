@@ -17,7 +17,7 @@ from pinav.analysis.entropy import EntropyProduction, entropy_production
 from pinav.analysis.helmholtz import rotational_fractions, sample_forces
 from pinav.analysis.sensitivity.influence import Influence, influence
 from pinav.analysis.sensitivity.lyapunov import LyapunovMap, lyapunov_map
-from pinav.analysis.sensitivity.rollout_study import RolloutStudy
+from pinav.analysis.sensitivity.sobol import RolloutStudy
 from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap
@@ -48,7 +48,6 @@ class Doubt(eqx.Module):
 
     Attributes:
         sd: standard deviation of the force on the grid [L T⁻²].
-        rotational: that of the rotational fraction.
         significant: fraction of each region in which the force is above two standard
             deviations.
     """
@@ -62,9 +61,6 @@ class TrajectoryEffect(eqx.Module):
     """What leaving a trajectory out of the fit would do, to first order.
 
     Attributes:
-        trajectory: its index.
-        leverage: number of parameters that it determines.
-        cook: Cook's distance.
         force: relative change of the force near the data.
         final: change of the final position of the reference rollout [L].
         change: of the force on the grid [L T⁻²].
@@ -82,9 +78,6 @@ class ConstantEffect(eqx.Module):
     """What a constant that is one percent larger would do.
 
     Attributes:
-        constant: its name.
-        value: its value.
-        learned: it was learned beside the force.
         force: relative change of the force near the data.
         final: change of the final position of the reference rollout [L].
         change: of the force on the grid [L T⁻²].
@@ -103,9 +96,6 @@ class Subject:
     """The fit that is analysed, as all parts of an analysis need it.
 
     Attributes:
-        fit: the fit.
-        model: its swimmer with the learned force.
-        field: the learned force on a grid.
         reference: index of the trajectory whose rollout is varied.
     """
 

@@ -28,7 +28,13 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap
 from pinav.fitting import ParametricModel, Posterior
-from pinav.forces import kernel_centers
+from pinav.forces import (
+    KernelForce,
+    KernelPotential,
+    KernelStream,
+    forces_at,
+    kernel_centers,
+)
 
 ACROSS, WIDTH, MARGIN = 18, 1.5, 2.0
 """Gaussians along the map, no closer than two grid points; their width, and how far
@@ -46,7 +52,6 @@ class HelmholtzSplit(eqx.Module):
         rotational: $\nabla^\perp\psi$ there [L T⁻²].
         potential: $U$ [L² T⁻²]; its least value on the region is zero.
         stream: $\psi$ [L² T⁻²].
-        region: grid points that count.
         rotational_fraction: $|F_r|^2 / (|F_g|^2 + |F_r|^2)$, sums over the region.
         least_fraction: rotational fraction where harmonic fields are all gradients.
         greatest_fraction: rotational fraction where they are all rotational.
@@ -133,14 +138,7 @@ def rotational_fractions(
 def sample_forces(
     posterior: Posterior, field: FieldMap, count: int, *, key: PRNGKeyArray
 ) -> Float[np.ndarray, "sample rows columns 2"]:
-    """Forces on the grid of a map, of models drawn from a posterior, at time zero.
-
-    Args:
-        posterior: the distribution of models.
-        field: the map.
-        count: number of draws.
-        key: random key of the draws.
-    """
+    """Forces on the grid of a map, of models drawn from a posterior, at time zero."""
     points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
     with jax.enable_x64(new_val=True):
         draws = posterior.draws(count, key=key)
@@ -155,8 +153,8 @@ def _forces(
     points: Float[ArrayLike, "point 2"],
 ) -> Float[Array, "sample point 2"]:
     def one(theta: Float[Array, " parameter"]) -> Float[Array, "point 2"]:
-        force = free(theta).environment
-        return jax.vmap(lambda x: force(0.0, x, jnp.zeros_like(x)))(points)
+        times = jnp.zeros(jnp.shape(points)[:1])
+        return forces_at(free(theta).environment, times, points)
 
     return jax.lax.map(one, draws)
 
@@ -184,13 +182,16 @@ def _region(
     return region
 
 
+Forces = Float[np.ndarray, "all 2 kernel"]
+"""Force of each kernel of weight one at each point."""
+
+
 class _Basis(eqx.Module):
     """Gaussians on a grid: the forces that they make, and the normal matrix."""
 
     values: Float[np.ndarray, "all kernel"]
-    slopes: Float[np.ndarray, "all 2 kernel"]
-    gradients: Float[np.ndarray, "row kernel"]
-    rotations: Float[np.ndarray, "row kernel"]
+    everywhere: tuple[Forces, Forces]
+    near: tuple[Float[np.ndarray, "row kernel"], Float[np.ndarray, "row kernel"]]
     shape: tuple[int, int] = eqx.field(static=True)
 
     @classmethod
@@ -203,56 +204,49 @@ class _Basis(eqx.Module):
             points[region], spacing=spacing, margin=MARGIN * spacing
         )
         width = WIDTH * spacing
-        offsets = (points.reshape(-1, 1, 2) - centers[None]) / width
-        values = np.exp(-0.5 * (offsets**2).sum(axis=-1))
-        slopes = -np.moveaxis(offsets, 2, 1) / width * values[:, None]
-        near = slopes[region.ravel()]
-        gradients = -near.reshape(-1, near.shape[2])
-        rotations = _rotate(near).reshape(gradients.shape)
-        return cls(values, slopes, gradients, rotations, region.shape)
+        offsets = points.reshape(-1, 1, 2) - centers[None]
+        values = KernelForce.kernel_forces(offsets, width)[..., 0]
+        gradients, rotations = (
+            np.moveaxis(kind.kernel_forces(offsets, width), 2, 1)
+            for kind in (KernelPotential, KernelStream)
+        )
+        near = gradients[region.ravel()], rotations[region.ravel()]
+        rows, others = (part.reshape(-1, len(centers)) for part in near)
+        return cls(values, (gradients, rotations), (rows, others), region.shape)
 
     def fit(
         self, force: Float[np.ndarray, "row ..."]
     ) -> Float[np.ndarray, "weight ..."]:
         """Weights of potential and stream function, by least squares with a ridge."""
-        return _ridge(np.concatenate([self.gradients, self.rotations], axis=1), force)
+        return _ridge(np.concatenate(self.near, axis=1), force)
 
     def parts(
         self, weights: Float[np.ndarray, " weight"]
     ) -> tuple[
         Float[np.ndarray, "rows columns 2"], Float[np.ndarray, "rows columns 2"]
     ]:
-        """Gradient and rotational force on the whole grid."""
-        of_potential, of_stream = np.split(weights, 2)
-        gradient = -self.slopes @ of_potential
-        rotational = _rotate(self.slopes) @ of_stream
-        return gradient.reshape(*self.shape, 2), rotational.reshape(*self.shape, 2)
+        gradient, rotational = (
+            (forces @ half).reshape(*self.shape, 2)
+            for forces, half in zip(self.everywhere, np.split(weights, 2), strict=True)
+        )
+        return gradient, rotational
 
     def functions(
         self, weights: Float[np.ndarray, " weight"]
     ) -> tuple[Float[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
-        """Potential and stream function on the whole grid."""
-        potential, stream = np.split(weights, 2)
-        return (
-            (self.values @ potential).reshape(self.shape),
-            (self.values @ stream).reshape(self.shape),
+        potential, stream = (
+            (self.values @ half).reshape(self.shape) for half in np.split(weights, 2)
         )
+        return potential, stream
 
     def bounds(self, force: Float[np.ndarray, "near 2"]) -> tuple[float, float]:
         """Rotational fraction left by all gradients, and by no rotation."""
         total = _norm(force) ** 2
         missed = [
             _norm(force.ravel() - rows @ _ridge(rows, force.ravel())) ** 2
-            for rows in (self.gradients, self.rotations)
+            for rows in self.near
         ]
         return float(missed[0] / total), float(1.0 - missed[1] / total)
-
-
-def _rotate(
-    slopes: Float[np.ndarray, "point 2 kernel"],
-) -> Float[np.ndarray, "point 2 kernel"]:
-    """From the slopes of a stream function to its force."""
-    return np.stack([slopes[:, 1], -slopes[:, 0]], axis=1)
 
 
 def _ridge(

@@ -3,10 +3,9 @@
 import contextlib
 from pathlib import Path
 
-import msgspec
-
-from pinav.commands.recording_settings import RecordingSettings
 from pinav.errors import InputError
+from pinav.reading import PLAIN, Reading
+from pinav.recordings import read_recording
 from pinav.recordings.conventions import doubts
 from pinav.trajectories import (
     PREFIX,
@@ -17,42 +16,41 @@ from pinav.trajectories import (
 
 
 def read_data(
-    path: Path, recording: RecordingSettings, *, doubtful: bool = False
+    path: Path, reading: Reading = PLAIN, *, doubtful: bool = False
 ) -> Trajectories:
     """The trajectories in a file.
 
     Args:
-        path: the file.
-        recording: how it is read where it is a recording.
+        reading: how it is read where it is a recording.
         doubtful: a recording whose conventions look wrong is read all the same.
-
-    Raises:
-        InputError: the file is damaged, a convention of a recording looks wrong and no
-            option states it, or an option for recordings is given with a file of pinav.
     """
-    if recording.columns or recording.format or not is_trajectories(path):
-        data = recording.read(path)
+    if reading.columns or reading.format or not is_trajectories(path):
+        data = read_recording(path, reading)
         several = [] if doubtful else doubts(data)
         if several:
-            raise InputError(f"{path}: {'; '.join(several)}")
+            raise InputError(f"{path}: {'; '.join(several)}; {ELSEWHERE}")
         return data
-    plain = RecordingSettings()
-    for field in msgspec.structs.fields(plain):
-        if field.name == "units":
-            continue
-        if getattr(recording, field.name) != getattr(plain, field.name):
-            option = field.name.replace("_", "-")
+    for name in reading.content():
+        if name != "units":
             raise InputError(
-                f"--{option}: {path} holds trajectories of pinav, to which this option "
+                f"{name}: {path} holds trajectories of pinav, to which this setting "
                 "of recordings does not apply; drop it"
             )
     try:
-        return load(path, units=recording.stated_units())
+        return load(path, units=reading.units)
     except InputError as error:
         hint = _as_a_table(path)
         if not hint:
             raise
         raise InputError(f"{error}; or read it as a tracker's table: {hint}") from error
+
+
+ELSEWHERE = (
+    "such options are those of pinav inspect; other commands take --reading with the "
+    "same words, such as --reading fps=10 units.heading=deg, or with the file that "
+    "pinav inspect writes"
+)
+"""The words after a message that names options of `pinav inspect`."""
 
 
 def _as_a_table(path: Path) -> str:

@@ -18,8 +18,6 @@ def execute(
     """Parse the words after a command, run it and show what it found.
 
     Args:
-        command: what to run.
-        argv: the words after its name.
         on_start: called when all modules are imported and the run begins.
 
     Raises:
@@ -69,7 +67,7 @@ def _show(command: Command, result: CommandResult, *, as_json: bool) -> None:
     """Write the run's report; print its metrics, as JSON alone or for people."""
     page = result.page
     if result.folder is not None:
-        from pinav.commands.report_page import write_report
+        from pinav.commands.results import write_report
 
         page = write_report(result.folder, command)
     if as_json:

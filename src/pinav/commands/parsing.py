@@ -1,22 +1,28 @@
 """Words of the command line and TOML files become options: strict structs."""
 
 import contextlib
+import dataclasses
 import io
 import itertools
 import tomllib
 import typing
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 import tyro
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
 
-from pinav.commands.plain_help import plain_help
 from pinav.errors import InputError
-
-Content = dict[str, Any]
-"""Settings as TOML holds them, or arguments by keyword."""
+from pinav.reading import Content, Pairs, Reading
 
 Options = TypeVar("Options", bound=msgspec.Struct)
 
@@ -90,11 +96,7 @@ Members = Mapping[str, type[msgspec.Struct]]
 def _choose(
     members: Members, words: list[str], content: Content
 ) -> tuple[list[str], type[msgspec.Struct]]:
-    """The words without the option that names a member, and that member.
-
-    Raises:
-        InputError: no member has the name that is given.
-    """
+    """The words without the option that names a member, and that member."""
     first = next(iter(members.values()))
     key = str(first.__struct_config__.tag_field)
     option, name, rest = f"--{key}", content.get(key), []
@@ -160,15 +162,13 @@ def _one_line(box: str) -> str:
     """A boxed message without its title, its rules, its frame and its last advice."""
     lines = (line.strip("│╭╮╰╯├┤─ ") for line in box.splitlines()[1:])
     message = " ".join(line for line in lines if line)
-    return message.partition("For full helptext")[0].strip().rstrip(".")
+    for advice in ("For full helptext", "Argument helptext"):
+        message = message.partition(advice)[0]
+    return message.strip().rstrip(".")
 
 
 def _file_content(argv: Sequence[str]) -> Content:
-    """The settings of `--config`; none where it is not given.
-
-    Raises:
-        InputError: the file is missing or not TOML.
-    """
+    """The settings of `--config`; none where it is not given."""
     path = _config_path(argv)
     if path is None:
         return {}
@@ -181,11 +181,7 @@ def _file_content(argv: Sequence[str]) -> Content:
 
 
 def _defaults(options: type[Options], argv: Sequence[str], content: Content) -> Content:
-    """Keyword `default` of tyro: the settings of `--config`, where it is given.
-
-    Raises:
-        InputError: the file holds an unknown setting.
-    """
+    """Keyword `default` of tyro: the settings of `--config`, where it is given."""
     path = _config_path(argv)
     fields = {field.name: field for field in msgspec.structs.fields(options)}
     if path is None or "config" not in fields:
@@ -199,11 +195,8 @@ def _defaults(options: type[Options], argv: Sequence[str], content: Content) -> 
 
 
 def _group(content: Content, fields: Content) -> Content:
-    """Each group of settings from those entries of a file that are its own.
-
-    Raises:
-        msgspec.ValidationError: an entry has the wrong type, or no group knows it.
-    """
+    """Each group of settings from those entries of a file that are its own."""
+    reading = content.pop("reading", {}) if "reading" in fields else None
     groups = {
         name: field.type
         for name, field in fields.items()
@@ -214,7 +207,8 @@ def _group(content: Content, fields: Content) -> Content:
         for name, kind in groups.items()
     }
     known = set.union(*names.values())
-    return {
+    found = {} if reading is None else {"reading": Reading.of_content(reading)}
+    return found | {
         name: msgspec.convert(
             {
                 key: value
@@ -238,3 +232,90 @@ def _config_path(argv: Sequence[str]) -> Path | None:
 
 RUN_TABLE = "run"
 """Table of a run's config.toml beside its settings; such a file is welcome too."""
+
+
+def plain_help() -> ConstructorRegistry:
+    """Rules by which tyro describes the options of pinav."""
+    registry = ConstructorRegistry()
+    registry.struct_rule(_PlainStruct())
+    registry.primitive_rule(_pairs)
+    return registry
+
+
+def _pairs(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+    """The words of names and what they stand for, such as x=X."""
+    if info.type != Pairs | None:
+        return None
+    return PrimitiveConstructorSpec(
+        nargs="*",
+        metavar="[NAME=WORD [NAME=WORD ...]]",
+        instance_from_str=_pairs_of,
+        is_instance=lambda value: value is None or isinstance(value, dict),
+        str_from_instance=lambda value: [f"{k}={v}" for k, v in (value or {}).items()],
+    )
+
+
+def _pairs_of(words: list[str]) -> Pairs:
+    pairs = [word.partition("=") for word in words]
+    for name, sign, value in pairs:
+        if not (name and value):
+            word = f"{name}{sign}{value}"
+            raise InputError(f"expected words such as x=X, got {word!r}")
+    return {name: value for name, _, value in pairs}
+
+
+class _PlainStruct:
+    """tyro's own rule for a struct, with its arguments described in plain words."""
+
+    def __init__(self) -> None:
+        self.asking_tyro = False
+
+    def __call__(self, info: StructTypeInfo) -> StructConstructorSpec | None:
+        if self.asking_tyro or not _is_struct(info.type):
+            return None
+        self.asking_tyro = True
+        try:
+            spec = ConstructorRegistry.get_struct_spec(info)
+        finally:
+            self.asking_tyro = False
+        if not isinstance(spec, StructConstructorSpec):
+            return None
+        fields = tuple(_describe(field) for field in spec.fields)
+        return dataclasses.replace(spec, fields=fields)
+
+
+def _describe(field: StructFieldSpec) -> StructFieldSpec:
+    """An argument with its default in words; groups of options stay as they are."""
+    if _is_struct(field.type):
+        return field
+    words = tyro.conf.arg(help_behavior_hint=_default_in_words, metavar=_metavar(field))
+    return dataclasses.replace(field, type=Annotated[field.type, words])
+
+
+def _default_in_words(default: str) -> str:
+    """The default behind a description; nothing for what is simply not given."""
+    if default in ("", "''", "None", "True", "False"):
+        return ""
+    return f"(default: {default})"
+
+
+def _metavar(field: StructFieldSpec) -> str | None:
+    """A word given by its place is called by its name; others by their type."""
+    markers = getattr(field.type, "__metadata__", ())
+    kind = field.type.__origin__ if markers else field.type
+    if tyro.conf.Positional not in markers or _has_choices(kind):
+        return None
+    name = field.name.upper()
+    if typing.get_origin(kind) is tuple:
+        return f"{name} [{name} ...]"
+    may_be_left_out = field.default is None or isinstance(field.default, str)
+    return f"[{name}]" if may_be_left_out else name
+
+
+def _has_choices(kind: Any) -> bool:
+    parts = (kind, *typing.get_args(kind))
+    return any(typing.get_origin(part) is typing.Literal for part in parts)
+
+
+def _is_struct(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)

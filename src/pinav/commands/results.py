@@ -1,41 +1,40 @@
 """The start of a run, and the way of a result into it, the terminal and the page."""
 
 import hashlib
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from pinav.codec import encode
+from pinav.commands import COMMANDS
 from pinav.commands.command import Command, CommandResult, resolve
 from pinav.commands.settings import ResumableOptions, RunOptions
 from pinav.errors import InputError
-from pinav.report import Section, Table
+from pinav.figures.images import Figures
+from pinav.reading import Reading
+from pinav.report import Code, Image, Section, Table, render
 from pinav.report.text import sections_text
 from pinav.runs import RunFolder
+from pinav.sweeps.store import FOLDER as CELLS
 from pinav.trajectories import Trajectories
 
 
 def start_run(
     command: Command, options: RunOptions, *settings: msgspec.Struct, **identity: str
 ) -> RunFolder:
-    """Create or resume the folder of a run.
-
-    Args:
-        command: what makes the run.
-        options: of the command line.
-        settings: what decides the numbers of the run.
-        identity: what else tells this run from others, such as a hash of its data.
-
-    Raises:
-        InputError: the folder cannot be used, or holds a run with other settings.
-    """
+    """Create or resume the folder of a run."""
     resume = isinstance(options, ResumableOptions) and options.resume
     if resume and options.overwrite:
         raise InputError("--resume and --overwrite: choose one of them")
-    content = [
-        item for s in settings for item in msgspec.to_builtins(s, enc_hook=str).items()
-    ]
+    content = []
+    for group in settings:
+        if isinstance(group, Reading):
+            content += [("reading", group.content() or None)]
+        else:
+            content += msgspec.to_builtins(group, enc_hook=str).items()
     config: dict[str, Any] = {
         key: list(value) if isinstance(value, tuple) else value
         for key, value in content
@@ -77,14 +76,77 @@ def keep(command: Command, folder: RunFolder, result: Any) -> CommandResult:
 
 
 def sections_of(command: Command, folder: RunFolder) -> list[Section]:
-    """What a command adds to the report of a run; nothing where it did not run.
-
-    Raises:
-        InputError: its files are damaged.
-    """
+    """What a command adds to the report of a run; nothing where it did not run."""
     if command.result is None:
         return [] if command.report is None else resolve(command.report)(folder)
     if not folder.has(f"{command.file}.json"):
         return []
     sections = resolve(command.sections)  # imports all classes that a result may have
     return sections(folder.load(command.file, resolve(command.result)))
+
+
+TABLE = "runs.csv"
+"""File of the table of a run of several files."""
+
+
+def write_report(folder: RunFolder, command: Command | None = None) -> Path:
+    """Draw the figures of a finished run and write its `report.html`.
+
+    The sections of the command that made the run come first, then those of every
+    command that added results to it.
+    """
+    maker = _maker(folder, command)
+    if folder.has(TABLE):
+        raise InputError(
+            f"{folder.path} holds the runs of several files; report one of those in "
+            f"{folder.path / CELLS}"
+        )
+    if not folder.has("metrics.json"):
+        advice = "continue it with --resume" if maker.resumable else "repeat it"
+        raise InputError(f"{folder.path} is not finished; {advice}, then report")
+    for name in folder.manifest.entries():
+        if name.endswith((".eqx", ".npz")) and not name.startswith("checkpoint-"):
+            folder.check_file(name)
+    figures = Figures(folder.path)
+    content = [
+        figures.saved(section)
+        for command in (maker, *(c for c in COMMANDS if not c.title))
+        for section in sections_of(command, folder)
+    ]
+    page = render(maker.title, _subtitle(folder), [*content, *_provenance(folder)])
+    folder.write_text("report.html", page)
+    images = [b.path for s in content for b in s.blocks if isinstance(b, Image)]
+    folder.record(*_figures(folder, images))
+    return folder.path / "report.html"
+
+
+def _figures(folder: RunFolder, images: Sequence[str | Path]) -> list[str]:
+    """Names of the figures that were drawn, in all of their formats."""
+    return [
+        file.relative_to(folder.path).as_posix()
+        for image in images
+        for file in Path(image).parent.glob(f"{Path(image).stem}.*")
+    ]
+
+
+def _maker(folder: RunFolder, other: Command | None) -> Command:
+    """The command that made the run."""
+    name = folder.command
+    for command in (*COMMANDS, *([other] if other else [])):
+        if command.title and command.name == name:
+            return command
+    raise InputError(f"{folder.path}/config.toml: command {name!r} is unknown")
+
+
+def _subtitle(folder: RunFolder) -> str:
+    environment = folder.read_json("environment.json")
+    return f"pinav {environment['pinav']}, run {folder.path.name}"
+
+
+def _provenance(folder: RunFolder) -> list[Section]:
+    environment = folder.read_json("environment.json")
+    config = (folder.path / "config.toml").read_text(encoding="utf-8")
+    return [
+        Section("Configuration", [Code(config)]),
+        Section("Versions", [Table(("what", "version"), list(environment.items()))]),
+    ]

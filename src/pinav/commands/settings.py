@@ -4,16 +4,19 @@ Only settings decide the numbers of a run; where it is written does not belong t
 This module imports no numerical library, so that `--help` is quick.
 """
 
-import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+from tyro.constructors import PrimitiveConstructorSpec
 
-from pinav.errors import InputError
 from pinav.learning.recipes import ModelName as ModelName
+from pinav.reading import PLAIN, Reading
+from pinav.settings import Numbers as Numbers
 from pinav.settings import Range as Range
 from pinav.settings import Settings as Settings
+from pinav.settings import Several as Several
+from pinav.settings import numbers as numbers
 
 RecipeName = Literal["default", "paper"]
 
@@ -29,6 +32,22 @@ AsJson = Annotated[
     bool,
     tyro.conf.arg(help="Print the metrics as JSON, for scripts, and nothing else."),
 ]
+ReadingWords = Annotated[
+    Reading,
+    PrimitiveConstructorSpec(
+        nargs="*",
+        metavar="NAME=VALUE|FILE",
+        instance_from_str=Reading.of_words,
+        is_instance=lambda value: isinstance(value, Reading),
+        str_from_instance=lambda value: [] if value == PLAIN else ["as in --config"],
+    ),
+    tyro.conf.arg(
+        help="A recording: what its file does not say, as for pinav inspect, such as "
+        "fps=10 mpp=0.5 y=up units.heading=rad columns.x=X; or the file reading.toml "
+        "that pinav inspect writes."
+    ),
+]
+"""How a recording is read, in commands that take one."""
 
 
 class RunOptions(Settings, frozen=True, kw_only=True):
@@ -56,25 +75,37 @@ class ResumableOptions(RunOptions, frozen=True, kw_only=True):
     resume: bool = False
 
 
-def numbers(option: str, text: str, *counts: int) -> tuple[float, ...]:
-    """Numbers with commas between them.
+class WorkerSettings(Settings, frozen=True):
+    """Who does the cells of a sweep: docs/scale.md.
 
-    Args:
-        option: what the message calls them.
-        text: such as "0.5,1".
-        counts: how many there may be.
-
-    Raises:
-        InputError: they are not so many finite numbers.
+    Attributes:
+        workers: Processes of this machine that work side by side, or the address of a
+            Dask scheduler that runs, such as tcp://host:8786, whose workers share
+            --out.
+        cell_timeout: Seconds after which one piece of work counts as failed.
     """
-    try:
-        values = tuple(float(word) for word in text.split(","))
-    except ValueError:
-        values = ()
-    if len(values) not in counts or not all(map(math.isfinite, values)):
-        example = ",".join("123456"[: counts[0]])
-        raise InputError(
-            f"{option}: expected {' or '.join(map(str, counts))} numbers with commas "
-            f"between them, such as {example}, got {text!r}"
-        )
-    return values
+
+    workers: Annotated[int | str, Range(1), tyro.conf.arg(metavar="N|ADDRESS")] = 1
+    cell_timeout: Annotated[float | None, Range(above=0)] = None
+
+
+ALONE = WorkerSettings()
+"""This process does the work; of several cells, a process of this machine."""
+
+
+class FilesOptions(ResumableOptions, frozen=True, kw_only=True):
+    """The options of a command that makes a run of one file, or of each of several.
+
+    Attributes:
+        data: The file; of several, each gets a run below --out, and all one table.
+        workers: Who makes the runs of several files.
+    """
+
+    data: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    workers: WorkerSettings = ALONE
+
+    @property
+    def file(self) -> Path | None:
+        """The only file, where this process makes its run."""
+        single = len(self.data) == 1 and self.workers == ALONE
+        return self.data[0] if single else None

@@ -14,11 +14,7 @@ from pinav.trajectories import Trajectories
 
 
 def system_task(settings: SteeringSettings, system: System) -> Task:
-    """The task of going through the true environment of a system, without data.
-
-    Raises:
-        InputError: the system is not planar or states no true environment.
-    """
+    """The task of going through the true environment of a system, without data."""
     _check_planar(settings, system)
     truth = system.true_swimmer
     return way_of(settings).task(truth, truth, system.name)
@@ -28,9 +24,6 @@ def known_task(settings: SteeringSettings, system: System, data: Trajectories) -
     """The same in a system of which nothing more than data are known.
 
     The truth of the task is the known physics; the arena surrounds the data, too.
-
-    Raises:
-        InputError: the system or the data are not planar.
     """
     _check_planar(settings, system)
     if data.dim != 2:
@@ -49,7 +42,6 @@ def observe_positions(known: Task, position_noise: float) -> Task:
     failure.
 
     Args:
-        known: the task.
         position_noise: standard deviation of each coordinate [L].
     """
     return dataclasses.replace(

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import tyro
 
-from pinav.commands.settings import Range, Settings, numbers
+from pinav.commands.settings import Numbers, Range, Settings, numbers
 from pinav.errors import InputError
 
 
@@ -30,12 +30,22 @@ class SteeringSettings(Settings, frozen=True):
         seed: Seed of all noise.
     """
 
-    start: Annotated[str | None, tyro.conf.arg(name="from", metavar="X,Y")] = None
-    goal: Annotated[str | None, tyro.conf.arg(name="to", metavar="X,Y")] = None
+    start: Annotated[
+        str | None,
+        Numbers((2, 3), "--from"),
+        tyro.conf.arg(name="from", metavar="X,Y"),
+    ] = None
+    goal: Annotated[
+        str | None, Numbers((2, 3), "--to"), tyro.conf.arg(name="to", metavar="X,Y")
+    ] = None
     tolerance: Annotated[float, Range(above=0)] = 0.3
     thrust: Annotated[float, Range(above=0)] = 0.8
-    keep_out: Annotated[tuple[str, ...], tyro.conf.arg(metavar="X,Y,R")] = ()
-    arena: Annotated[str | None, tyro.conf.arg(metavar="X0,Y0,X1,Y1")] = None
+    keep_out: Annotated[
+        tuple[str, ...], Numbers((3, 4)), tyro.conf.arg(metavar="X,Y,R")
+    ] = ()
+    arena: Annotated[
+        str | None, Numbers((4, 6)), tyro.conf.arg(metavar="X0,Y0,X1,Y1")
+    ] = None
     step: Annotated[float, Range(above=0)] = 0.1
     time_limit: Annotated[float, Range(above=0)] = 20.0
     noise: Annotated[float, Range(0)] = 0.1
@@ -43,19 +53,8 @@ class SteeringSettings(Settings, frozen=True):
     frequency: Annotated[float, Range(above=0)] = 10.0
     seed: int = 0
 
-    def check_together(self) -> None:
-        self.discs()
-        self.box()
-        for name, place in (("--from", self.start), ("--to", self.goal)):
-            if place is not None:
-                numbers(name, place, 2, 3)
-
     def places(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Start and goal.
-
-        Raises:
-            InputError: one of them is missing, or is no place.
-        """
+        """Start and goal."""
         if self.start is None or self.goal is None:
             raise InputError(
                 "--from, --to: expected the places where the way begins and ends, such "
@@ -65,11 +64,7 @@ class SteeringSettings(Settings, frozen=True):
         return numbers("--from", start, 2, 3), numbers("--to", goal, 2, 3)
 
     def check_dimension(self, dim: int) -> None:
-        """Refuse places that have not as many coordinates as the swimmer.
-
-        Raises:
-            InputError: a place, disc or arena has another number.
-        """
+        """Refuse places that have not as many coordinates as the swimmer."""
         given = [("--from", self.start, dim), ("--to", self.goal, dim)]
         given += [("--arena", self.arena, 2 * dim)]
         given += [("--keep-out", text, dim + 1) for text in self.keep_out]

@@ -34,10 +34,10 @@ from pinav.evaluation.force_fields import decompose as decompose
 from pinav.evaluation.force_fields import default_regions as default_regions
 from pinav.evaluation.force_fields import distances as distances
 from pinav.evaluation.force_fields import enclosing_cube as enclosing_cube
+from pinav.evaluation.force_fields import exact_forces as exact_forces
 from pinav.evaluation.force_fields import extent as extent
 from pinav.evaluation.force_fields import field_map as field_map
 from pinav.evaluation.force_fields import force_agreement as force_agreement
-from pinav.evaluation.force_fields import force_error as force_error
 from pinav.evaluation.force_fields import (
     force_error_at_samples as force_error_at_samples,
 )

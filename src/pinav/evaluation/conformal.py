@@ -159,7 +159,6 @@ def trajectory_scores(
     predicted, or up to a common horizon.
 
     Args:
-        trajectories: what was observed.
         predictions: of every sample.
         sd: standard deviations of the errors expected; 1 gives a radius in the unit
             of the states.
@@ -210,10 +209,7 @@ def rollout_bands(
     and of each observation.
 
     Args:
-        posterior: of the model that is rolled out.
         trajectories: where to start and when to predict.
-        noise: standard deviation of the observations.
-        solver: how to integrate; `FixedStep()` unless given.
 
     Raises:
         InputError: a first sample is not fully observed.

@@ -53,13 +53,11 @@ class Evaluation(eqx.Module):
 
     Attributes:
         data: name of the data that were scored.
-        trajectories: number of trajectories that were scored.
         has_estimated_starts: each start was estimated from the first samples with the
             model fixed, and only the samples after them are scored; else rollouts
             begin at the first sample.
         regions: distances that tell visited from unvisited places.
         domain: extent of the training data [L]; rollouts that err by more diverged.
-        horizon: longest time since the start in the training data [T].
         rmse: root-mean-square errors by model and channel, and the number of rollouts
             that diverged.
         rollouts: errors by model, source of starts and part of the time.
@@ -121,7 +119,6 @@ def evaluate(
     """Score every model of a fit on trajectories.
 
     Args:
-        fit: the fit.
         data: trajectories to score: others than were fitted, or the scores are said to
             be training errors.
         calibration: further trajectories, from which conformal bands are calibrated.

@@ -110,9 +110,6 @@ class FieldMap(eqx.Module):
     """A planar force field on a grid, and how far its points are from the data.
 
     Attributes:
-        x: grid coordinates along x [L].
-        y: grid coordinates along y [L].
-        force: force at each grid point [L T⁻²].
         distance: distance of each grid point to the nearest sample [L].
         regions: what counts as visited and as near.
     """
@@ -150,7 +147,6 @@ def field_map(
             each grid point takes the time of its nearest sample, the reading most
             favourable to such a field.
         limits: x from, x to, y from, y to [L]; a square around the data unless given.
-        points: grid points along each side.
 
     Raises:
         InputError: the data are not planar.
@@ -162,22 +158,17 @@ def field_map(
     flat = grid.reshape(-1, 2)
     distance, nearest_times = _nearest_samples(flat, trajectories)
     ts = nearest_times if time is None else np.full_like(nearest_times, time)
-    values = forces_at(with_dtype(force, jnp.float64), ts, flat)
     return FieldMap(
         x,
         y,
-        np.asarray(values).reshape(grid.shape),
+        exact_forces(force, flat, ts).reshape(grid.shape),
         distance.reshape(grid.shape[:2]),
         default_regions(trajectories),
     )
 
 
 def check_planar(trajectories: Trajectories) -> None:
-    """Refuse data that no map can show.
-
-    Raises:
-        InputError: the positions have not two coordinates.
-    """
+    """Refuse data that no map can show."""
     if trajectories.dim != 2:
         raise InputError(
             "force map: expected positions in the plane (x, y), got the channels "
@@ -270,20 +261,12 @@ def force_agreement(
     """Agreement in visited, near and unvisited regions and on the whole grid.
 
     Args:
-        learned: the field of a fit.
         true: the truth on the same grid; its distances define the regions.
         regions: their lengths; those of the true map unless given.
     """
     masks = (true.regions if regions is None else regions).masks(true.distance)
     masks["everywhere"] = np.ones_like(true.distance, bool)
     return {name: agreement(learned, true, mask) for name, mask in masks.items()}
-
-
-def force_error(
-    learned: FieldMap, true: FieldMap, region: Bool[np.ndarray, "rows columns"]
-) -> float:
-    r"""Relative error $\|F - F^*\|_2 / \|F^*\|_2$ over the grid points of a region."""
-    return agreement(learned, true, region).error
 
 
 def force_errors(
@@ -306,9 +289,6 @@ class ForceLine(eqx.Module):
 
     Attributes:
         places: along the coordinate axis [L].
-        force: component along that axis [F].
-        sd: its standard deviation; None without a posterior.
-        true: the true component, where it is known.
     """
 
     places: Float[np.ndarray, " place"]
@@ -323,19 +303,12 @@ def line_through(
     """Points along one axis through the middle of the data.
 
     Args:
-        positions: observed [L].
         axis: the coordinate that varies, over all but the last hundredths of the data.
-        points: how many.
     """
     line = np.tile(np.median(positions, axis=0), (points, 1))
     low, high = np.quantile(positions[:, axis], ENDS)
     line[:, axis] = np.linspace(low, high, points)
     return line
-
-
-def observed_positions(data: Trajectories) -> Float[np.ndarray, "sample dim"]:
-    """All fully observed positions."""
-    return data.positions[data.observed[..., : data.dim].all(axis=-1)]
 
 
 def force_line(
@@ -349,18 +322,15 @@ def force_line(
     """A force along one axis through the middle of the data, at time zero.
 
     Args:
-        force: the field; evaluated in float64.
         data: around which the line lies.
-        axis: the coordinate.
         posterior: of the force, for its standard deviation.
-        truth: the true field, where it is known.
     """
-    points = line_through(observed_positions(data), axis)
+    points = line_through(_observed_positions(data)[0], axis)
     return ForceLine(
         points[:, axis],
-        _at(force, points)[:, axis],
+        exact_forces(force, points)[:, axis],
         None if posterior is None else posterior.force_sd(points)[:, axis],
-        None if truth is None else _at(truth, points)[:, axis],
+        None if truth is None else exact_forces(truth, points)[:, axis],
     )
 
 
@@ -368,25 +338,28 @@ def force_error_at_samples(
     force: AbstractForce, truth: AbstractForce, data: Trajectories
 ) -> float:
     """Relative L2 error of a force at observed positions; those of many are thinned."""
-    positions = observed_positions(data)
+    positions = _observed_positions(data)[0]
     positions = positions[:: max(len(positions) // MOST_SAMPLES, 1)]
-    learned, true = _at(force, positions), _at(truth, positions)
+    learned, true = exact_forces(force, positions), exact_forces(truth, positions)
     size = float(np.linalg.norm(true))
     return float(np.linalg.norm(learned - true)) / size if size > 0 else float("nan")
 
 
-def _at(
-    force: AbstractForce, points: Float[np.ndarray, "point dim"]
+def exact_forces(
+    force: AbstractForce,
+    points: Float[np.ndarray, "point dim"],
+    times: Float[np.ndarray, " point"] | None = None,
 ) -> Float[np.ndarray, "point dim"]:
-    times = jnp.zeros(len(points))
-    return np.asarray(forces_at(with_dtype(force, jnp.float64), times, points))
+    """The force on a swimmer at rest at each point in float64, by default at time 0."""
+    times = np.zeros(len(points)) if times is None else times
+    with jax.enable_x64(new_val=True):
+        return np.asarray(forces_at(with_dtype(force, jnp.float64), times, points))
 
 
 class Decomposition(eqx.Module):
     """What makes up the acceleration along a trajectory.
 
     Attributes:
-        times: times [T].
         terms: propulsion, environment and drag at each time [L T⁻²].
     """
 

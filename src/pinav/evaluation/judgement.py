@@ -34,10 +34,6 @@ class ParameterRecovery(eqx.Module):
     """A learned constant beside its truth.
 
     Attributes:
-        name: what `pinav fit --train` calls it.
-        true: its true value.
-        value: its learned value.
-        sd: its standard deviation, where the fit gives one.
         unit: of all of these.
     """
 
@@ -64,7 +60,6 @@ class CalibratedBand(eqx.Module):
     """A conformal band from trajectories that no fit has seen, and how it fares.
 
     Attributes:
-        data: name of the further trajectories.
         band: the radius, and how many trajectories it is from.
         has_posterior: the radius is in standard deviations of the band of the fit, not
             in the unit of each channel.
@@ -197,17 +192,7 @@ def _sample_regions(
 def calibrate_band(
     setting: Setting, calibration: Trajectories, name: str
 ) -> CalibratedBand:
-    """A conformal radius from further trajectories, and how it fares.
-
-    Args:
-        setting: of the evaluation.
-        calibration: the further trajectories.
-        name: their name, for tables.
-
-    Raises:
-        InputError: the fit has several models, or the trajectories are not of its
-            system, or training data.
-    """
+    """A conformal radius from further trajectories, and how it fares."""
     fit = setting.fit
     if len(fit.models) != 1:
         raise InputError("--calibrate: expected a run of pinav fit, with one model")

@@ -10,6 +10,7 @@ is. Rollouts of seconds say what a model predicts.
 """
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -32,7 +33,6 @@ class RolloutErrors(eqx.Module):
         distance: distance to the observed position [L]; infinite once diverged.
         path: way travelled since the start [L], along the smoothed observations.
         scored: where a position was observed and is scored.
-        extent: of the domain [L]; a rollout farther off has diverged.
     """
 
     elapsed: Float[np.ndarray, "trajectory time"]
@@ -53,9 +53,7 @@ def position_errors(
 
     Args:
         predictions: states at the times of the trajectories.
-        trajectories: what was observed.
         scored_from: index of the first sample that counts.
-        domain: extent of the domain [L]; that of these trajectories unless given.
 
     Raises:
         InputError: nothing is left to score.
@@ -128,7 +126,6 @@ def error_curve(errors: RolloutErrors, bins: int = BINS) -> ErrorCurve:
     """Quantiles over trajectories in equal intervals of time since the start.
 
     Args:
-        errors: of the rollouts.
         bins: number of intervals; those without a scored sample are left out.
     """
     edges = np.linspace(0.0, errors.elapsed[errors.scored].max(), bins + 1)
@@ -165,7 +162,6 @@ class RolloutSummary(eqx.Module):
         median_relative: median of that error over the way travelled by its end.
         high_relative: its 90th percentile.
         diverged: fraction of trajectories that diverged by its end.
-        trajectories: how many have a scored sample in it.
     """
 
     median: float
@@ -209,7 +205,6 @@ class RestartErrors(eqx.Module):
     Attributes:
         lengths: of the rollouts [T].
         errors: median distance between predicted and observed end [L].
-        rollouts: their number.
     """
 
     lengths: Float[np.ndarray, " length"]
@@ -224,7 +219,6 @@ def restart_errors(
 
     Args:
         dynamics: the model; its state are the positions.
-        data: positions, and the commands that drive the model where it takes any.
 
     Returns:
         The errors; None where no trajectory is as long as the longest rollout.
@@ -258,14 +252,6 @@ def _windows(piece: Trajectory) -> list[Trajectory]:
         if last >= len(seen):
             break
         rows = seen[first : last + 1]
-        commands = {name: values[rows] for name, values in piece.commands.items()}
-        parts.append(
-            Trajectory(
-                times=piece.times[rows],
-                states=piece.states[rows],
-                observed=piece.observed[rows],
-                commands=commands,
-            )
-        )
+        parts.append(jax.tree.map(lambda array, at=rows: array[at], piece))
         first = last
     return parts

@@ -42,10 +42,8 @@ class Score(eqx.Module):
     """Root-mean-square errors of rollouts against observed states.
 
     Attributes:
-        channels: names of the components of the state.
         rmse: error of each component, over all observed samples; NaN where a
             component was never observed.
-        outcomes: how the rollout of each trajectory ended.
     """
 
     channels: tuple[str, ...] = eqx.field(static=True)
@@ -98,9 +96,6 @@ def predict(
             trajectories need the commands from before they begin, because of the
             delay. `trajectories` unless given.
         solver: how to integrate; `ForwardOnly()` (Dopri8 at 1e-11) unless given.
-
-    Returns:
-        The states, and how each rollout ended: a diverged one is data, not an error.
 
     Raises:
         InputError: a first sample is not fully observed, or x64 is switched off.
@@ -188,11 +183,9 @@ class Whiteness(eqx.Module):
     """Autocorrelation of residuals, and the test that they have none.
 
     Attributes:
-        channels: names of the channels.
         autocorrelation: at lags 1, 2, ...; NaN where there is no pair.
         statistic: Ljung and Box's Q of each channel; NaN where nothing was observed.
         p_value: chance of a larger one if the residuals were white.
-        counts: residuals of each channel.
     """
 
     channels: tuple[str, ...] = eqx.field(static=True)
@@ -213,8 +206,6 @@ def whiteness(
     Args:
         residuals: observed less fitted, in any unit.
         observed: where there was an observation; what is not finite does not count.
-        channels: names of the channels.
-        lags: largest lag.
     """
     rows = [
         _channel(residuals[..., i], observed[..., i], lags)

@@ -41,7 +41,6 @@ class Setting:
     """The fit, the data and the truth by which all models of a fit are judged.
 
     Attributes:
-        fit: the fit.
         data: trajectories to score.
         truth: system that the data came from, where its environment is known.
         regions: lengths that tell visited from unvisited places.
@@ -117,9 +116,6 @@ def select_scored(
 
     Positions alone get velocities that nobody observed. Trajectories too short for an
     estimate of their start are left out.
-
-    Raises:
-        InputError: the channels are not those of the fit.
     """
     data, wanted = with_all_channels(data, fit.system), fit.data.channels
     if data.channels != wanted:
@@ -140,11 +136,7 @@ def select_scored(
 def true_system(
     system: System, data: Trajectories, training: Trajectories
 ) -> System | None:
-    """The system that the data, or else the training data, were simulated from.
-
-    Raises:
-        InputError: its state is not that of the fitted system.
-    """
+    """The system that the data, or else the training data, were simulated from."""
     for trajectories in (data, training):
         source = source_system(trajectories.provenance)
         if source is not None and source.environment is not None:
@@ -172,7 +164,6 @@ def held_out(
         system: with its true environment and a rule that draws starts.
         until: time [T] since the start up to which to solve, sampled as the system
             is; its own unless given.
-        count: number of trajectories.
 
     Raises:
         InputError: the truth is not stated, or no rule draws starts.
@@ -195,8 +186,6 @@ class Prediction(eqx.Module):
 
     Attributes:
         observed: the trajectories, what is not scored marked as not observed.
-        ys: predicted states.
-        outcomes: how the rollouts ended.
         starts: the estimated starts; None where the first samples were taken.
     """
 
@@ -212,8 +201,6 @@ def predict_rollouts(
     """Roll a model out from each start.
 
     Args:
-        model: the dynamics that predict.
-        data: what was observed.
         estimate: fit each start to the first samples, and score those after them.
     """
     if not estimate:

@@ -192,18 +192,11 @@ def first_samples(trajectories: Trajectories, count: int) -> Trajectories:
                 f"trajectory {index}: expected more than {count} samples, from which "
                 f"its start is estimated, got {length}; drop it"
             )
-    kept = (*trajectories.channels, "t", *trajectories.commands)
-    return Trajectories.from_arrays(
-        [piece.times[:count] for piece in trajectories],
-        [piece.states[:count] for piece in trajectories],
-        observed=[piece.observed[:count] for piece in trajectories],
-        channels=trajectories.channels,
-        commands={
-            name: [piece.commands[name][:count] for piece in trajectories]
-            for name in trajectories.commands
-        },
-        units={name: trajectories.units[name] for name in kept},
-        provenance=trajectories.provenance,
+    pieces = [
+        jax.tree.map(lambda array: array[:count], piece) for piece in trajectories
+    ]
+    return Trajectories.from_pieces(
+        pieces, trajectories.channels, trajectories.units, trajectories.provenance
     )
 
 

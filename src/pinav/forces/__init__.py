@@ -1,13 +1,5 @@
 """Forces on a swimmer, known and learned; drag, flows and tensors."""
 
-from pinav.forces.distance_terms import CentralTerm as CentralTerm
-from pinav.forces.distance_terms import EllipticTerm as EllipticTerm
-from pinav.forces.distance_terms import ObstaclesTerm as ObstaclesTerm
-from pinav.forces.distance_terms import SegmentTerm as SegmentTerm
-from pinav.forces.distance_terms import WallTerm as WallTerm
-from pinav.forces.field_terms import HillsTerm as HillsTerm
-from pinav.forces.field_terms import LatticeTerm as LatticeTerm
-from pinav.forces.field_terms import LinearTerm as LinearTerm
 from pinav.forces.flows import AbstractFlow as AbstractFlow
 from pinav.forces.flows import BifurcationFlow as BifurcationFlow
 from pinav.forces.flows import PoiseuilleFlow as PoiseuilleFlow
@@ -46,9 +38,12 @@ from pinav.forces.kernels import check_kernels as check_kernels
 from pinav.forces.kernels import kernel_centers as kernel_centers
 from pinav.forces.kernels import kernel_values as kernel_values
 from pinav.forces.landscapes import CompactHill as CompactHill
+from pinav.forces.landscapes import GaussianBarrier as GaussianBarrier
+from pinav.forces.landscapes import HarmonicTrap as HarmonicTrap
 from pinav.forces.landscapes import LinearForce as LinearForce
 from pinav.forces.landscapes import PlaneWaves as PlaneWaves
 from pinav.forces.landscapes import PowerHill as PowerHill
+from pinav.forces.landscapes import ProfileBarrier as ProfileBarrier
 from pinav.forces.landscapes import RingBarrier as RingBarrier
 from pinav.forces.landscapes import SoftWall as SoftWall
 from pinav.forces.networks import AbstractFeatures as AbstractFeatures
@@ -61,13 +56,14 @@ from pinav.forces.networks import spread_weights as spread_weights
 from pinav.forces.networks import tanh_network as tanh_network
 from pinav.forces.obstacles import AbstractMotion as AbstractMotion
 from pinav.forces.obstacles import CircularMotion as CircularMotion
-from pinav.forces.obstacles import GaussianBarrier as GaussianBarrier
+from pinav.forces.obstacles import Domain as Domain
 from pinav.forces.obstacles import GaussianRidge as GaussianRidge
 from pinav.forces.obstacles import GaussianSwirl as GaussianSwirl
-from pinav.forces.obstacles import HarmonicTrap as HarmonicTrap
 from pinav.forces.obstacles import LinearMotion as LinearMotion
 from pinav.forces.obstacles import Moving as Moving
 from pinav.forces.obstacles import Superposition as Superposition
+from pinav.forces.obstacles import random_barriers as random_barriers
+from pinav.forces.obstacles import random_fibres as random_fibres
 from pinav.forces.priors import AbstractPrior as AbstractPrior
 from pinav.forces.priors import IsotropicPrior as IsotropicPrior
 from pinav.forces.propulsion import ConstantForce as ConstantForce
@@ -80,9 +76,6 @@ from pinav.forces.propulsion import ScheduledThrust as ScheduledThrust
 from pinav.forces.propulsion import cubic_weights as cubic_weights
 from pinav.forces.propulsion import heading_offset as heading_offset
 from pinav.forces.propulsion import mean_gain as mean_gain
-from pinav.forces.random_obstacles import Domain as Domain
-from pinav.forces.random_obstacles import random_barriers as random_barriers
-from pinav.forces.random_obstacles import random_fibres as random_fibres
 from pinav.forces.structures import AbstractProfileTerm as AbstractProfileTerm
 from pinav.forces.structures import AbstractTerm as AbstractTerm
 from pinav.forces.structures import Remainder as Remainder
@@ -106,6 +99,14 @@ from pinav.forces.tensors import UniaxialTensor as UniaxialTensor
 from pinav.forces.tensors import WavyDirector as WavyDirector
 from pinav.forces.tensors import as_tensor as as_tensor
 from pinav.forces.tensors import tensor_matrix as tensor_matrix
+from pinav.forces.terms import CentralTerm as CentralTerm
+from pinav.forces.terms import EllipticTerm as EllipticTerm
+from pinav.forces.terms import HillsTerm as HillsTerm
+from pinav.forces.terms import LatticeTerm as LatticeTerm
+from pinav.forces.terms import LinearTerm as LinearTerm
+from pinav.forces.terms import ObstaclesTerm as ObstaclesTerm
+from pinav.forces.terms import SegmentTerm as SegmentTerm
+from pinav.forces.terms import WallTerm as WallTerm
 from pinav.forces.walls import DoubleLayer as DoubleLayer
 from pinav.forces.walls import WallMobility as WallMobility
 from pinav.forces.walls import Weight as Weight

@@ -126,11 +126,7 @@ class SampledFlow(AbstractFlow):
 
 
 class SumFlow(AbstractFlow):
-    """Sum of flows, each a term of its own.
-
-    Attributes:
-        terms: the flows that add up.
-    """
+    """Sum of flows, each a term of its own."""
 
     terms: tuple[AbstractFlow, ...]
 
@@ -251,5 +247,4 @@ TINY = 1e-30
 
 
 def _swing(pulse: Scalar, frequency: Scalar, t: Scalar) -> Float[Array, ""]:
-    """The factor of a pulsatile flow at a time."""
     return 1 + pulse * jnp.sin(2 * jnp.pi * frequency * jnp.asarray(t))

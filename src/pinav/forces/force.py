@@ -46,11 +46,7 @@ class AbstractPotentialForce(AbstractForce):
 
 
 class SumForce(AbstractForce):
-    """Sum of forces, each a term of its own.
-
-    Attributes:
-        terms: the forces that add up.
-    """
+    """Sum of forces, each a term of its own."""
 
     terms: tuple[AbstractForce, ...]
 
@@ -186,11 +182,6 @@ class AbstractLearnedForce(AbstractForce):
         They fill the box of its kernels: within it a variance of many draws is
         `variance_beyond`.
 
-        Args:
-            shape: of its prior.
-            amplitude: of its prior.
-            generator: of the draw.
-
         Returns:
             One force a part; nothing where it is not made of kernels on a grid, or
             where more than `kernels.MOST_DRAWN` of them would fill it.
@@ -199,9 +190,6 @@ class AbstractLearnedForce(AbstractForce):
 
     def length_scales(self, shape: Shape) -> list[float]:
         """Length scale of each part that contributes, in widths of its kernels.
-
-        Args:
-            shape: of its prior, as the evidence chose it.
 
         Returns:
             Nothing where no finer grid of kernels could follow the length scale.
@@ -222,12 +210,7 @@ class KernelPlaces(NamedTuple):
 
 
 class HelmholtzParts(NamedTuple):
-    """The two parts of a planar force.
-
-    Attributes:
-        gradient: with a potential.
-        rotation: with a stream function.
-    """
+    """The two parts of a planar force."""
 
     gradient: AbstractLearnedForce
     rotation: AbstractLearnedForce

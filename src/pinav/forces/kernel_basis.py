@@ -52,7 +52,6 @@ class KernelAxis(eqx.Module):
     their prior are periodic too.
 
     Attributes:
-        index: which component of the position it is.
         period: after which the field repeats; None where it does not.
         warp: where the kernels are finer; None where they are alike everywhere.
 
@@ -234,7 +233,6 @@ def _near(
     positions: Float[np.ndarray, "sample dim"],
     margin: int,
 ) -> Float[np.ndarray, "_ embedded"]:
-    """The centres of a basis within a margin of any sample."""
     from scipy.spatial import KDTree
 
     with jax.enable_x64(new_val=True):
@@ -255,7 +253,6 @@ class KernelProfile(AbstractLearnedForce):
         weights: $w_{ji}$, and $w'_{ji}$ below, what trains [F].
         basis: $\phi_j$; fixed.
         along: the components of the force that are learned.
-        space: dimension of the positions.
 
     Raises:
         InputError: shapes disagree, or a component is not there.
@@ -338,7 +335,6 @@ class KernelTensor(AbstractTensorField):
         levels: $m_g$, logarithms of the tensor's unit.
         weights: $w_{gj}$.
         basis: $\phi_j$.
-        groups: the axes of each process.
 
     Raises:
         InputError: an axis belongs to no group, or to two.

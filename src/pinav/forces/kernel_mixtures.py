@@ -4,7 +4,9 @@ A mixture holds a stream function beside a potential, for the rotational part of
 planar force; splines in time let a potential change.
 """
 
+import abc
 import functools
+import operator
 
 import jax.numpy as jnp
 import numpy as np
@@ -35,7 +37,38 @@ from pinav.forces.priors import (
 )
 
 
-class KernelMixture(AbstractLearnedForce):
+class AbstractKernelSum(AbstractLearnedForce):
+    """A sum of learned forces, whose weights are independent of each other."""
+
+    @property
+    @abc.abstractmethod
+    def parts(self) -> tuple[AbstractLearnedForce, ...]:
+        """The forces that add up."""
+
+    @property
+    def parameters(self) -> PyTree:
+        return tuple(part.parameters for part in self.parts)
+
+    @property
+    def dim(self) -> int:
+        return self.parts[0].dim
+
+    @property
+    def is_static(self) -> bool:
+        return all(part.is_static for part in self.parts)
+
+    @property
+    def is_conservative(self) -> bool:
+        return all(part.is_conservative for part in self.parts)
+
+    def prior(self) -> AbstractPrior:
+        return functools.reduce(MixturePrior, (part.prior() for part in self.parts))
+
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
+        return functools.reduce(operator.add, (part(t, x, v) for part in self.parts))
+
+
+class KernelMixture(AbstractKernelSum):
     r"""Force with a gradient and a rotational part, $-\nabla U + \nabla^\perp \psi$.
 
     Every planar force is such a sum (Helmholtz). A harmonic field has both forms: on a
@@ -59,8 +92,8 @@ class KernelMixture(AbstractLearnedForce):
         return cls(gradient, KernelStream.with_zero_weights(centers, width))
 
     @property
-    def parameters(self) -> PyTree:
-        return self.gradient.weights, self.rotation.weights
+    def parts(self) -> tuple[KernelPotential, KernelStream]:
+        return self.gradient, self.rotation
 
     @property
     def kind(self) -> str:
@@ -85,10 +118,6 @@ class KernelMixture(AbstractLearnedForce):
         return self.gradient.draw_beyond(first, amplitude, generator) + rotation
 
     @property
-    def dim(self) -> int:
-        return self.gradient.dim
-
-    @property
     def kernels(self) -> KernelPlaces:
         return self.gradient.kernels
 
@@ -108,9 +137,6 @@ class KernelMixture(AbstractLearnedForce):
 
     def kernels_on(self, centers: Centers, width: float) -> "KernelMixture":
         return KernelMixture.with_zero_weights(centers, width)
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return self.gradient(t, x, v) + self.rotation(t, x, v)
 
 
 class TimedKernelPotential(AbstractLearnedForce):
@@ -191,7 +217,7 @@ class TimedKernelPotential(AbstractLearnedForce):
         return self.at(t)(t, x, v)
 
 
-class ChangingPotential(AbstractLearnedForce):
+class ChangingPotential(AbstractKernelSum):
     r"""Force $-\nabla (U_0(x) + U_1(t, x))$: what stays, and what changes.
 
     Where nothing changes $U_1 = 0$ leaves a `KernelPotential` on a grid as fine as it
@@ -206,16 +232,8 @@ class ChangingPotential(AbstractLearnedForce):
     change: TimedKernelPotential
 
     @property
-    def parameters(self) -> PyTree:
-        return self.static.weights, self.change.weights
-
-    @property
-    def dim(self) -> int:
-        return self.static.dim
-
-    @property
-    def is_static(self) -> bool:
-        return False
+    def parts(self) -> tuple[KernelPotential, TimedKernelPotential]:
+        return self.static, self.change
 
     @property
     def kernels(self) -> KernelPlaces:
@@ -223,9 +241,6 @@ class ChangingPotential(AbstractLearnedForce):
 
     def length_scales(self, shape: Shape) -> list[float]:
         return [] if shape[-1] > ABSENT else self.static.length_scales(shape)
-
-    def prior(self) -> MixturePrior:
-        return MixturePrior(self.static.prior(), self.change.prior())
 
     def kernels_on(self, centers: Centers, width: float) -> "ChangingPotential":
         """The part that changes with time stays as it is."""
@@ -237,9 +252,6 @@ class ChangingPotential(AbstractLearnedForce):
         """Potential energy per mass $U(t, x)$ [L² T⁻²]."""
         return self.static.potential(t, x) + self.change.potential(t, x)
 
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return self.static(t, x, v) + self.change(t, x, v)
-
 
 def cubic_spline(offsets: Float[Array, " spline"]) -> Float[Array, " spline"]:
     """The uniform cubic B-spline about zero, with knots at the integers -2 to 2."""
@@ -249,7 +261,7 @@ def cubic_spline(offsets: Float[Array, " spline"]) -> Float[Array, " spline"]:
     return jnp.where(far < 1, inner, outer)
 
 
-class LayeredPotential(AbstractLearnedForce):
+class LayeredPotential(AbstractKernelSum):
     r"""Conservative force $-\sum_l \nabla U_l$ of layers of kernels of several widths.
 
     A hill with sharp flanks and a long tail needs narrow kernels where it is steep and
@@ -275,31 +287,13 @@ class LayeredPotential(AbstractLearnedForce):
             )
 
     @property
-    def parameters(self) -> PyTree:
-        return tuple(layer.weights for layer in self.layers)
-
-    @property
-    def dim(self) -> int:
-        return self.layers[0].dim
-
-    @property
-    def is_conservative(self) -> bool:
-        return True
-
-    def prior(self) -> AbstractPrior:
-        return functools.reduce(MixturePrior, (layer.prior() for layer in self.layers))
+    def parts(self) -> tuple[KernelPotential, ...]:
+        return self.layers
 
     def kernels_on(self, centers: Centers, width: float) -> KernelPotential:
         return KernelPotential.with_zero_weights(centers, width)
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(x)$ [L² T⁻²]."""
-        return sum(
-            (layer.potential(t, x) for layer in self.layers[1:]),
-            self.layers[0].potential(t, x),
-        )
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return sum(
-            (layer(t, x, v) for layer in self.layers[1:]), self.layers[0](t, x, v)
-        )
+        heights = (layer.potential(t, x) for layer in self.layers)
+        return functools.reduce(operator.add, heights)

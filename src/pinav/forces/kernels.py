@@ -97,7 +97,6 @@ class AbstractKernels(AbstractLearnedForce):
     """Static kernels at places; each class says how their weights make a force.
 
     Attributes:
-        weights: of the kernels, what trains.
         centers: $c_j$ [L]; fixed.
         width: $b$ [L], positive; fixed.
 
@@ -233,7 +232,30 @@ class KernelForce(AbstractKernels):
         return kernel_values(x, self.centers, self.width) @ self.weights
 
 
-class KernelPotential(AbstractKernels):
+class AbstractScalarKernels(AbstractKernels):
+    """Kernels with a weight each, of a potential or of a stream function."""
+
+    weights: eqx.AbstractVar[Float[Array, " kernel"]]
+
+    @property
+    def force_per_weight(self) -> float:
+        return 1 / float(self.width)
+
+    @staticmethod
+    def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
+        return centers[:1]
+
+    def _height(self, x: Vector) -> Float[Array, ""]:
+        return self.weights @ kernel_values(x, self.centers, self.width)
+
+    def _descent(self, x: Vector) -> Vector:
+        r"""$-\nabla \sum_j w_j \exp(-|x - c_j|^2 / 2 b^2)$ at one point."""
+        strengths = self.weights * kernel_values(x, self.centers, self.width)
+        ways = strengths[None] * _offsets(x, self.centers)
+        return jnp.sum(ways, axis=1) / self.width**2
+
+
+class KernelPotential(AbstractScalarKernels):
     r"""Conservative force $-\nabla U$, $U(x) = \sum_j w_j \exp(-|x - c_j|^2 / 2 b^2)$.
 
     Attributes:
@@ -250,14 +272,6 @@ class KernelPotential(AbstractKernels):
     def kind(self) -> str:
         return "kernel-potential"
 
-    @property
-    def force_per_weight(self) -> float:
-        return 1 / float(self.width)
-
-    @staticmethod
-    def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
-        return centers[:1]
-
     @staticmethod
     def kernel_forces(
         offsets: Float[np.ndarray, "*place dim"], width: float
@@ -270,13 +284,13 @@ class KernelPotential(AbstractKernels):
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(x)$ [L² T⁻²]."""
-        return self.weights @ kernel_values(x, self.centers, self.width)
+        return self._height(x)
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return _descent(self.weights, x, self.centers, self.width)
+        return self._descent(x)
 
 
-class KernelStream(AbstractKernels):
+class KernelStream(AbstractScalarKernels):
     r"""Rotational force $(\partial_y \psi, -\partial_x \psi)$ in the plane.
 
     With $\psi(x) = \sum_j w_j \exp(-|x - c_j|^2 / 2 b^2)$: it has no divergence, and no
@@ -302,30 +316,25 @@ class KernelStream(AbstractKernels):
                 f"{np.shape(self.centers)}; choose a KernelForce"
             )
 
-    @property
-    def force_per_weight(self) -> float:
-        return 1 / float(self.width)
-
-    @staticmethod
-    def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
-        return centers[:1]
-
     @staticmethod
     def kernel_forces(
         offsets: Float[np.ndarray, "*place dim"], width: float
     ) -> Float[np.ndarray, "*place dim"]:
-        along, across = np.moveaxis(
-            KernelPotential.kernel_forces(offsets, width), -1, 0
-        )
+        forces = KernelPotential.kernel_forces(offsets, width)
+        along, across = np.moveaxis(forces, -1, 0)
         return np.stack([-across, along], axis=-1)
 
     def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         r"""Stream function $\psi(x)$ [L² T⁻²]; positive turns counter-clockwise."""
-        return self.weights @ kernel_values(x, self.centers, self.width)
+        return self._height(x)
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        descent = _descent(self.weights, x, self.centers, self.width)
-        return jnp.stack([-descent[1], descent[0]])
+        return quarter_turn(self._descent(x))
+
+
+def quarter_turn(force: Float[Array, "2"]) -> Float[Array, "2"]:
+    r"""$(\partial_y\psi, -\partial_x\psi)$ of a force that would be $-\nabla\psi$."""
+    return jnp.stack([-force[1], force[0]])
 
 
 def kernel_centers(
@@ -359,17 +368,6 @@ def kernel_values(
     r"""Radial basis functions $\exp(-|x - c_j|^2 / 2 b^2)$ at one point."""
     offsets = _offsets(x, centers) / width
     return jnp.exp(-0.5 * jnp.sum(offsets**2, axis=0))
-
-
-def _descent(
-    weights: Float[Array, " kernel"],
-    x: Vector,
-    centers: Float[Array, "kernel dim"],
-    width: Scalar,
-) -> Vector:
-    r"""$-\nabla \sum_j w_j \exp(-|x - c_j|^2 / 2 b^2)$ at one point."""
-    strengths = weights * kernel_values(x, centers, width)
-    return jnp.sum(strengths[None] * _offsets(x, centers), axis=1) / width**2
 
 
 def _offsets(

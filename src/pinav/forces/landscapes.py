@@ -1,19 +1,116 @@
-r"""Forces of potentials with a structure: about a centre, along one coordinate, waves.
+"""Forces of potentials with a structure: about a centre, along a line, waves."""
 
-The fields on which a fit is tried that no envelope of its prior contains.
-"""
+import abc
+import dataclasses
+from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector, check_positive, dimension, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce, AbstractPotentialForce
+from pinav.forces.formulas import NUMERIC, Constants
+from pinav.forces.profiles import (
+    PROFILES,
+    AbstractProfile,
+    Gaussian,
+    Harmonic,
+    InversePower,
+    Ring,
+    Step,
+)
+from pinav.forces.profiles import (
+    CompactHill as CompactProfile,
+)
 
 
-class PowerHill(AbstractPotentialForce):
+class AbstractCentralForce(AbstractPotentialForce):
+    r"""Force $-\nabla U$ of a profile of the distance from a centre.
+
+    Its fields are the amplitude, the centre, and constants that are all positive: those
+    of the profile, unless `shapes` says otherwise.
+
+    Attributes:
+        center: $c$ [L].
+    """
+
+    center: eqx.AbstractVar[Vector]
+
+    def __check_init__(self) -> None:
+        _, _, *positive = dataclasses.fields(self)
+        check_positive(self, *(field.name for field in positive))
+
+    @property
+    @abc.abstractmethod
+    def profile(self) -> AbstractProfile:
+        """The profile of its potential."""
+
+    @property
+    def shapes(self) -> Constants:
+        """Constants of the profile."""
+        _, _, *shapes = self._values
+        return shapes
+
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        offset = x - self.center
+        height = self.profile.of_square(self.shapes, offset @ offset, NUMERIC)
+        return self._values[0] * height
+
+    @property
+    def _values(self) -> list[Any]:
+        return [getattr(self, field.name) for field in dataclasses.fields(self)]
+
+
+class GaussianBarrier(AbstractCentralForce):
+    r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-|x - c|^2 / 2\sigma^2)$.
+
+    Attributes:
+        height: $U_0$ [L² T⁻²]; negative makes a trap.
+        center: $c$ [L].
+        width: $\sigma$ [L], positive.
+
+    Raises:
+        InputError: `center` is not a point, or `width` is a number <= 0.
+
+    References:
+        PI-NAV paper, eq. (1); its centre is (5, 5).
+    """
+
+    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
+    center: Vector = eqx.field(
+        metadata=dimension("L"), converter=point("GaussianBarrier.center")
+    )
+    width: Scalar = eqx.field(metadata=dimension("L"))
+
+    @property
+    def profile(self) -> Gaussian:
+        return Gaussian()
+
+
+class HarmonicTrap(AbstractCentralForce):
+    r"""Pull $-\nabla U$ from $U(x) = k |x - c|^2 / 2$, as of an optical tweezer.
+
+    Attributes:
+        stiffness: $k$ [T⁻²]; negative pushes away.
+        center: $c$ [L].
+
+    Raises:
+        InputError: `center` is not a point.
+    """
+
+    stiffness: Scalar = eqx.field(metadata=dimension("T-2"))
+    center: Vector = eqx.field(
+        metadata=dimension("L"), converter=point("HarmonicTrap.center")
+    )
+
+    @property
+    def profile(self) -> Harmonic:
+        return Harmonic()
+
+
+class PowerHill(AbstractCentralForce):
     r"""Repulsion $-\nabla U$ from $U(x) = U_0 (1 + |x - c|^2 / s^2)^{-p}$.
 
     With $p = 1/2$ a screened charge, with $p = 1$ a Lorentzian: tails that no Gaussian
@@ -36,15 +133,16 @@ class PowerHill(AbstractPotentialForce):
     core: Scalar = eqx.field(metadata=dimension("L"))
     exponent: Scalar
 
-    def __check_init__(self) -> None:
-        check_positive(self, "core", "exponent")
+    @property
+    def profile(self) -> InversePower:
+        return InversePower()
 
-    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        offset = (x - self.center) / self.core
-        return self.height * (1 + offset @ offset) ** (-self.exponent)
+    @property
+    def shapes(self) -> Constants:
+        return self.core, 2 * self.exponent
 
 
-class CompactHill(AbstractPotentialForce):
+class CompactHill(AbstractCentralForce):
     r"""Repulsion $-\nabla U$ from $U(x) = U_0 (1 - |x - c|^2 / R^2)^3$ within $R$.
 
     Beyond $R$ there is no force; force and gradient are continuous there.
@@ -64,15 +162,16 @@ class CompactHill(AbstractPotentialForce):
     )
     radius: Scalar = eqx.field(metadata=dimension("L"))
 
-    def __check_init__(self) -> None:
-        check_positive(self, "radius")
+    @property
+    def profile(self) -> CompactProfile:
+        return CompactProfile()
 
-    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        offset = (x - self.center) / self.radius
-        return self.height * jnp.maximum(1 - offset @ offset, 0.0) ** 3
+    @property
+    def shapes(self) -> Constants:
+        return self.radius, 3.0
 
 
-class RingBarrier(AbstractPotentialForce):
+class RingBarrier(AbstractCentralForce):
     r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-(|x - c| - \rho)^2 / 2 w^2)$.
 
     At the very centre the force has no direction; it counts as zero there.
@@ -94,18 +193,48 @@ class RingBarrier(AbstractPotentialForce):
     radius: Scalar = eqx.field(metadata=dimension("L"))
     width: Scalar = eqx.field(metadata=dimension("L"))
 
+    @property
+    def profile(self) -> Ring:
+        return Ring()
+
+
+class ProfileBarrier(AbstractPotentialForce):
+    r"""Repulsion $-\nabla U$ from any profile about a centre, $U(x) = U_0 L(|x - c|)$.
+
+    Attributes:
+        law: name of the profile, such as "Yukawa".
+        height: $U_0$, or the other amplitude of the profile.
+        center: $c$ [L].
+        shapes: the other constants of the profile, in its order.
+
+    Raises:
+        InputError: there is no such profile, or it has another number of constants.
+    """
+
+    law: str = eqx.field(static=True)
+    height: Scalar
+    center: Vector = eqx.field(
+        metadata=dimension("L"), converter=point("ProfileBarrier.center")
+    )
+    shapes: tuple[Scalar, ...] = ()
+
     def __check_init__(self) -> None:
-        check_positive(self, "radius", "width")
+        if self.law not in PROFILES:
+            raise InputError(
+                f"ProfileBarrier.law: {self.law!r} is unknown; choose one of: "
+                f"{', '.join(PROFILES)}"
+            )
+        expected = [shape.name for shape in PROFILES[self.law].shapes]
+        if len(self.shapes) != len(expected):
+            raise InputError(
+                f"ProfileBarrier.shapes: {self.law} expects {len(expected)} "
+                f"({', '.join(expected)}), got {len(self.shapes)}"
+            )
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         offset = x - self.center
-        square = offset @ offset
-        # The derivative of a root at 0 is infinite, also in the branch not taken.
-        away = jnp.where(square > 0, square, 1.0)
-        distance = jnp.where(square > 0, jnp.sqrt(away), 0.0)
-        return self.height * jnp.exp(
-            -0.5 * ((distance - self.radius) / self.width) ** 2
-        )
+        profile = PROFILES[self.law]
+        return self.height * profile.of_square(self.shapes, offset @ offset, NUMERIC)
 
 
 class SoftWall(AbstractPotentialForce):
@@ -134,7 +263,7 @@ class SoftWall(AbstractPotentialForce):
 
     def potential(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
         along = jnp.cos(self.angle) * x[0] + jnp.sin(self.angle) * x[1]
-        return self.height * jax.nn.sigmoid((along - self.offset) / self.width)
+        return self.height * Step().value((self.width,), along - self.offset, NUMERIC)
 
 
 class PlaneWaves(AbstractForce):

@@ -129,7 +129,6 @@ class NeuralForce(AbstractNeuralForce):
 
     Attributes:
         network: the multilayer perceptron; its weights are what trains.
-        features: what the network sees.
         scale: $f_0$ [L T⁻²], size of one unit of output; fixed, never trained.
     """
 
@@ -149,7 +148,6 @@ class NeuralPotential(AbstractNeuralForce):
 
     Attributes:
         network: the multilayer perceptron, one output; its weights are what trains.
-        features: what the network sees.
         scale: $f_0$ [L² T⁻²], size of one unit of potential; fixed, never trained.
     """
 

@@ -1,15 +1,19 @@
-"""Forces of an environment: fibres, rotation, motion, and random fields of them."""
+"""Fibres, swirls, sums and motion of obstacles."""
 
 import abc
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.arguments import Scalar, Vector, check_positive, dimension, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce, AbstractPotentialForce
+from pinav.forces.formulas import NUMERIC
+from pinav.forces.landscapes import GaussianBarrier
+from pinav.forces.profiles import Gaussian
 
 
 class GaussianRidge(AbstractPotentialForce):
@@ -46,7 +50,7 @@ class GaussianRidge(AbstractPotentialForce):
         cos, sin = jnp.cos(self.angle), jnp.sin(self.angle)
         along = (cos * offset[0] + sin * offset[1]) / self.length
         across = (cos * offset[1] - sin * offset[0]) / self.width
-        return self.height * jnp.exp(-0.5 * (along**2 + across**2))
+        return self.height * Gaussian().of_square((1.0,), along**2 + across**2, NUMERIC)
 
 
 class GaussianSwirl(AbstractForce):
@@ -76,12 +80,13 @@ class GaussianSwirl(AbstractForce):
 
     def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         r"""Stream function $\psi(x)$ [L² T⁻²]."""
-        offset = (x - self.center) / self.width
-        return self.strength * jnp.exp(-0.5 * offset @ offset)
+        offset = x - self.center
+        square = offset @ offset
+        return self.strength * Gaussian().of_square((self.width,), square, NUMERIC)
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        offset = (x - self.center) / self.width**2
-        return self.stream(x) * jnp.stack([-offset[1], offset[0]])
+        slope = jax.grad(self.stream)(x)
+        return jnp.stack([slope[1], -slope[0]])
 
 
 class Superposition(AbstractForce):
@@ -121,64 +126,6 @@ class Superposition(AbstractForce):
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         one = eqx.filter_vmap(lambda f: f(t, x, v), in_axes=(eqx.if_array(0),))
         return jnp.sum(one(self.stacked), axis=0)
-
-
-class GaussianBarrier(AbstractForce):
-    r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-|x - c|^2 / 2\sigma^2)$.
-
-    Attributes:
-        height: $U_0$ [L² T⁻²]; negative makes a trap.
-        center: $c$ [L].
-        width: $\sigma$ [L], positive.
-
-    Raises:
-        InputError: `center` is not a point, or `width` is a number <= 0.
-
-    References:
-        PI-NAV paper, eq. (1); its centre is (5, 5).
-    """
-
-    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
-    center: Vector = eqx.field(
-        metadata=dimension("L"), converter=point("GaussianBarrier.center")
-    )
-    width: Scalar = eqx.field(metadata=dimension("L"))
-
-    def __check_init__(self) -> None:
-        check_positive(self, "width")
-
-    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        """Potential energy per mass $U(t, x)$ [L² T⁻²], here the same at all times."""
-        offset = (x - self.center) / self.width
-        return self.height * jnp.exp(-0.5 * offset @ offset)
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return self.potential(t, x) * (x - self.center) / self.width**2
-
-
-class HarmonicTrap(AbstractForce):
-    r"""Pull $-\nabla U$ from $U(x) = k |x - c|^2 / 2$, as of an optical tweezer.
-
-    Attributes:
-        stiffness: $k$ [T⁻²]; negative pushes away.
-        center: $c$ [L].
-
-    Raises:
-        InputError: `center` is not a point.
-    """
-
-    stiffness: Scalar = eqx.field(metadata=dimension("T-2"))
-    center: Vector = eqx.field(
-        metadata=dimension("L"), converter=point("HarmonicTrap.center")
-    )
-
-    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        """Potential energy per mass $U(t, x)$ [L² T⁻²], here the same at all times."""
-        offset = x - self.center
-        return 0.5 * self.stiffness * (offset @ offset)
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return -self.stiffness * (x - self.center)
 
 
 class AbstractMotion(eqx.Module):
@@ -230,7 +177,6 @@ class Moving(AbstractForce):
 
     Attributes:
         force: the force of the source where it stands without displacement.
-        motion: displacement of the source in time.
     """
 
     force: AbstractForce
@@ -238,3 +184,117 @@ class Moving(AbstractForce):
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.force(t, x - self.motion(t).astype(x.dtype), v)
+
+
+class Domain(eqx.Module):
+    """A box with edges along the axes, in any dimension: a rectangle in the plane.
+
+    Attributes:
+        lower: its lower corner [L].
+        upper: its upper corner [L].
+
+    Raises:
+        InputError: `upper` is not beyond `lower` along every axis.
+    """
+
+    lower: tuple[float, ...] = eqx.field(static=True)
+    upper: tuple[float, ...] = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        pairs = list(zip(self.lower, self.upper, strict=False))
+        if len(self.lower) != len(self.upper) or not all(a < b for a, b in pairs):
+            raise InputError(
+                f"Domain: expected upper beyond lower, got {self.lower}, {self.upper}"
+            )
+
+    def points(self, key: PRNGKeyArray, count: int) -> Float[Array, "{count} dim"]:
+        """Uniform random points; more points of a key begin with the same ones."""
+        lower, upper = jnp.asarray([self.lower]), jnp.asarray([self.upper])
+        return lower + (upper - lower) * jax.random.uniform(
+            key, (count, len(self.lower))
+        )
+
+    def spread_points(
+        self, key: PRNGKeyArray, count: int
+    ) -> Float[Array, "{count} dim"]:
+        """Random points that keep apart: each the best of 16, by its nearest one.
+
+        References:
+            Mitchell, SIGGRAPH 1991: best-candidate sampling.
+        """
+        candidates = np.asarray(self.points(key, 16 * count)).reshape(count, 16, -1)
+        chosen = candidates[0, :1]
+        for several in candidates[1:]:
+            gaps = np.linalg.norm(several[:, None] - chosen[None], axis=-1)
+            chosen = np.vstack([chosen, several[gaps.min(axis=1).argmax()]])
+        return jnp.asarray(chosen)
+
+
+def random_barriers(
+    domain: Domain,
+    count: int,
+    *,
+    heights: tuple[float, float],
+    widths: tuple[float, float],
+    key: PRNGKeyArray,
+) -> Superposition:
+    """Gaussian barriers that keep apart, with uniform heights and widths.
+
+    Args:
+        domain: holds their centres.
+        count: how many, positive.
+        heights: least and greatest height [L² T⁻²].
+        widths: least and greatest width [L].
+        key: random key of the field.
+
+    Raises:
+        InputError: `count` is not positive.
+    """
+    _check_count("random_barriers", count)
+    where, how_high, how_wide = jax.random.split(key, 3)
+    centers = domain.spread_points(where, count)
+    height = _uniform(how_high, heights, count)
+    width = _uniform(how_wide, widths, count)
+    return Superposition(eqx.filter_vmap(GaussianBarrier)(height, centers, width))
+
+
+def random_fibres(
+    domain: Domain,
+    count: int,
+    *,
+    heights: tuple[float, float],
+    length: float,
+    width: float,
+    key: PRNGKeyArray,
+) -> Superposition:
+    """Gaussian ridges that keep apart, in random directions.
+
+    Args:
+        domain: holds their centres.
+        count: how many, positive.
+        heights: least and greatest height [L² T⁻²].
+        length: along each fibre [L].
+        width: across each fibre [L].
+        key: random key of the field.
+
+    Raises:
+        InputError: `count` is not positive.
+    """
+    _check_count("random_fibres", count)
+    where, how_high, direction = jax.random.split(key, 3)
+    centers = domain.spread_points(where, count)
+    height = _uniform(how_high, heights, count)
+    angle = _uniform(direction, (0.0, np.pi), count)
+    sizes = jnp.full((count,), length), jnp.full((count,), width)
+    return Superposition(eqx.filter_vmap(GaussianRidge)(height, centers, *sizes, angle))
+
+
+def _uniform(
+    key: PRNGKeyArray, limits: tuple[float, float], count: int
+) -> Float[Array, " {count}"]:
+    return jax.random.uniform(key, (count,), minval=limits[0], maxval=limits[1])
+
+
+def _check_count(name: str, count: int) -> None:
+    if count < 1:
+        raise InputError(f"{name} count: expected 1 or more, got {count}")

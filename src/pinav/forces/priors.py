@@ -48,7 +48,7 @@ class AbstractPrior(eqx.Module):
 
     @property
     def broad(self) -> "AbstractPrior":
-        """The same of a field that fades nowhere soon, and so is no hill."""
+        """This prior with a lower bound on the radius of the envelope."""
         return self
 
     @abc.abstractmethod
@@ -177,7 +177,6 @@ class WeightPrior(AbstractPrior):
         return envelope * (parts @ normal) / np.sqrt(FEATURES)
 
     def _scalar(self, shape: Shape) -> Gram:
-        """Covariance of one component."""
         envelope = self._envelope(shape, self._scaled_centers)
         alike = np.exp(-0.5 / np.exp(2 * shape[0]) * self._squares)
         return alike * np.outer(envelope, envelope)
@@ -212,7 +211,6 @@ class WeightPrior(AbstractPrior):
 
 
 def _per_component(scalar: Gram, components: int) -> Matrix:
-    """The covariance of independent components that are alike."""
     return np.kron(scalar, np.eye(components)) if components > 1 else scalar
 
 
@@ -258,9 +256,7 @@ class StationaryPrior(AbstractPrior):
     middle. Its shape is $\log\ell$, in spacings of the kernels.
 
     Attributes:
-        centers: of the kernels, in spacings.
         components: weights of each kernel, independent of each other.
-        smooth: whether the slope has a variance.
 
     References:
         Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), sections
@@ -291,7 +287,6 @@ class StationaryPrior(AbstractPrior):
         return np.array([np.vdot(_over_components(pull, self.components), slope)])
 
     def _relative_distances(self, shape: Shape) -> Gram:
-        """Distances in length scales."""
         offsets = self.centers[:, None] - self.centers[None]
         root = np.sqrt(3.0) if self.smooth else 1.0
         return root * np.sqrt((offsets**2).sum(axis=-1)) / np.exp(shape[0])
@@ -310,10 +305,7 @@ class MixturePrior(AbstractPrior):
 
     Attributes:
         first: prior of the first part.
-        second: prior of the second part.
         first_ratio: logarithm of the ratio of amplitudes at which a search begins.
-        least_ratio: the lowest one.
-        most_ratio: the highest one.
         unit: amplitude of the second part, over that of the first, at a ratio of one:
             weights may be energies here and forces there, and no choice may depend on
             the unit of length.
@@ -357,11 +349,7 @@ class MixturePrior(AbstractPrior):
     def split(
         self, shape: Shape
     ) -> tuple[Float[np.ndarray, " first"], Float[np.ndarray, " second"], float]:
-        """The shapes of both parts, and the ratio of the amplitudes of their weights.
-
-        Args:
-            shape: of this prior.
-        """
+        """The shapes of both parts, and the ratio of amplitudes of their weights."""
         half = len(self.first.start)
         ratio = float(self.unit * np.exp(shape[-1]))
         return shape[:half], shape[half:-1], ratio
@@ -395,10 +383,6 @@ class TimedPrior(AbstractPrior):
     The product of a `WeightPrior` in space and $\exp(-(k - k')^2 / 2\tau^2)$ between
     splines. The last entry of the shape is $\log\tau$, in intervals. As $\tau$ grows
     the prior becomes that of a static potential.
-
-    Attributes:
-        space: the prior in space.
-        splines: their number.
     """
 
     space: WeightPrior
@@ -441,9 +425,6 @@ r"""$\log\tau$ at which a change in time is too slow for any data to show."""
 
 class IsotropicPrior(AbstractPrior):
     """Independent weights of one variance: the prior of a network, without a shape.
-
-    Attributes:
-        count: how many weights.
 
     References:
         MacKay, Neural Computation 4, 448 (1992).

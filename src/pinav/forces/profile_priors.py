@@ -118,9 +118,6 @@ class DistancePrior(AbstractPrior):
     The force of a smooth potential grows with the distance; where the length scale is
     infinite the envelope about zero leaves the force of a Gaussian. A search begins
     there, with smooth profiles.
-
-    Attributes:
-        base: prior of the kernels on the line.
     """
 
     base: ProfilePrior

@@ -14,6 +14,7 @@ References:
 
 import abc
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -23,6 +24,7 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
+from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.force import (
     AbstractForce,
     AbstractLearnedForce,
@@ -30,7 +32,7 @@ from pinav.forces.force import (
     KernelPlaces,
 )
 from pinav.forces.kernel_mixtures import KernelMixture
-from pinav.forces.kernels import KernelForce, KernelPotential
+from pinav.forces.kernels import KernelForce, KernelPotential, quarter_turn
 from pinav.forces.priors import (
     AbstractPrior,
     Centers,
@@ -38,7 +40,6 @@ from pinav.forces.priors import (
     MixturePrior,
     Shape,
 )
-from pinav.forces.profile_laws import AbstractProfileLaw
 from pinav.forces.profile_priors import DistancePrior, ProfilePrior
 
 Places = Float[Array, " kernel"]
@@ -59,39 +60,45 @@ ROUNDING = 0.05
 
 At the point itself its derivative does not exist. Where the slope of a potential is not
 zero there, as about the centre of a wide ring, steps of a fit would go to and fro
-across the point. A hill that follows a `HillLaw` remains one when it is rounded."""
+across the point. A hill that follows the law `hill` remains one when it is rounded."""
 
 
 class AbstractTerm(AbstractForce):
     """A part of a force that is linear in its weights, given its geometry.
 
     Attributes:
-        weights: what has a Gaussian prior.
+        weights: with a Gaussian prior.
         rotational: whether the force is turned by a right angle.
+        kinds: the word for it in tables, as it is and, where that differs, turned.
+        formulas: its formula, as it is and, where that differs, turned.
+        shaped_by: fields that shape it, each with a wide prior.
     """
 
     weights: eqx.AbstractVar[Float[Array, " weight"]]
     rotational: eqx.AbstractVar[bool]
+    kinds: ClassVar[tuple[str, ...]]
+    formulas: ClassVar[tuple[str, ...]]
+    shaped_by: ClassVar[tuple[str, ...]] = ()
 
     @property
-    @abc.abstractmethod
     def kind(self) -> str:
         """The word for it in tables."""
+        return self.kinds[-1 if self.rotational else 0]
 
     @property
-    @abc.abstractmethod
     def latex(self) -> str:
         """Its formula."""
+        return self.formulas[-1 if self.rotational else 0]
 
     @property
-    @abc.abstractmethod
     def geometry(self) -> PyTree:
         """The numbers that shape it, each with a wide prior."""
+        return tuple(getattr(self, name) for name in self.shaped_by)
 
     @property
     @abc.abstractmethod
     def geometry_scales(self) -> tuple[float, ...]:
-        """Of each leaf of the geometry: how far it may be from where a fit begins.
+        """Prior standard deviation of each leaf of the geometry.
 
         Without a bound a term that is next to nothing would have any geometry, and the
         integral over it would count for it.
@@ -109,6 +116,10 @@ class AbstractTerm(AbstractForce):
     @abc.abstractmethod
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass, or the stream function of a rotational term."""
+
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
+        force = -jax.grad(self.potential, argnums=1)(t, x)
+        return quarter_turn(force) if self.rotational else force
 
 
 def prior_of(terms: Sequence[AbstractTerm]) -> AbstractPrior:
@@ -135,16 +146,19 @@ class AbstractProfileTerm(AbstractTerm):
 
     places: eqx.AbstractVar[Places]
     width: eqx.AbstractVar[Scalar]
-    law: eqx.AbstractVar[AbstractProfileLaw | None]
+    law: eqx.AbstractVar[FittedLaw | None]
+
+    is_odd: ClassVar[bool] = True
+    """Whether the profile is odd, as a distance asks for."""
 
     @property
-    @abc.abstractmethod
     def placement(self) -> PyTree:
         """The numbers that shape its coordinate."""
+        return tuple(getattr(self, name) for name in self.shaped_by)
 
     @property
     def placement_scales(self) -> tuple[float, ...]:
-        """Of each of them: how far it may be from where a fit begins."""
+        """Prior standard deviation of each of them."""
         return (self.reach,)
 
     @property
@@ -154,11 +168,6 @@ class AbstractProfileTerm(AbstractTerm):
     @property
     def geometry_scales(self) -> tuple[float, ...]:
         return (*self.placement_scales, *(self.law.scales if self.law else ()))
-
-    @property
-    @abc.abstractmethod
-    def is_odd(self) -> bool:
-        """Whether the profile is odd, as a distance asks for."""
 
     @property
     def offset(self) -> Scalar:
@@ -232,11 +241,6 @@ def profile_kernels(term: AbstractProfileTerm, z: Scalar) -> Float[Array, " kern
     return values
 
 
-def quarter_turn(force: Float[Array, "2"]) -> Float[Array, "2"]:
-    r"""$(\partial_y\psi, -\partial_x\psi)$ of a force that would be $-\nabla\psi$."""
-    return jnp.stack([-force[1], force[0]])
-
-
 def distance(offset: Vector, rounding: Scalar) -> Float[Array, ""]:
     """Length of a vector, smooth at zero."""
     return jnp.sqrt(offset @ offset + rounding**2)
@@ -271,10 +275,6 @@ class StructuredForce(AbstractLearnedForce):
     The remainder carries what the terms cannot. Its amplitude is a choice of the
     evidence, which sends it to nothing where the terms explain the data, and which
     keeps the band honest where they do not.
-
-    Attributes:
-        terms: with structure, one or more.
-        remainder: free kernels.
 
     Raises:
         InputError: there are no terms, or one is rotational outside of the plane.

@@ -287,7 +287,6 @@ class InFlow(AbstractForce):
 
     Attributes:
         force: such as `LinearDrag`.
-        flow: the velocity of the fluid.
     """
 
     force: AbstractForce
@@ -302,9 +301,6 @@ class Advection(AbstractForce):
 
     As an environment it makes the current what is unknown; as the flow of an
     `OverdampedSwimmer` it would be known.
-
-    Attributes:
-        flow: the velocity of the fluid.
     """
 
     flow: AbstractFlow

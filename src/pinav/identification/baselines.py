@@ -8,7 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import InputError
-from pinav.identification.forecast import Displacement
+from pinav.identification.forecast import (
+    Displacement,
+    command_vector,
+    integrate_held,
+)
 from pinav.identification.tracks import Track, commands_of
 from pinav.trajectories import Trajectory
 
@@ -31,8 +35,7 @@ class Baseline(eqx.Module):
         """Its velocity, held from sample to sample, integrated."""
 
         def path(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
-            steps = self.velocity(piece)[:-1] * np.diff(piece.times)[:, None]
-            return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+            return integrate_held(self.velocity(piece), piece.times)
 
         return path
 
@@ -68,11 +71,6 @@ class Samples(eqx.Module):
     def command(self) -> Float[np.ndarray, "sample 2"]:
         r"""$f\,n(\theta)$ [Hz]."""
         return command_vector(self.frequency, self.heading)
-
-
-def command_vector(frequency: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    r"""$f\,n(\theta)$ [Hz]."""
-    return frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
 
 
 def least_squares(track: Track) -> Baseline:

@@ -201,14 +201,6 @@ def fit_commanded(
             environment = finer
 
 
-def _check_order(system: System) -> None:
-    if not isinstance(system.swimmer, OverdampedSwimmer):
-        raise InputError(
-            f"system {system.name!r}: expected a swimmer without inertia (order 1) for "
-            "a fit with commands or a wandering velocity, got order 2"
-        )
-
-
 class _Problem:
     """The linear problem at given noise, and the search for the noise."""
 
@@ -218,7 +210,11 @@ class _Problem:
         track: Track,
         environment: AbstractLearnedForce | None,
     ) -> None:
-        _check_order(system)
+        if not isinstance(system.swimmer, OverdampedSwimmer):
+            raise InputError(
+                f"system {system.name!r}: expected a swimmer without inertia (order 1) "
+                "for a fit with commands or a wandering velocity, got order 2"
+            )
         design = Design.of(system, Blocks.of(track))
         # Priors of a system are used where nothing else tells the scale of a number.
         own = [parameter.prior is not None for parameter in design.parameters]
@@ -229,7 +225,7 @@ class _Problem:
         mobility = tensor_matrix(swimmer.mobility, jnp.zeros(2))
         gains = jnp.einsum("ab,gbc->gac", mobility, design.still.gains)
         self.design = eqx.tree_at(lambda d: d.still.gains, design, gains)
-        self.swimmer, self.environment = swimmer, environment
+        self.swimmer = swimmer
         known_gain = design.drive.known_gain(system, mobility)
         self.field = displacements_by(
             swimmer, self.design.blocks, known_gain, drift=is_open(system, DRIFT)

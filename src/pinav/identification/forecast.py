@@ -72,6 +72,17 @@ def cycles(
     return np.asarray(integral)[: len(piece.times)]
 
 
+def command_vector(frequency: np.ndarray, heading: np.ndarray) -> np.ndarray:
+    r"""$f\,n(\theta)$ [Hz]."""
+    return frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+
+
+def integrate_held(velocity: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Way by a velocity that is held from each time to the next."""
+    steps = velocity[:-1] * np.diff(times)[:, None]
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+
+
 def path_of(swimmer: OverdampedSwimmer) -> Displacement:
     """Displacements by gain and drift alone."""
 
@@ -290,9 +301,7 @@ class Predictor(eqx.Module):
         frequency, heading = commands_of(piece)
         # Beyond the fastest command of the fit the response is extrapolated.
         excess = np.maximum(frequency - self.fastest, 0.0)
-        drive = excess[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
-        steps = drive[:-1] * np.diff(piece.times)[:, None]
-        along = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+        along = integrate_held(command_vector(excess, heading), piece.times)
         return DISCREPANCY * along @ gain_of(self.fit.model).T
 
 

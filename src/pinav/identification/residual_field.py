@@ -21,7 +21,7 @@ from pinav.fitting.engine.problem import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
 from pinav.identification.drive import fitted_coordinates
-from pinav.identification.forecast import path_of
+from pinav.identification.forecast import Displacement, integrate_held, path_of
 from pinav.identification.likelihood import (
     Design,
     Drive,
@@ -168,6 +168,18 @@ class _BaseDesign(eqx.Module):
             drift = jnp.asarray(numbers[self.num_gains :])
             swimmer = eqx.tree_at(lambda s: s.flow.velocity, swimmer, drift)
         return swimmer.with_environment(environment)
+
+
+def path_along(fit: ResidualFit) -> Displacement:
+    """Displacements by a candidate and its residual along the observed positions."""
+    path = path_of(fit.swimmer)
+
+    def displacement(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+        at = jax.vmap(lambda x: fit.swimmer.environment(0.0, x, 0 * x))
+        velocity = np.asarray(at(jnp.asarray(piece.states)))
+        return path(piece) + integrate_held(velocity, piece.times)
+
+    return displacement
 
 
 def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Errors:

@@ -41,6 +41,7 @@ from pinav.identification.parameters import DELAY, LAG
 from pinav.identification.residual_field import (
     ResidualFit,
     fit_residual,
+    path_along,
     positions_of,
     residual_errors,
 )
@@ -54,7 +55,6 @@ from pinav.identification.rollouts import (
 )
 from pinav.identification.tracks import Track, after, before
 from pinav.systems import System
-from pinav.trajectories import Trajectory
 
 LEAST_SQUARES = "least squares"
 """The baseline that a choice should never lose to by much."""
@@ -219,25 +219,8 @@ class Selection:
             self.rows.append(Row(label, nan, nan, {}, nan, str(error)))
             return
         seconds = time.perf_counter() - begin
-        by_horizon = {
-            f"{horizon:g}": residual_errors(self.held_out, self._rollouts(horizon), fit)
-            for horizon in HORIZONS
-        }
-        r2 = self._r2_of_residual(fit)
-        self.rows.append(Row(label, fit.log_evidence, seconds, by_horizon, r2))
-
-    def _r2_of_residual(self, fit: ResidualFit) -> float:
-        path = path_of(fit.swimmer)
-
-        def displacement(piece: Trajectory) -> np.ndarray:
-            at = jax.vmap(lambda x: fit.swimmer.environment(0.0, x, 0 * x))
-            velocity = np.asarray(at(jax.numpy.asarray(piece.states)))[:-1]
-            steps = velocity * np.diff(piece.times)[:, None]
-            return path(piece) + np.concatenate(
-                [np.zeros((1, 2)), np.cumsum(steps, axis=0)]
-            )
-
-        return velocity_r2(self.held_out, displacement)
+        path = path_along(fit)
+        self._add(label, fit.log_evidence, seconds, path, residual=fit)
 
     def add_least_squares(self) -> None:
         """The baseline, and where commands were given its average with the choice."""
@@ -258,17 +241,22 @@ class Selection:
         seconds = time.perf_counter() - begin
         self._add(STACKED, float("nan"), seconds, stack(chosen, other, weight))
 
-    def _rollouts(self, horizon: float) -> Rollouts:
-        return Rollouts.of(self.held_out, horizon)
-
     def _add(
-        self, name: str, log_evidence: float, seconds: float, displacement: Displacement
+        self,
+        name: str,
+        log_evidence: float,
+        seconds: float,
+        displacement: Displacement,
+        residual: ResidualFit | None = None,
     ) -> None:
-        displacement = cache_by_segment(displacement)
-        by_horizon = {
-            f"{horizon:g}": errors(self.held_out, self._rollouts(horizon), displacement)
-            for horizon in HORIZONS
-        }
+        displacement, by_horizon = cache_by_segment(displacement), {}
+        for horizon in HORIZONS:
+            rollouts = Rollouts.of(self.held_out, horizon)
+            by_horizon[f"{horizon:g}"] = (
+                errors(self.held_out, rollouts, displacement)
+                if residual is None
+                else residual_errors(self.held_out, rollouts, residual)
+            )
         r2 = velocity_r2(self.held_out, displacement)
         self.rows.append(Row(name, log_evidence, seconds, by_horizon, r2))
 

@@ -2,7 +2,10 @@
 
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from pinav.dynamics import Swimmer
 from pinav.evaluation import (
@@ -17,21 +20,129 @@ from pinav.evaluation import (
     restart_errors,
     score,
 )
-from pinav.fitting import Outcome, confirm, diagnose, simpler_models
-from pinav.fitting.environments.summary import KnownSwimmer
+from pinav.fitting import (
+    Outcome,
+    Posterior,
+    confirm,
+    derive,
+    diagnose,
+    is_worth_a_search,
+    simpler_models,
+)
+from pinav.fitting.environments.summary import MIXTURE, KnownSwimmer
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined
-from pinav.forces import AbstractForce, as_learned_force
+from pinav.forces import (
+    AbstractForce,
+    AbstractProfileTerm,
+    AbstractTerm,
+    as_learned_force,
+    split_structure,
+)
 from pinav.identification import needs_kalman_filter
-from pinav.learning.findings import Findings, ForceMaps, Rollouts
+from pinav.learning.findings import (
+    Findings,
+    ForceMaps,
+    FoundLaw,
+    FoundStructure,
+    FoundTerm,
+    Profile,
+    Rollouts,
+)
 from pinav.learning.learned import Learned
 from pinav.learning.plan import FitPlan
 from pinav.learning.recipes import name_of
-from pinav.learning.structure import found_structure
 from pinav.learning.thermal import thermal_remarks
 from pinav.recordings.conventions import remarks
 from pinav.scenarios import source_system
 from pinav.trajectories import Trajectories
+
+POINTS = 121
+"""Points of a profile."""
+
+
+def found_structure(run: Learned) -> FoundStructure | None:
+    """What the search of a fit came to; None where there was none.
+
+    A network has no structure; its teacher may have one.
+    """
+    kernels = run if run.teacher is None else run.teacher
+    evidence, posterior = kernels.evidence, kernels.posterior
+    if evidence is None or posterior is None or evidence.structure is None:
+        return None
+    model: Any = kernels.model
+    force = model.environment
+    terms = split_structure(force)[0] if hasattr(force, "terms") else ()
+    gain, rotation = evidence.structure.gain, evidence.structure.rotation
+    return FoundStructure(
+        tuple(
+            _found_term(term, index, posterior, kernels.data)
+            for index, term in enumerate(terms)
+        ),
+        gain if np.isfinite(gain) else None,
+        rotation if np.isfinite(rotation) else None,
+        turns=kernels.choice.name == MIXTURE,
+        sought=is_worth_a_search(model, kernels.data),
+        of_teacher=run.teacher is not None,
+    )
+
+
+def _found_term(
+    term: AbstractTerm, index: int, posterior: Posterior, data: Trajectories
+) -> FoundTerm:
+    has_profile = isinstance(term, AbstractProfileTerm)
+    return FoundTerm(
+        term.kind,
+        term.latex,
+        tuple(derive(posterior, lambda model: _numbers(model, index))),
+        _found_law(term, posterior, index) if has_profile else None,
+        _profile(term, posterior, index, data) if has_profile else None,
+    )
+
+
+def _numbers(model: Any, index: int) -> Float[Array, " number"]:
+    term = model.environment.terms[index]
+    leaves = term.placement if isinstance(term, AbstractProfileTerm) else term.geometry
+    return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(leaf) for leaf in leaves)])
+
+
+def _found_law(
+    term: AbstractProfileTerm, posterior: Posterior, index: int
+) -> FoundLaw | None:
+    law = term.law
+    if law is None:
+        return None
+
+    def constants(model: Any) -> Float[Array, " constant"]:
+        one = model.environment.terms[index]
+        values = one.law.constants(one.offset).values()
+        return jnp.stack([one.weights[0], *values])
+
+    names = ("height", *law.constants())
+    estimates = derive(posterior, constants)
+    return FoundLaw(law.name, law.latex, dict(zip(names, estimates, strict=True)))
+
+
+def _profile(
+    term: AbstractProfileTerm, posterior: Posterior, index: int, data: Trajectories
+) -> Profile:
+    """The profile over the coordinates that were observed, with its deviation."""
+    samples = jnp.asarray(data.positions[data.observed[..., :2].all(-1)])
+    coordinates = np.asarray(jax.vmap(term.coordinates)(samples))
+    places = np.linspace(
+        0.0 if term.is_odd else coordinates.min(), coordinates.max(), POINTS
+    )
+
+    def profile(model: Any) -> Array:
+        return jax.vmap(model.environment.terms[index].profile)(jnp.asarray(places))
+
+    values = derive(posterior, profile)
+    return Profile(
+        places + float(term.offset),
+        np.array([one.value for one in values]),
+        np.array([one.sd for one in values]),
+    )
+
 
 REMARKS = {
     str(Outcome.STALLED): (
@@ -57,12 +168,7 @@ def outcome_remarks(outcome: str) -> tuple[str, ...]:
 
 
 def narrow_prior(model: Any, chosen: Hyperparameters) -> tuple[str, ...]:
-    """What a prior at the edge of its range means for the bands; nothing elsewhere.
-
-    Args:
-        model: that was fitted.
-        chosen: by the evidence.
-    """
+    """What a prior at the edge of its range means for the bands; nothing elsewhere."""
     force = as_learned_force(model.environment)
     if force is None or not is_confined(force.prior(), chosen.shape):
         return ()
@@ -85,8 +191,6 @@ def assumed_potential(plan: FitPlan, model: Any, rotation: float) -> tuple[str, 
     """That the default took the force for a gradient, where nothing weighed it.
 
     Args:
-        plan: of the fit.
-        model: that was fitted.
         rotation: log evidence of a rotational part [nats]; NaN where none was weighed.
     """
     force = as_learned_force(model.environment)
@@ -103,7 +207,6 @@ def confirm_outcome(
     Args:
         outcome: the word by the fit's own solver.
         loss: at its end.
-        data: that were fitted.
         rmse: errors of independent rollouts.
     """
     if outcome != str(Outcome.CONVERGED):
@@ -116,14 +219,7 @@ def confirm_outcome(
 def likely_cause(
     data: Trajectories, model: Any, outcome: str, rmse: dict[str, float]
 ) -> tuple[str, ...]:
-    """Why a fit that misses the data failed, where the data tell it.
-
-    Args:
-        data: that were fitted.
-        model: that was fitted to them.
-        outcome: the word for how the fit ended.
-        rmse: errors of independent rollouts.
-    """
+    """Why a fit that misses the data failed, where the data tell it."""
     close = rmse["total"] <= FAILED * data.spread
     if outcome == str(Outcome.CONVERGED) or close or not isinstance(model, Swimmer):
         return ()
@@ -138,13 +234,7 @@ FAILED = 1e-3
 def simpler_model(
     plan: FitPlan, outcome: str, rmse: dict[str, float]
 ) -> tuple[str, ...]:
-    """What explains the data far better than a fit that did not converge.
-
-    Args:
-        plan: of the fit.
-        outcome: the word for how it ended.
-        rmse: errors of its independent rollouts.
-    """
+    """What explains the data far better than a fit that did not converge."""
     if outcome == str(Outcome.CONVERGED):
         return ()
     total = rmse["total"]
@@ -164,12 +254,7 @@ FAR_BETTER = 3.0
 
 
 def account(plan: FitPlan, fit: Learned) -> Findings:
-    """What a fit has to say: rollouts, errors, the force, and remarks.
-
-    Args:
-        plan: of the fit.
-        fit: its result.
-    """
+    """What a fit has to say: rollouts, errors, the force, and remarks."""
     data, model, evidence = plan.data, fit.model, fit.evidence
     starts = None if evidence is None else evidence.states[:, 0]
     predictions, outcomes = predict(model, data, starts=starts)
@@ -178,18 +263,18 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
     if isinstance(model, KnownSwimmer):
         maps = _force_maps(fit, plan) if data.dim == 2 else None
         lines = _force_lines(fit, plan) if data.dim != 2 else None
-    losses = fit.losses
+    losses, outcome = fit.losses, fit.ending
     if evidence is None:
         assert losses is not None  # there is no third kind of recipe
         loss = float(losses.values[0][-1])
-        outcome = confirm_outcome(losses.outcomes[0], loss, data, rmse)
+        outcome = confirm_outcome(outcome, loss, data, rmse)
         sentences = (
             *outcome_remarks(outcome),
             *likely_cause(data, model, outcome, rmse),
             *simpler_model(plan, outcome, rmse),
         )
     else:
-        outcome, chosen = evidence.outcome, evidence.hyperparameters
+        chosen = evidence.hyperparameters
         search = evidence.structure
         sentences = (
             *outcome_remarks(outcome),

@@ -46,14 +46,7 @@ DIMENSIONS = {
 def with_units(
     estimates: Mapping[str, Estimate], choice: ModelChoice, model: Any, system: System
 ) -> dict[str, Estimate]:
-    """Learned constants with their units.
-
-    Args:
-        estimates: by name.
-        choice: what was fitted, which says where a constant stands in the model.
-        model: the fitted model, whose fields say their units.
-        system: which says the units of length, time and force.
-    """
+    """Learned constants with their units."""
     stated = system.base_units
     units = {"L": stated.length, "T": stated.time, "F": stated.force}
     paths = choice.paths()

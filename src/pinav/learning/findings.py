@@ -16,11 +16,7 @@ class Rollouts:
     """The data of a fit, and rollouts of its model over their times.
 
     Attributes:
-        channels: names of the components of a state.
-        times: of each trajectory [T].
         states: as they were given.
-        observed: the numbers among them that were observed.
-        predicted: by the model.
         lengths: samples of each trajectory; what follows is padding.
     """
 
@@ -37,9 +33,7 @@ class ForceMaps:
     """The force around planar data.
 
     Attributes:
-        learned: the force that was learned.
         sd: its standard deviation; None without a posterior.
-        true: the true force, where it is known.
     """
 
     learned: FieldMap
@@ -57,7 +51,6 @@ class FoundLaw:
     """A law that the potential of a profile follows.
 
     Attributes:
-        name: the word for it.
         formula: of the potential, in LaTeX, for unit height.
         constants: the height [L² T⁻²] first.
     """
@@ -69,13 +62,7 @@ class FoundLaw:
 
 @dataclasses.dataclass(frozen=True)
 class Profile:
-    """The profile of a term along its coordinate.
-
-    Attributes:
-        places: on the coordinate [L].
-        force: there [L T⁻²].
-        sd: its standard deviation.
-    """
+    """The profile of a term along its coordinate."""
 
     places: Float[np.ndarray, " place"]
     force: Float[np.ndarray, " place"]
@@ -88,7 +75,6 @@ class FoundTerm:
 
     Attributes:
         name: the word for it.
-        formula: in LaTeX.
         geometry: its numbers, such as a centre [L] or an angle [rad].
         law: that its profile follows, if any.
         profile: of the force, where the term has one.
@@ -129,13 +115,9 @@ class Findings:
     r"""What a fit has to say.
 
     Attributes:
-        model: name of the model that stands for the unknown.
-        recipe: how it was fitted.
-        outcome: the word for how the fit ended.
         rmse: root-mean-square errors of rollouts on the training data, by channel; of
             a recording each is a whole film long.
         constants: learned beside the environment.
-        remarks: sentences on what limits the result, each with a remedy.
         units: of the channels and of time; with the order of the dynamics.
         rollouts: of the model over the data.
         force_error: relative error of the force by region, where the truth is known.
@@ -145,9 +127,6 @@ class Findings:
         support: log evidence of a field beside commands over none [nats].
         losses: of trajectory matching.
         restarts: errors of a recording by the length of rollouts.
-        structure: what the search for a structure came to.
-        thermal: diffusion, camera and checks of thermal motion.
-        force: maps of it, where data are planar.
         lines: the force along lines through other data, by the coordinate.
     """
 

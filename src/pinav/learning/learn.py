@@ -110,7 +110,6 @@ def learn(
         recipe: how it is fitted; what suits the data unless given. See
             `pinav.learning.recipes`.
         train: known constants to learn beside the unknown: damping, gain or drag.
-        seed: of a network.
         width: neurons of each of its hidden layers.
         depth: number of them.
         checkpoint: where trajectory matching keeps its state and goes on from it.

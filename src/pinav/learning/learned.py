@@ -8,7 +8,6 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import msgspec
 import numpy as np
@@ -16,7 +15,7 @@ from jaxtyping import ArrayLike, Float
 
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
 from pinav.errors import InputError
-from pinav.evaluation import FieldMap, require_x64
+from pinav.evaluation import FieldMap, exact_forces, require_x64
 from pinav.fitting import (
     AbstractLearned,
     Estimate,
@@ -27,7 +26,7 @@ from pinav.fitting import (
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.kernels import MobilitySummary
 from pinav.fitting.environments.summary import DataSummary, KnownSwimmer, ModelChoice
-from pinav.forces import as_learned_force, forces_at, split_structure
+from pinav.forces import as_learned_force, split_structure
 from pinav.learning.evidence import Evidence, with_units
 from pinav.learning.findings import Findings
 from pinav.learning.matching import Losses
@@ -53,13 +52,7 @@ FINDINGS = "metrics"
 
 
 class ModelHeader(msgspec.Struct, frozen=True):
-    """The first line of a model file: how the model is built again.
-
-    Attributes:
-        choice: its kind and size.
-        data: what it takes from the data.
-        dtype: floating-point type of its leaves.
-    """
+    """The first line of a model file: how the model is built again."""
 
     choice: ModelChoice
     data: DataSummary
@@ -73,7 +66,6 @@ class Learned(AbstractLearned):
     Attributes:
         place: where it is; None of one that was not saved.
         system: what was known of the swimmer.
-        data: the trajectories that were fitted.
         models: the fitted models, by the names of their files.
         choice: what was fitted; of the first model where there are several.
         evidence: posterior and hyperparameters; None where the recipe has none.
@@ -162,9 +154,6 @@ class Learned(AbstractLearned):
     def check_posterior(self, name: str) -> None:
         """Require that the posterior is that of the model.
 
-        Args:
-            name: of the file of the posterior.
-
         Raises:
             InputError: it is of another fit.
         """
@@ -206,7 +195,6 @@ class Learned(AbstractLearned):
         """Keep the fit in a folder, which `open_run` and the commands of pinav read.
 
         Args:
-            path: the folder, made if absent.
             overwrite: replace the run that it holds.
 
         Returns:
@@ -252,6 +240,14 @@ class Learned(AbstractLearned):
     def outcome(self) -> str:
         """The word for how the fit ended."""
         return self.findings.outcome
+
+    @property
+    def ending(self) -> str:
+        """The word for how the fit ended by its own account, before any rollout."""
+        if self.evidence is not None:
+            return self.evidence.outcome
+        assert self.losses is not None  # there is no third kind of recipe
+        return self.losses.outcomes[0]
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -341,10 +337,7 @@ class Learned(AbstractLearned):
         """
         if not isinstance(self.model, KnownSwimmer):
             raise InputError(f"{self.path}: model {self.choice.name} has no force")
-        with jax.enable_x64(new_val=True):
-            force = with_dtype(self.model.environment, jnp.float64)
-            places = np.asarray(positions, float)
-            return np.asarray(forces_at(force, jnp.zeros(len(places)), places))
+        return exact_forces(self.model.environment, np.asarray(positions, float))
 
     def force_sd(self, field: FieldMap) -> Float[np.ndarray, "y x 2"]:
         """Standard deviation of the learned force on the grid of a map.
@@ -398,10 +391,6 @@ def of_evidence(
 
     Args:
         header: of the untrained model; its kernels may be coarser.
-        fit: of the data.
-        system: the known physics.
-        data: the trajectories.
-        evidence: the numbers of the fit.
     """
     summary = header.data.with_kernels_of(fit.model.environment)
     if isinstance(fit.model, OverdampedSwimmer):
@@ -413,12 +402,7 @@ def of_evidence(
 
 
 def teacher_choice(fit: EvidenceFit, network: ModelChoice) -> ModelChoice:
-    """The choice of the kernels from which a network was distilled.
-
-    Args:
-        fit: of the kernels.
-        network: the choice of the network.
-    """
+    """The choice of the kernels from which a network was distilled."""
     _, rest = split_structure(fit.model.environment)
     kernels = as_learned_force(rest)
     assert kernels is not None

@@ -96,8 +96,6 @@ def matching(
     to the curriculum of windows where these fail or some states are missing.
 
     Args:
-        recipe: which, and its steps.
-        data: the trajectories.
         model: one of those to be fitted, untrained.
     """
     if isinstance(recipe, Paper):
@@ -141,11 +139,7 @@ def _is_linear(model: AbstractDynamics) -> bool:
 
 
 def check_starts(data: Trajectories) -> None:
-    """Require a first sample from which a rollout can start.
-
-    Raises:
-        InputError: a trajectory has none.
-    """
+    """Require a first sample from which a rollout can start."""
     for index, first in enumerate(data.observed[:, 0]):
         if not first.all():
             raise InputError(

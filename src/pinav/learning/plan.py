@@ -53,7 +53,6 @@ def choose_system(text: str | None, data: Trajectories) -> System:
 
     Args:
         text: of the option `--system`.
-        data: trajectories, which may say what they were simulated from.
 
     Raises:
         InputError: no system is named and the data do not say where they come from.
@@ -122,9 +121,7 @@ class FitPlan:
 
     Attributes:
         recipe: chosen for the data where none was asked for.
-        system: the known physics.
         data: as the recipe needs them.
-        choice: the model that is learned.
         summary: what the untrained model takes from the data.
         is_open: neither the user nor the system names another model than the default,
             so that the evidence chooses between a potential and a mixture.
@@ -207,8 +204,6 @@ def suitable_recipe(
 
     Args:
         asked: options that some of the recipes have.
-        model: name of what is learned.
-        system: the known physics.
         thermal: the paths are those of Brownian motion.
 
     Raises:
@@ -256,11 +251,7 @@ def _check_channels(data: Trajectories, system: System) -> None:
 def check_model(
     model: str, recipe: Inferring | Matching, train: tuple[str, ...]
 ) -> None:
-    """Refuse a model that the recipe cannot fit, or constants that it cannot learn.
-
-    Raises:
-        InputError: something does not suit the recipe.
-    """
+    """Refuse a model that the recipe cannot fit, or constants that it cannot learn."""
     if isinstance(recipe, Langevin):
         _check_thermal_model(model, recipe, train)
     if model == "nn-only" and train:
@@ -327,11 +318,7 @@ def _correlations(data: Trajectories) -> Float[np.ndarray, " lag"]:
 def check_system(
     model: str, recipe: Inferring | Matching, train: tuple[str, ...], system: System
 ) -> None:
-    """Refuse a recipe, a model or a constant that the system does not have.
-
-    Raises:
-        InputError: something does not suit the order or the drag of the system.
-    """
+    """Refuse a recipe, a model or a constant that the system does not have."""
     knows_all = not (train or system.learn or needs_kalman_filter(system))
     if model == "physics-only" and knows_all:
         raise InputError(
@@ -361,11 +348,7 @@ def check_system(
 
 
 def check_memory(data: Trajectories, summary: DataSummary) -> None:
-    """Refuse data whose linearised problem does not fit into the memory.
-
-    Raises:
-        InputError: it needs more than there is.
-    """
+    """Refuse data whose linearised problem does not fit into the memory."""
     weights = len(summary.centers) * summary.dim
     needed = 8.0 * data.states.size * weights
     available = SHARE_OF_MEMORY * free_memory()

@@ -22,44 +22,33 @@ ModelName = Literal[
 
 MaxSteps = Annotated[int, Range(1, most=10**6)]
 
-Search = Literal["search", "free"]
 
-Noise = Annotated[float | None, Range(above=0)]
+class Searching(Settings, frozen=True):
+    """The options of a fit that chooses by the evidence.
+
+    Attributes:
+        noise: Standard deviation of the observations; estimated unless given.
+        structure: Search for a structure of the force (a centre, a wall, a linear
+            flow), which the evidence may prefer to free kernels; a network learns from
+            the fit of kernels that this gives; free: kernels alone.
+        max_steps: Steps at most.
+    """
+
+    noise: Annotated[float | None, Range(above=0)] = None
+    structure: Literal["search", "free"] = "search"
+    max_steps: MaxSteps = 20
 
 
-class Suited(Settings, frozen=True, tag_field="recipe", tag="default"):
+class Suited(Searching, frozen=True, tag_field="recipe", tag="default"):
     """What suits the data.
 
     It is langevin for Brownian paths, curriculum for the models ude and nn-only, else
     bayes.
-
-    Attributes:
-        noise: Standard deviation of the observations; estimated unless given.
-        structure: Search for a structure of the force (a centre, a wall, a linear
-            flow), which the evidence may prefer to free kernels; a network learns from
-            the fit of kernels that this gives; free: kernels alone.
-        max_steps: Steps at most.
     """
 
-    noise: Noise = None
-    structure: Search = "search"
-    max_steps: MaxSteps = 20
 
-
-class Bayes(Settings, frozen=True, tag_field="recipe", tag="bayes"):
-    """Noisy or incomplete data: the evidence chooses, and there is a posterior.
-
-    Attributes:
-        noise: Standard deviation of the observations; estimated unless given.
-        structure: Search for a structure of the force (a centre, a wall, a linear
-            flow), which the evidence may prefer to free kernels; a network learns from
-            the fit of kernels that this gives; free: kernels alone.
-        max_steps: Steps at most.
-    """
-
-    noise: Noise = None
-    structure: Search = "search"
-    max_steps: MaxSteps = 20
+class Bayes(Searching, frozen=True, tag_field="recipe", tag="bayes"):
+    """Noisy or incomplete data: the evidence chooses, and there is a posterior."""
 
 
 class Langevin(Settings, frozen=True, tag_field="recipe", tag="langevin"):

@@ -45,7 +45,6 @@ class ThermalChoice:
     """What may be learned of thermal motion.
 
     Attributes:
-        axes: the coordinates on which fields depend.
         diffusion: what it may be; None for one number.
         observation: what is known of the camera; None counts positions as exact.
         reference: the coordinate that drifts, if one does.
@@ -230,9 +229,7 @@ class DiffusionLine:
     """The diffusion along a line through the middle of the data.
 
     Attributes:
-        places: along the coordinate axis [L].
         values: along each axis [L² T⁻¹].
-        sd: their standard deviations.
     """
 
     places: Float[np.ndarray, " place"]
@@ -245,12 +242,10 @@ class ThermalFindings:
     """Diffusion and camera of thermal motion, and its checks.
 
     Attributes:
-        channels: the coordinates.
         checks: of the innovations, and the diffusion of thinned data.
         observed: diffusion and camera along each group of channels.
         lines: diffusion along lines through the data, by the coordinate; none where it
             is the same everywhere.
-        reference: the path of a reference that drifts.
         einstein: the mobility follows from the diffusion.
     """
 
@@ -371,10 +366,7 @@ def fit_thermal(
     the fit is that of a step in unit time.
 
     Args:
-        chosen: what may be learned.
         model: untrained; its mobility is known unless it follows from the diffusion.
-        system: the known physics.
-        data: the trajectories.
     """
     if chosen.is_plain:
         return fit_langevin(model, data), None

@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.evaluation import FieldMap
-from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.task import Disc, Task
+from pinav.navigation.task.task import Disc, ReachGoal, Task
 
 Places = Float[np.ndarray, "place 2"]
 """Positions in the plane [L]."""
@@ -21,9 +20,6 @@ class Course:
 
     Attributes:
         arena: lower and upper corner [L].
-        start: position of the start [L].
-        goal: middle of the goal [L].
-        tolerance: radius of the goal [L].
         discs: centre and radius of each disc, or ball, that must not be entered [L].
     """
 
@@ -49,12 +45,7 @@ class Course:
 
 
 class ArenaGrid(NamedTuple):
-    """Equally spaced points of an arena.
-
-    Attributes:
-        x: their coordinates along x [L].
-        y: their coordinates along y [L].
-    """
+    """Equally spaced points of an arena."""
 
     x: Float[np.ndarray, " x"]
     y: Float[np.ndarray, " y"]
@@ -96,8 +87,6 @@ class ForceMaps:
     """Forces on the arena.
 
     Attributes:
-        learned: the learned one.
-        truth: the true one, where it is known.
         sd: standard deviation of each component of the learned one [L T⁻²], where it is
             known.
     """

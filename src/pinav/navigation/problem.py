@@ -1,14 +1,17 @@
-"""A navigation problem: a task, and what is known of its environment."""
+"""A navigation problem: a task, what is known of it, and what to record next."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.dynamics import (
     AbstractDynamics,
+    FixedStep,
     OverdampedSwimmer,
     Swimmer,
     takes_commands,
@@ -16,16 +19,25 @@ from pinav.dynamics import (
 from pinav.errors import InputError
 from pinav.evaluation import enclosing_cube
 from pinav.fitting import AbstractLearned, Posterior
-from pinav.navigation.adaptive.scores import ORACLE
+from pinav.navigation.adaptive.flight import ORACLE
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
-from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.design.candidates import (
+    CandidateTrajectories,
+    Experiment,
+    Suggestion,
+    best_candidate,
+)
+from pinav.navigation.design.information import (
+    PosteriorInformation,
+    PriorField,
+    prior_uncertainty,
+)
+from pinav.navigation.task.catalogue import Way
 from pinav.navigation.task.steering import SteeredSwimmer, greatest_thrust, physics_only
-from pinav.navigation.task.task import Task, steered_swimmer
-from pinav.navigation.task.way import Way
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task, steered_swimmer
 from pinav.navigation.trials.closed_loop import Episodes, concatenate_episodes, run_many
 from pinav.scenarios import source_system
-from pinav.trajectories import Trajectories
 
 LEARNED = "learned"
 """The controller that plans with the learned model."""
@@ -35,41 +47,23 @@ PHYSICS = "physics only"
 
 
 @dataclasses.dataclass(frozen=True)
-class Evidence:
-    """A fit of trajectories with a posterior, which further ones can improve.
-
-    Attributes:
-        posterior: of the model.
-        noise: standard deviation of what was observed.
-        states: smoothed states of the data.
-    """
-
-    posterior: Posterior
-    noise: float
-    states: Float[np.ndarray, "trajectory time state"]
-
-
-@dataclasses.dataclass(frozen=True)
 class NavigationProblem:
     """A task and what is known of it.
 
     Attributes:
         task: its truth is that of the system, or the model where there is none.
-        model: the fitted swimmer.
-        data: what was fitted.
-        units: units of the channels, and the order of the dynamics.
+        fit: the fit of the model.
         samples: draws of the posterior; none where the fit has no posterior.
         truth: name of the system whose environment is the truth, where it is known.
-        evidence: evidence of the fit, where further trajectories can be suggested.
+        posterior: that of the fit, where further trajectories can be suggested.
     """
 
     task: Task
     model: SteeredSwimmer
-    data: Trajectories
-    units: Mapping[str, str]
+    fit: AbstractLearned
     samples: tuple[SteeredSwimmer, ...] = ()
     truth: str | None = None
-    evidence: Evidence | None = None
+    posterior: Posterior | None = None
 
     @classmethod
     def of(
@@ -111,9 +105,8 @@ class NavigationProblem:
                 if isinstance(draw, Swimmer | OverdampedSwimmer)
             ),
             truth=truth,
-            evidence=_evidence(fit, model),
-            data=fit.data,
-            units=dict(fit.units),
+            fit=fit,
+            posterior=_posterior(fit, model),
         )
 
     @property
@@ -142,9 +135,6 @@ class NavigationProblem:
 
     def controller_with(self, name: str) -> AbstractController:
         """The controller that takes a model for true.
-
-        Args:
-            name: one of `models`.
 
         Raises:
             InputError: start or goal are in a wall or outside the arena, or the goal
@@ -192,17 +182,107 @@ def _draws(fit: AbstractLearned, count: int, seed: int) -> list[AbstractDynamics
     return fit.posterior.samples(count, key=key)
 
 
-def _evidence(fit: AbstractLearned, model: AbstractDynamics) -> Evidence | None:
-    """The fit's evidence where the next trajectory can be suggested.
+def _posterior(fit: AbstractLearned, model: AbstractDynamics) -> Posterior | None:
+    """The fit's posterior where the next trajectory can be suggested.
 
     Not of stochastic paths, whose states are not smoothed, nor in space, where
     candidates have no elevation.
     """
-    evidence, posterior = fit.evidence, fit.posterior
-    if evidence is None or posterior is None:
+    if fit.evidence is None or "diffusion" in fit.evidence.constants:
         return None
-    if "diffusion" in evidence.constants or takes_commands(model):
+    return None if takes_commands(model) or fit.data.dim > 2 else fit.posterior
+
+
+CANDIDATES = 48
+"""Candidate trajectories in each round."""
+
+ROUNDS = 3
+"""Rounds of the search."""
+
+SAMPLES = 120
+"""Samples of a suggested trajectory at most."""
+
+STRENGTH = 0.5
+"""Forces that there may be away from the data, in units of the greatest thrust."""
+
+
+def suggest_trajectory(
+    problem: NavigationProblem, route: Float[np.ndarray, "time 2"], *, seed: int
+) -> Suggestion | None:
+    """The trajectory that would tell most about the force along a route.
+
+    Returns:
+        The trajectory; none where the fit has no evidence that one could improve.
+
+    Raises:
+        InputError: every candidate leaves the arena.
+    """
+    task, fit = problem.task, problem.fit
+    if problem.posterior is None:
         return None
-    if fit.data.dim > 2:
-        return None
-    return Evidence(posterior, fit.noise, evidence.states)
+    uncertainty = prior_uncertainty(
+        problem.model.dynamics,
+        fit.data,
+        fit.evidence.states,
+        noise=fit.noise,
+        prior=PriorField(task.arena, STRENGTH * problem.thrust),
+    )
+    design = _experiment(problem)
+    expected_sd = PosteriorInformation.of(uncertainty, route, design, task.arena)
+    key = jax.random.fold_in(jax.random.key(seed), 2)
+    drawn = design.draw(CANDIDATES, key=key)
+    random = np.array([expected_sd(drawn[k]) for k in range(CANDIDATES)])
+    _, first, *later = jax.random.split(key, ROUNDS + 1)
+    best, sd_after = best_candidate(
+        expected_sd,
+        design,
+        design.draw(CANDIDATES, key=first),
+        variations=CANDIDATES - 1,
+        keys=later,
+    )
+    if not np.isfinite(sd_after):
+        raise InputError(
+            "suggest: each of the candidates leaves the arena; expected one that "
+            "stays inside, so make trajectories shorter or the arena larger"
+        )
+    inside = np.isfinite(random)
+    return Suggestion.of(
+        design,
+        best,
+        expected_sd.sd_now,
+        sd_after,
+        sd_after_random=float(np.median(random[inside])) if inside.any() else None,
+        path=np.asarray(_states(problem.model, design, best))[:, :2],
+    )
+
+
+def _experiment(problem: NavigationProblem) -> Experiment:
+    """Released near the start, observed as the data were."""
+    task, data = problem.task, problem.fit.data
+    near = np.full(2, problem.goal.tolerance)
+    start = np.asarray(task.start[:2])
+    spans = [piece.times[-1] - piece.times[0] for piece in data]
+    interval = float(np.median(np.concatenate([np.diff(p.times) for p in data])))
+    duration = min(task.time_limit, float(np.median(spans)), SAMPLES * interval)
+    noise = np.full(len(task.start), np.inf)
+    channels = np.flatnonzero(data.observed.any(axis=(0, 1)))
+    noise[channels] = problem.fit.noise
+    return Experiment(
+        actuator=task.truth.actuator,
+        limits=task.limits,
+        region=Rectangle(start - near, start + near),
+        noise=noise,
+        duration=duration,
+        interval=interval,
+        knot=max(duration / 8, interval),
+        turning=1.2 / (duration / 8) ** 0.5,
+    )
+
+
+@eqx.filter_jit
+def _states(
+    model: Any, design: Experiment, candidate: CandidateTrajectories
+) -> Float[Array, "time state"]:
+    driven = model.with_propulsion(design.thrust(candidate))
+    states, _ = FixedStep().solve(driven, candidate.starts, design.times)
+    return states

@@ -201,7 +201,7 @@ def _check_commands(tracks: Tracks, reading: Reading) -> None:
 
 
 def _y_down(tracks: Tracks, reading: Reading) -> bool:
-    return tracks.y_down if reading.y_down is None else reading.y_down
+    return tracks.y_down if reading.y is None else reading.y == "down"
 
 
 def _scale(tracks: Tracks, reading: Reading) -> tuple[float, str]:
@@ -223,7 +223,7 @@ def _conventions(tracks: Tracks, reading: Reading) -> dict[str, Any]:
             "unit in the file": tracks.length_unit,
             "scale": scale,
             "y flipped": _y_down(tracks, reading),
-            "y stated": reading.y_down is not None,
+            "y stated": reading.y is not None,
         },
         "times": {
             "unit in the file": FRAMES if tracks.time is None else tracks.time_unit,

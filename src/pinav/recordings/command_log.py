@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from pinav.errors import InputError
+from pinav.reading import PLAIN, Reading
 from pinav.recordings import units
 from pinav.recordings.conventions import rotations
 from pinav.recordings.particles import acting
-from pinav.recordings.rows import COMMAND_UNITS, FRAMES, PLAIN, Reading
+from pinav.recordings.rows import COMMAND_UNITS, FRAMES
 from pinav.recordings.source import Source
 from pinav.recordings.table import example_of_columns, likely_columns
 from pinav.trajectories import Trajectories, Trajectory
@@ -48,11 +49,7 @@ class Offset(NamedTuple):
 
 
 def read_log(source: Source, reading: Reading) -> CommandLog:
-    """The commands of a log, in Hz and rad, by time or frame.
-
-    Raises:
-        InputError: it has no time, or no command; or a cell is damaged.
-    """
+    """The commands of a log, in Hz and rad, by time or frame."""
     table = source.table()
     names = list(table.columns)
     given = reading.columns or {}
@@ -96,10 +93,6 @@ def with_commands(
         recording: positions, without commands.
         log: what was commanded.
         reading: rate, delay and heading offset.
-
-    Raises:
-        InputError: the recording has commands, the clocks are of two kinds, or the log
-            and the recording never meet.
     """
     if recording.commands:
         raise InputError("commands: the file has commands itself; leave the log out")

@@ -30,11 +30,7 @@ TURNS = 2 * math.pi + 0.2
 
 
 def doubts(recording: Trajectories) -> list[str]:
-    """What a fit must not take for granted, each with the option that settles it.
-
-    Args:
-        recording: what `read_recording` gives.
-    """
+    """What a fit must not take for granted, each with the option that settles it."""
     return [
         *recording.provenance.get("doubts", {}).values(),
         *_of_times(recording),
@@ -102,11 +98,7 @@ def _degrees_in_words(recording: Trajectories) -> str:
 
 
 def remarks_on_headings(recording: Trajectories) -> list[str]:
-    """What looks odd about headings although their convention is stated.
-
-    Args:
-        recording: what `read_recording` gives.
-    """
+    """What looks odd about headings although their convention is stated."""
     said = [heading_remark(recording)]
     if not _of_degrees(recording):
         said.append(_degrees_in_words(recording))
@@ -123,11 +115,7 @@ def remarks_on_headings(recording: Trajectories) -> list[str]:
 
 
 def heading_remark(recording: Trajectories) -> str:
-    """What is said of a heading that is off by about a right angle; mostly nothing.
-
-    Args:
-        recording: what `read_recording` gives.
-    """
+    """What is said of a heading that is off by about a right angle; mostly nothing."""
     samples = _samples(recording)
     if samples is None:
         return ""
@@ -204,11 +192,7 @@ def _velocities(
 
 
 def remarks(recording: Trajectories) -> tuple[str, ...]:
-    """How a recording was read, what was left out of it, and what looks odd.
-
-    Args:
-        recording: what `read_recording` gives; nothing is said of other trajectories.
-    """
+    """How a recording was read, what was left out of it, and what looks odd."""
     said = in_words(recording.provenance)
     if not said:
         return ()
@@ -222,11 +206,7 @@ def remarks(recording: Trajectories) -> tuple[str, ...]:
 
 
 def in_words(provenance: Mapping[str, Any]) -> list[str]:
-    """What was flipped, scaled, shifted and left out when a recording was read.
-
-    Args:
-        provenance: of what `read_recording` gives.
-    """
+    """What was flipped, scaled, shifted and left out when a recording was read."""
     if "positions" not in provenance:
         return []
     positions, times = provenance["positions"], provenance["times"]

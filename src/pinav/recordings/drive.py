@@ -79,11 +79,7 @@ class Drive:
 
 
 def drive(segments: Sequence[Trajectory]) -> Drive | None:
-    """Coverage of the commands of a run; None where it has no frequency or heading.
-
-    Args:
-        segments: the trajectories of the run.
-    """
+    """Coverage of the commands of a run; None where it has no frequency or heading."""
     if not {"frequency", "heading"} <= set(segments[0].commands):
         return None
     frequency = np.concatenate([s.commands["frequency"] for s in segments])
@@ -213,11 +209,7 @@ def path_length(segment: Trajectory) -> float:
 
 
 def speeds_by_frequency(segments: list[Trajectory]) -> list[Speed]:
-    """Speed at each frequency, over windows in which the frequency hardly changes.
-
-    Args:
-        segments: of particles under one command.
-    """
+    """Speed at each frequency, over windows in which the frequency hardly changes."""
     logged = np.concatenate([segment.commands["frequency"] for segment in segments])
     levels = np.unique(np.round(logged, 2))
     tolerance = 0.1 if len(levels) > _FEW else 0.0

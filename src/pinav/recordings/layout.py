@@ -53,10 +53,6 @@ def read_delimited(
         below: lines between the header and the numbers, which are skipped too.
         names: of the columns, where those of the header are not unique.
         faults: where bad rows are noted; the first one is refused where None.
-
-    Raises:
-        InputError: there is no header or no row, a name stands twice, or a row has
-            not as many cells as the header.
     """
     lines = text.splitlines(keepends=True)[skip:]
     if not lines or not lines[0].strip():
@@ -108,9 +104,6 @@ def rows_of_comments(lines: Sequence[str]) -> int:
 
     The last comment is the header where a row of as many numbers follows it:
     `numpy.savetxt` writes it so.
-
-    Args:
-        lines: the first lines of the file.
     """
     rest = (i for i, line in enumerate(lines) if not line.startswith(COMMENTS))
     count = next(rest, len(lines))
@@ -137,10 +130,6 @@ def table_of(
         names: of the columns, where those of the header are not unique.
         decimal: whether commas may be decimal ones.
         faults: where bad rows are noted; the first one is refused where None.
-
-    Raises:
-        InputError: a name stands twice, no row is below the header, or a row has not
-            as many cells as the header.
     """
     number, first = rows[0]
     header = [str(c or "").strip() for c in first] if names is None else list(names)
@@ -297,9 +286,6 @@ def rows_above_header(rows: Sequence[Sequence[Any]]) -> int:
 
     The header is the first row as wide as most rows are; nothing is skipped where that
     row holds a number, because then the header itself is at fault.
-
-    Args:
-        rows: the first rows of the file.
     """
     widths = [_width(row) for row in rows[:_SAMPLE]]
     common = Counter(w for w in widths if w > 1).most_common(1)
@@ -327,11 +313,7 @@ _DAMAGED = (
 
 
 def read_sheets(content: bytes) -> dict[str, list[tuple[Any, ...]]]:
-    """The cells of every sheet, by its name.
-
-    Raises:
-        InputError: the workbook is damaged.
-    """
+    """The cells of every sheet, by its name."""
     import openpyxl
     from openpyxl.utils.exceptions import InvalidFileException
 
@@ -355,11 +337,7 @@ def _cells(sheet: Any) -> Iterator[tuple[Any, ...]]:
 def sheet_table(
     content: bytes, name: str | None, skip: int | None, faults: dict[str, str] | None
 ) -> Table:
-    """The table on a sheet of a workbook, or on the only one.
-
-    Raises:
-        InputError: the workbook is damaged, or it is not clear which sheet is meant.
-    """
+    """The table on a sheet of a workbook, or on the only one."""
     sheets = {name: rows for name, rows in read_sheets(content).items() if rows}
     names = ", ".join(map(repr, sheets)) or "none with cells"
     if name is None and len(sheets) != 1:

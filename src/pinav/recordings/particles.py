@@ -38,12 +38,7 @@ class Particle:
 
 
 def particles(tracks: Tracks, reading: Reading) -> dict[tuple[str, str, str], Particle]:
-    """The particles of a recording by `Tracks.names`, in the order of appearance.
-
-    Raises:
-        InputError: a frame stands twice, times do not increase, or times are wanted
-            that the file does not have.
-    """
+    """The particles of a recording by `Tracks.names`, in the order of appearance."""
     times = _times(tracks, reading)
     groups: dict[tuple[str, str, str], list[int]] = {}
     for row, name in enumerate(tracks.names):

@@ -11,7 +11,7 @@ import hashlib
 import io
 import urllib.error
 import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -28,18 +28,7 @@ SECONDS = 60.0
 """Time after which a server that does not answer is given up."""
 
 
-class TableOfNumbers(NamedTuple):
-    """A table as it is written.
-
-    Attributes:
-        header: name and unit of each column.
-        rows: the numbers.
-        decimals: digits after the point.
-    """
-
-    header: tuple[str, ...]
-    rows: Float[np.ndarray, "row column"]
-    decimals: int
+Columns = Mapping[str, Float[np.ndarray, " row"]]
 
 
 class PublicRecording(NamedTuple):
@@ -47,14 +36,13 @@ class PublicRecording(NamedTuple):
 
     Attributes:
         name: of the folder in which it is put.
-        summary: what was recorded.
         repository: owner and name on GitHub.
-        commit: of the repository.
         path: of the file in it.
         licence: as stated there.
         sha256: checksum of the file.
         file: name of the table that is written.
-        convert: the table of the file's content.
+        rate: frames per second [1/s].
+        columns: names and numbers of the file's content, without times.
         reference: where it was published.
     """
 
@@ -66,7 +54,8 @@ class PublicRecording(NamedTuple):
     licence: str
     sha256: str
     file: str
-    convert: Callable[[bytes], TableOfNumbers]
+    rate: float
+    columns: Callable[[bytes], Columns]
     reference: str
 
     @property
@@ -87,40 +76,31 @@ class PublicRecording(NamedTuple):
 
 
 def _rows(content: bytes) -> Float[np.ndarray, "row column"]:
-    return np.loadtxt(io.BytesIO(content), ndmin=2)
+    """Numbers of a text, without its last column, a rounded time."""
+    return np.loadtxt(io.BytesIO(content), ndmin=2)[:, :-1]
 
 
-def _ring(content: bytes) -> TableOfNumbers:
-    """39 tracks, the last column a rounded time; 150 Hz."""
-    angles = _rows(content)[:, :-1]
-    names = (f"angle_{index:02d}_rad" for index in range(angles.shape[1]))
-    times = np.arange(len(angles)) / 150
-    rows = np.concatenate([times[:, None], angles], axis=1)
-    return TableOfNumbers(("t_s", *names), rows, 6)
+def _ring(content: bytes) -> Columns:
+    """39 tracks."""
+    return {f"angle_{i:02d}_rad": angle for i, angle in enumerate(_rows(content).T)}
 
 
-def _read_dragged(content: bytes) -> TableOfNumbers:
-    """Trap, bead and a rounded time; 145 Hz."""
-    trap, bead, _ = _rows(content).T
-    rows = np.stack([np.arange(len(bead)) / 145, trap, bead], axis=1)
-    return TableOfNumbers(("t_s", "trap_um", "bead_um"), rows, 6)
+def _read_dragged(content: bytes) -> Columns:
+    trap, bead = _rows(content).T
+    return {"trap_um": trap, "bead_um": bead}
 
 
-def _rest(content: bytes) -> TableOfNumbers:
-    """Position in m and a rounded time; 145 Hz."""
-    bead = _rows(content)[:, 0] * 1e6
-    rows = np.stack([np.arange(len(bead)) / 145, bead], axis=1)
-    return TableOfNumbers(("t_s", "bead_um"), rows, 6)
+def _rest(content: bytes) -> Columns:
+    """Position in m."""
+    return {"bead_um": _rows(content)[:, 0] * 1e6}
 
 
-def _wall(content: bytes) -> TableOfNumbers:
-    """A MATLAB file with x, y and z in um; 60 Hz."""
+def _wall(content: bytes) -> Columns:
+    """A MATLAB file with x, y and z in um."""
     from scipy.io import loadmat
 
     arrays = loadmat(io.BytesIO(content), variable_names=["x", "y", "z"])
-    columns = [arrays[name].ravel() for name in ("x", "y", "z")]
-    rows = np.stack([np.arange(len(columns[0])) / 60, *columns], axis=1)
-    return TableOfNumbers(("t_s", "x_um", "y_um", "z_um"), rows, 6)
+    return {f"{name}_um": arrays[name].ravel() for name in ("x", "y", "z")}
 
 
 TWEEZERS = "softmatterlab/OpticalTweezersTutorial"
@@ -137,7 +117,8 @@ PUBLIC = (
         licence="MIT, Copyright (c) 2021 Maxime Lavaud",
         sha256="fb0f01c45c37c985b65f27ced6b4a42d1ba561a6f9352810d247480a889c0226",
         file="recording.csv.gz",
-        convert=_wall,
+        rate=60,
+        columns=_wall,
         reference="Lavaud et al., Phys. Rev. Research 3, L032011 (2021)",
     ),
     PublicRecording(
@@ -150,7 +131,8 @@ PUBLIC = (
         licence="none stated",
         sha256="992163422fa6ee6e7898f8751ed1dc8c8bc612f8e417c3b60e34a7a9b2aff018",
         file="angles.csv.gz",
-        convert=_ring,
+        rate=150,
+        columns=_ring,
         reference="Gomez-Solano et al., Phys. Rev. Lett. 103, 040601 (2009); "
         f"{GIESELER}",
     ),
@@ -164,7 +146,8 @@ PUBLIC = (
         licence="none stated",
         sha256="80da7843a802e78254853c94d5a90b5ff023829123596dd1423f87b0218e1d17",
         file="recording.csv.gz",
-        convert=_read_dragged,
+        rate=145,
+        columns=_read_dragged,
         reference=GIESELER,
     ),
     PublicRecording(
@@ -176,7 +159,8 @@ PUBLIC = (
         licence="none stated",
         sha256="bc2cd0b4b246a4a688ac569d3ded9cd25ced3234b69121ccdea6550fad35ece0",
         file="recording.csv.gz",
-        convert=_rest,
+        rate=145,
+        columns=_rest,
         reference=GIESELER,
     ),
 )
@@ -223,15 +207,15 @@ def fetch_recording(name: str, folder: Path, source: Path | None = None) -> Path
             f"{recording.sha256[:16]}..., got {digest[:16]}...; take that of commit "
             f"{recording.commit[:12]}"
         )
-    table = recording.convert(content)
+    columns = recording.columns(content)
+    times = np.arange(len(next(iter(columns.values())))) / recording.rate
     text = io.StringIO()
-    form = f"%.{table.decimals}f"
     np.savetxt(
         text,
-        table.rows,
-        fmt=form,
+        np.stack([times, *columns.values()], axis=1),
+        fmt="%.6f",
         delimiter=",",
-        header=",".join(table.header),
+        header=",".join(("t_s", *columns)),
         comments="",
     )
     try:

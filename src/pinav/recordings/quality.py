@@ -26,8 +26,6 @@ class Track:
     """One particle of one run.
 
     Attributes:
-        run: name of its run.
-        particle: its name.
         segments: stretches between jumps and gaps.
         samples: rows with a position.
         lost: rows without.
@@ -74,16 +72,12 @@ class Run:
     """One run: particles under one command.
 
     Attributes:
-        name: of the run.
-        particles: how many there are.
         segments: of all particles.
         samples: rows with a position, of all particles.
         duration: from the first time to the last [T].
-        clock: intervals between rows.
         scatter: median over particles of that of a row, from all causes [L].
         deviation: median over particles of the localisation error [L].
         drive: coverage of the commands; None where there are none.
-        speeds: speed against frequency; empty without commands.
         warnings: what a fit to this run cannot tell.
     """
 
@@ -106,15 +100,10 @@ class Quality:
     """The quality report of a recording.
 
     Attributes:
-        source: name of the file.
-        format: its format.
         units: of lengths and times.
-        runs: in the order of the file.
         tracks: every particle of every run.
-        notes: what reading the file brought up.
         warnings: what cannot be found from any of its runs.
         doubts: what looks wrong, and is refused by a fit.
-        provenance: what was done to read it.
     """
 
     source: str

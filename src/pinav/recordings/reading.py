@@ -1,9 +1,11 @@
 """`read_recording`: a tracker's file, whatever its format, as `Trajectories`."""
 
-import dataclasses
 import os
 
+import msgspec
+
 from pinav.errors import InputError
+from pinav.reading import PLAIN, Reading
 from pinav.recordings.assembly import assemble
 from pinav.recordings.command_log import read_log, with_commands
 from pinav.recordings.formats.arrays import IdTracker, TRex
@@ -19,7 +21,7 @@ from pinav.recordings.formats.trackmate import (
     TrackMateProject,
     TrackMateXML,
 )
-from pinav.recordings.rows import COMMAND_UNITS, PLAIN, Reading
+from pinav.recordings.rows import COMMAND_UNITS
 from pinav.recordings.source import AbstractFormat, DataFrame, Source
 from pinav.recordings.table import example_of_columns, likely_columns
 from pinav.trajectories import Trajectories
@@ -144,7 +146,7 @@ def _without_commands(reading: Reading) -> Reading:
         if name not in COMMAND_UNITS
     }
     stated = {n: u for n, u in (reading.units or {}).items() if n not in COMMAND_UNITS}
-    return dataclasses.replace(
+    return msgspec.structs.replace(
         reading,
         columns=columns or None,
         units=stated or None,

@@ -1,17 +1,15 @@
 """What every format comes down to: rows of positions, in the file's own conventions."""
 
 import dataclasses
-import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, final
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from pinav.errors import InputError
+from pinav.reading import Reading
 from pinav.recordings import units
 from pinav.recordings.table import Table
-from pinav.settings import Range
 
 FRAMES = "frame"
 """Unit of times that are only numbers of frames."""
@@ -148,72 +146,6 @@ class Tracks:
     def where(self, row: int, what: str) -> str:
         """Where the frame or the time of a row stands, for a message."""
         return f"{self.place(row)}, column {self.columns.get(what, what)!r}"
-
-
-@final
-@dataclasses.dataclass(frozen=True)
-class Reading:
-    """How a recording is to be read: what its file does not say.
-
-    Attributes:
-        format: name of the format; found from the content unless given.
-        columns: the file's name of each quantity, for tables of any make.
-        units: unit of a quantity, where it is not the usual one.
-        fps: frames per second [1/s]; times become frame / fps.
-        mpp: scale of positions in pixels [um/px].
-        y_down: whether y grows downwards in the file; as is usual for the format
-            unless given.
-        heading_offset: added to the logged heading [rad]; never guessed.
-        delay: by which commands act late [s].
-        jump: displacement from row to row that splits a track, in px or um as the
-            file has it, before `mpp`; 40 px or 15 um unless given.
-        gap: frames without the particle that split a track.
-        likelihood: below which a position counts as lost, where the file has one.
-        runs: names of the runs that are kept; all unless given.
-        particles: names of the particles that are kept; all unless given.
-        sheet: name of the sheet of a workbook; the only one unless given.
-        skip: rows above the header; titles are found by their widths unless given.
-        strict: refuse a bad row; it is left out and counted unless given.
-        commands: file of a log of commands of its own, by time or frame; `columns`
-            names its columns too.
-
-    Raises:
-        InputError: a number is not positive, or `delay` is negative.
-    """
-
-    format: str | None = None
-    columns: Mapping[str, str] | None = None
-    units: Mapping[str, str] | None = None
-    fps: float | None = None
-    mpp: float | None = None
-    y_down: bool | None = None
-    heading_offset: float = 0.0
-    delay: float = 0.0
-    jump: float | None = None
-    gap: int = 10
-    likelihood: float = 0.6
-    runs: Sequence[str] = ()
-    particles: Sequence[str] = ()
-    sheet: str | None = None
-    skip: int | None = None
-    strict: bool = False
-    commands: str | os.PathLike[str] | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("fps", "mpp", "jump", "gap"):
-            value = getattr(self, name)
-            Range(above=0).check(name, value)
-        Range(least=0).check("delay", self.delay)
-        Range(least=0, most=1).check("likelihood", self.likelihood)
-        if not np.isfinite(self.heading_offset):
-            raise InputError(
-                f"heading_offset: expected a number of radians, "
-                f"got {self.heading_offset}"
-            )
-
-
-PLAIN = Reading()
-"""How a file is read that says everything of itself."""
 
 
 def varying(heights: Float64[np.ndarray, " row"]) -> Float64[np.ndarray, " row"] | None:

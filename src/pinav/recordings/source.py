@@ -101,11 +101,7 @@ class Source:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str], reading: Reading = STRICT) -> "Source":
-        """The file at `path`, decompressed where it is gzip.
-
-        Raises:
-            InputError: it cannot be read, or holds nothing.
-        """
+        """The file at `path`, decompressed where it is gzip."""
         path = Path(path)
         if path.is_dir():
             return cls(path, b"", None, reading)
@@ -156,11 +152,7 @@ class Source:
 
     @cached_property
     def text(self) -> str:
-        """The content as text.
-
-        Raises:
-            InputError: a byte is not UTF-8; the message names its line.
-        """
+        """The content as text."""
         wide = self.content.startswith((b"\xff\xfe", b"\xfe\xff"))
         try:
             text = self.content.decode("utf-16" if wide else "utf-8-sig")
@@ -221,11 +213,7 @@ class Source:
         return names
 
     def table(self) -> Table:
-        """The table that a file or a DataFrame is.
-
-        Raises:
-            InputError: it is none, or damaged; the message names the place.
-        """
+        """The table that a file or a DataFrame is."""
         if self.frame is not None:
             return self._count_rows(self.frame)
         if self.kind == "parquet":
@@ -251,9 +239,6 @@ class Source:
             skip: lines above the header.
             below: lines between the header and the numbers.
             names: of the columns, where those of the header are not unique.
-
-        Raises:
-            InputError: it is none, or damaged; the message names the place.
         """
         return read_delimited(
             self.text, skip=skip, below=below, names=names, faults=self.faults
@@ -317,9 +302,4 @@ class AbstractFormat(abc.ABC):
 
     @abc.abstractmethod
     def tracks(self, source: Source) -> Tracks:
-        """The rows of the file.
-
-        Raises:
-            InputError: the file is damaged; the message names the row and the column,
-                but not the file.
-        """
+        """The rows of the file."""

@@ -37,11 +37,7 @@ SYNONYMS: Mapping[str, tuple[str, ...]] = {
 
 
 def likely_columns(names: Sequence[str]) -> dict[str, str]:
-    """The column that each quantity probably has; none where no name says so.
-
-    Args:
-        names: of the columns of a table.
-    """
+    """The column that each quantity probably has; none where no name says so."""
     likely = {}
     for quantity, words in SYNONYMS.items():
         short = {name: _without_qualifiers(name, quantity) for name in names}
@@ -72,11 +68,7 @@ def _plain(name: str) -> str:
 
 
 def example_of_columns(names: Sequence[str]) -> str:
-    """The option `--columns` to start from.
-
-    Args:
-        names: of the columns of a table.
-    """
+    """The option `--columns` to start from."""
     likely = likely_columns(names)
     if "t" in likely:
         likely.pop("frame", None)
@@ -141,11 +133,7 @@ class Table:
         return f"{self.row(row)}, column {column!r}"
 
     def refuse(self, row: int, message: str) -> None:
-        """Note the fault of a row, which is then left out, or raise it.
-
-        Raises:
-            InputError: every row must be good.
-        """
+        """Note the fault of a row, which is then left out, or raise it."""
         if self.faults is None:
             raise InputError(message)
         self.faults.setdefault(self.row(row), message)
@@ -163,11 +151,7 @@ class Table:
         return self.units.get(name, "") or units.split_heading(name)[1]
 
     def column(self, name: str) -> Sequence[Any] | np.ndarray:
-        """The cells of a column, named with or without its unit.
-
-        Raises:
-            InputError: there is none of that name.
-        """
+        """The cells of a column, named with or without its unit."""
         name = self.resolve(name)
         if name not in self.columns:
             raise InputError(
@@ -188,9 +172,6 @@ class Table:
         Args:
             name: of the column.
             lost: whether a cell may be empty or NaN, which becomes NaN.
-
-        Raises:
-            InputError: the column is missing, or a cell is no number below 1e100.
         """
         cells = self.column(name)
         values = _as_floats(cells)
@@ -237,9 +218,6 @@ class Table:
         Stamps such as `12:30:01.5`, `2:05.31` (minutes and seconds) or
         `2024-03-20T15:10:30.5` become seconds since the first of them; a clock that
         passes midnight goes on.
-
-        Raises:
-            InputError: the column is missing, or a cell is no time.
         """
         cells = self.column(name)
         first = next((cell for cell in cells if _stamp(cell) is not None), None)
@@ -268,9 +246,6 @@ class Table:
         Args:
             name: of the column.
             least: the smallest that is allowed, if there is one.
-
-        Raises:
-            InputError: the column is missing, or a cell is no such number.
         """
         values = self.numbers(name)
         wrong = (values != np.round(values)) | (np.abs(values) > 2.0**53)
@@ -288,11 +263,7 @@ class Table:
         return np.where(wrong, -1.0, values).astype(np.int64)
 
     def labels(self, name: str) -> list[str]:
-        """The words of a column that tells things apart; 3.0 and 3 are one word.
-
-        Raises:
-            InputError: the column is missing, or a cell is empty.
-        """
+        """The words of a column that tells things apart; 3.0 and 3 are one word."""
         words = [_label(cell) for cell in self.column(name)]
         for row, word in enumerate(words):
             if not word:

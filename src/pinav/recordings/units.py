@@ -101,11 +101,7 @@ def duration(unit: str | None) -> tuple[float, str]:
 
 
 def command(name: str, target: str, unit: str) -> float:
-    """Factor that brings a command to the unit `target`.
-
-    Raises:
-        InputError: the unit does not measure such a quantity.
-    """
+    """Factor that brings a command to the unit `target`."""
     known = _COMMANDS.get(target, {})
     word = bare(unit)
     if word not in known:
@@ -116,20 +112,12 @@ def command(name: str, target: str, unit: str) -> float:
 
 
 def stated_length(units: Mapping[str, str] | None) -> tuple[float, str] | None:
-    """Factor and unit of positions as the user states them, if at all.
-
-    Raises:
-        InputError: the unit is none of length.
-    """
+    """Factor and unit of positions as the user states them, if at all."""
     return _conversion(units, "x", length, (*_MICROMETRES, "px"))
 
 
 def stated_duration(units: Mapping[str, str] | None) -> tuple[float, str] | None:
-    """Factor and unit of times as the user states them, if at all.
-
-    Raises:
-        InputError: the unit is none of time.
-    """
+    """Factor and unit of times as the user states them, if at all."""
     return _conversion(units, "t", duration, (*_SECONDS, "frame"))
 
 

@@ -25,10 +25,9 @@ from pinav.scenarios.media import (
     varying_director,
     vortex_current,
 )
-from pinav.scenarios.spaces import box
 from pinav.scenarios.starts_and_thrusts import Scenario
 from pinav.scenarios.thermal_truths import brownian, ring, wall
-from pinav.scenarios.vessels import above_wall, bifurcation, tube
+from pinav.scenarios.vessels import above_wall, bifurcation, box, tube
 from pinav.systems import System, parse_system, read_system
 
 SCENARIOS: dict[str, Scenario] = {
@@ -106,9 +105,6 @@ def find_system(
 
 def source_system(provenance: Mapping[str, Any]) -> System | None:
     """The system that data were simulated from; None where they do not say so.
-
-    Args:
-        provenance: of trajectories.
 
     Raises:
         InputError: the text of the system is damaged, or it names Python code.

@@ -68,13 +68,7 @@ def paper_swimmer(
 
 
 def planar_system(name: str, truth: Swimmer, rule: AbstractStarts) -> System:
-    """A dimensionless system in the plane, observed every 0.1 up to t = 20.
-
-    Args:
-        name: what the command line calls it.
-        truth: the swimmer in its true environment.
-        rule: draws the starts.
-    """
+    """A dimensionless system in the plane, observed every 0.1 up to t = 20."""
     return System(
         name=name,
         swimmer=truth.without_environment(),
@@ -171,6 +165,8 @@ def moving_barrier() -> System:
 SQUARE = Domain((0.0, 0.0), (20.0, 20.0))
 """Where centres and starts are."""
 
+COASTING = CoastingStarts(lower=SQUARE.lower, upper=SQUARE.upper, damping=DAMPING)
+
 FIELD_SEED = 12
 """Each field is drawn once: keys of a scenario change its starts, not its world."""
 
@@ -195,8 +191,7 @@ def many_barriers() -> System:
         widths=(1.0, 1.6),
         key=jax.random.key(FIELD_SEED),
     )
-    starts = CoastingStarts(lower=SQUARE.lower, upper=SQUARE.upper, damping=DAMPING)
-    return planar_system("many-barriers", paper_swimmer(field), starts)
+    return planar_system("many-barriers", paper_swimmer(field), COASTING)
 
 
 @with_random_starts
@@ -217,5 +212,4 @@ def fibres() -> System:
         width=0.7,
         key=jax.random.key(FIELD_SEED),
     )
-    starts = CoastingStarts(lower=SQUARE.lower, upper=SQUARE.upper, damping=DAMPING)
-    return planar_system("fibres", paper_swimmer(field), starts)
+    return planar_system("fibres", paper_swimmer(field), COASTING)

@@ -134,5 +134,5 @@ def brownian() -> System:
         thermal_energy=heat,
         rule=UniformStarts(lower=(-6.0, -8.0), upper=(6.0, 2.0), count=32),
         times=jnp.linspace(0.0, 10.0, 241),
-        base_units=Units("um", "s", "pN"),
+        base_units=UNITS,
     )

@@ -1,6 +1,9 @@
-r"""Heavy swimmers without inertia in space, above a wall and in vessels.
+r"""Swimmers without inertia in space: above a wall, in vessels, in a box of obstacles.
 
-Lengths are in um, forces in pN. The swimmer is a sphere of radius 5 um in water, which
+The thrust n is known and turns from one direction to the next, so that each trajectory
+sees much of the space: $\dot x = n(t) + F_e(x) + F_k(x)$; there is one schedule for
+all trajectories, and the starts differ. Above the wall and in vessels lengths are in
+um, forces in pN. The swimmer is a sphere of radius 5 um in water, which
 a force drags; its thermal motion, 0.3 um in a second, is left out of the recordings and
 belongs into the noise of a task.
 """
@@ -11,11 +14,14 @@ import jax.numpy as jnp
 
 from pinav.dynamics import OverdampedSwimmer
 from pinav.forces import (
+    AbstractFlow,
+    AbstractForce,
     Bifurcation,
     BifurcationFlow,
     Domain,
     DoubleLayer,
     GaussianBarrier,
+    HarmonicTrap,
     LinearForce,
     Plane,
     Superposition,
@@ -103,24 +109,8 @@ def tube() -> System:
             jnp.array([17.0, 16.0, 15.0]),
         )
     )
-    return System(
-        name="tube",
-        swimmer=OverdampedSwimmer(
-            out_and_back(15.0, 1.0, 2.0),
-            ZeroForce(),
-            WallMobility(RADIUS, VISCOSITY, vessel),
-            flow=TubeFlow(4.0, vessel, pulse=0.5, frequency=1 / 7.5),
-            known_force=DoubleLayer(5.0, 1.0, RADIUS, vessel),
-        ),
-        dim=3,
-        environment=plaques,
-        observation=Observation(noise=0.2),
-        rule=UniformStarts(
-            lower=(0.0, -22.0, -22.0), upper=(110.0, 22.0, 22.0), count=16
-        ),
-        times=jnp.linspace(0.0, 15.0, 76),
-        base_units=UNITS,
-    )
+    flow = TubeFlow(4.0, vessel, pulse=0.5, frequency=1 / 7.5)
+    return _vessel("tube", vessel, flow, plaques, (110.0, 22.0, 22.0))
 
 
 @with_random_starts
@@ -154,23 +144,70 @@ def bifurcation() -> System:
             jnp.array([15.0, 13.0, 14.0]),
         )
     )
+    flow = BifurcationFlow(
+        4.0, vessel, jnp.array([0.35, 0.65]), pulse=0.5, frequency=1 / 7.5
+    )
+    return _vessel("bifurcation", vessel, flow, plaques, (100.0, 22.0, 16.0))
+
+
+def _vessel(
+    name: str,
+    vessel: Tube | Bifurcation,
+    flow: AbstractFlow,
+    plaques: AbstractForce,
+    corner: tuple[float, float, float],
+) -> System:
+    """A sphere dragged through a vessel, from starts about the axis up to a corner."""
     return System(
-        name="bifurcation",
+        name=name,
         swimmer=OverdampedSwimmer(
             out_and_back(15.0, 1.0, 2.0),
             ZeroForce(),
             WallMobility(RADIUS, VISCOSITY, vessel),
-            flow=BifurcationFlow(
-                4.0, vessel, jnp.array([0.35, 0.65]), pulse=0.5, frequency=1 / 7.5
-            ),
+            flow=flow,
             known_force=DoubleLayer(5.0, 1.0, RADIUS, vessel),
         ),
         dim=3,
         environment=plaques,
         observation=Observation(noise=0.2),
-        rule=UniformStarts(
-            lower=(0.0, -22.0, -16.0), upper=(100.0, 22.0, 16.0), count=16
-        ),
+        rule=UniformStarts(lower=(0.0, -corner[1], -corner[2]), upper=corner, count=16),
         times=jnp.linspace(0.0, 15.0, 76),
         base_units=UNITS,
+    )
+
+
+BOX = Domain((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))
+"""Where centres of obstacles and starts of `box` are."""
+
+
+@with_random_starts
+def box() -> System:
+    """Twelve soft obstacles in a box of 10 by 10 by 10, which a swimmer goes round.
+
+    Gaussian barriers that keep apart, of heights uniform in [2, 4] and widths in
+    [1.6, 2]: the steepest push with up to 1.3. The field is the same for every key. A
+    known trap of stiffness 0.1 about the middle, such as that of a standing wave of
+    sound, keeps swimmers in the box. Starts are uniform in the box; a thrust of 2
+    drives them out and back along one direction after the other, for a time unit each
+    way. Observed every 0.2 for 30 time units, with an error of 0.02. Expected: each
+    swimmer sees the space about its start and slides off the obstacles there.
+
+    It has 16 trajectories unless another number is given.
+    """
+    field = random_barriers(
+        BOX, 12, heights=(2.0, 4.0), widths=(1.6, 2.0), key=jax.random.key(12)
+    )
+    return System(
+        name="box",
+        swimmer=OverdampedSwimmer(
+            out_and_back(30.0, 1.0, 2.0),
+            ZeroForce(),
+            1.0,
+            known_force=HarmonicTrap(0.1, [5.0, 5.0, 5.0]),
+        ),
+        dim=3,
+        environment=field,
+        observation=Observation(noise=0.02),
+        rule=UniformStarts(lower=BOX.lower, upper=BOX.upper, count=16),
+        times=jnp.linspace(0.0, 30.0, 151),
     )

@@ -44,7 +44,6 @@ class Order(msgspec.Struct, frozen=True):
     """What a worker is told beside the cell.
 
     Attributes:
-        cells: the folder of the cells.
         token: of the sweep, which the worker must find in that folder.
         cell: the cell as TOML.
         client: process and machine of the client.
@@ -128,11 +127,7 @@ def _carry_out(order: Order) -> None:
 
 
 def _check_folder(store: CellStore, order: Order) -> None:
-    """Require that this machine sees the sweep's folder.
-
-    Raises:
-        InputError: it does not.
-    """
+    """Require that this machine sees the sweep's folder."""
     until = time.monotonic() + SIGHT  # a network's file system may show it late
     while True:
         plan = store.read_plan()
@@ -172,10 +167,6 @@ def _do(cell: Cell, here: Path, order: Order) -> str:
     """Call the cell's function; the reason where it fails.
 
     A process that crashes, or whose time is over, writes where it was before it ends.
-
-    Raises:
-        OSError: the system refused to write.
-        InputError: the same, from a function that has made it a line.
     """
     module, _, name = cell.command.partition(":")
     with open(here / TRACE_FILE, "w") as trace:

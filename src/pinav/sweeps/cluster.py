@@ -6,10 +6,7 @@ import logging
 import signal
 from collections.abc import Iterator, Sequence
 from multiprocessing import resource_tracker
-from pathlib import Path
 from typing import Any
-
-import msgspec
 
 from pinav.errors import InputError
 from pinav.sweeps import worker
@@ -18,25 +15,10 @@ CONNECTION_TIME = 10.0
 """How long a scheduler may take to answer [s]."""
 
 
-class TlsFiles(msgspec.Struct, frozen=True):
-    """Files that let a client and a cluster know each other, as Dask has them.
-
-    Attributes:
-        ca: certificate of the authority that both trust.
-        cert: the client's certificate.
-        key: its private key.
-    """
-
-    ca: Path
-    cert: Path
-    key: Path
-
-
 class Cluster:
     """The workers of a Dask scheduler, as they come and go; each does one cell.
 
     Attributes:
-        client: the client of the scheduler.
         description: what does the work, for people.
     """
 
@@ -44,11 +26,7 @@ class Cluster:
         self.client, self.description = client, description
 
     def workers(self) -> Sequence[str]:
-        """Addresses of the workers that there are now.
-
-        Raises:
-            InputError: the scheduler is gone.
-        """
+        """Addresses of the workers that there are now."""
         with contextlib.suppress(OSError):  # of a connection that breaks just now
             if self.client.status in ("running", "connecting"):
                 return list(self.client.scheduler_info(n_workers=-1)["workers"])
@@ -61,8 +39,6 @@ class Cluster:
         """Hand an order to a worker; the future of its answer.
 
         Args:
-            place: address of the worker.
-            version: of the program of this client.
             order: an `Order` as JSON.
         """
         return self.client.submit(
@@ -106,9 +82,6 @@ class Cluster:
 def local_cluster(count: int) -> Iterator[Cluster]:
     """Fresh processes of this machine, each with one core; one that dies is replaced.
 
-    Args:
-        count: Number of processes.
-
     Raises:
         InputError: the processes cannot be started.
     """
@@ -148,34 +121,25 @@ def _without_interrupts() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def cluster_at(address: str, tls: TlsFiles | None = None) -> Iterator[Cluster]:
+def cluster_at(address: str) -> Iterator[Cluster]:
     """The workers of the scheduler at an address.
 
+    The certificates of one at tls:// are those of Dask's own configuration.
+
     Args:
-        address: Such as tcp://host:8786, or tls://host:8786.
-        tls: Certificates, where the scheduler asks for them.
+        address: such as tcp://host:8786, or tls://host:8786.
 
     Raises:
         InputError: nobody answers, or not in time.
     """
     distributed: Any = importlib.import_module("distributed")
     try:
-        security = {} if tls is None else {"security": _security(distributed, tls)}
         client = distributed.Client(
-            address, timeout=CONNECTION_TIME, set_as_default=False, **security
+            address, timeout=CONNECTION_TIME, set_as_default=False
         )
     except (OSError, ValueError, TypeError) as error:
         reason = str(error) or "nobody answers"
-        raise InputError(f"--scheduler {address}: {reason}") from error
+        raise InputError(f"--workers {address}: {reason}") from error
     with client:
         page = client.dashboard_link
         yield Cluster(client, f"the Dask cluster at {address} ({page})")
-
-
-def _security(distributed: Any, tls: TlsFiles) -> Any:
-    return distributed.Security(
-        tls_ca_file=str(tls.ca),
-        tls_client_cert=str(tls.cert),
-        tls_client_key=str(tls.key),
-        require_encryption=True,
-    )

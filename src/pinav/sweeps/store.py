@@ -40,11 +40,8 @@ class Cell(msgspec.Struct, frozen=True):
     """One piece of work; all that decides its result is in four of its fields.
 
     Attributes:
-        command: "module:name" of the function that does it, which takes the cell and
-            the folder that its files go to.
         system: name of the system, or the path of the data.
         settings: everything else that decides the result, as TOML.
-        seed: of what is random.
         label: what people call it; does not count for the hash.
         shape: cells of one shape share compiled programs; does not count either.
     """
@@ -64,13 +61,12 @@ class Cell(msgspec.Struct, frozen=True):
 
         Args:
             command: "module:name".
-            settings: a struct of numbers, words and sequences of them.
+            settings: a struct of numbers, words, and sequences and structs of them.
             system: name of the system, or the path of the data.
             others: the fields `seed`, `label` and `shape`.
         """
-        content = msgspec.to_builtins(settings)
-        plain = {name: value for name, value in content.items() if value is not None}
-        return cls(command, system, tomli_w.dumps(plain), **others)
+        content = without_none(msgspec.to_builtins(settings, enc_hook=str))
+        return cls(command, system, tomli_w.dumps(content), **others)
 
     @classmethod
     def from_text(cls, text: str) -> "Cell":
@@ -103,6 +99,13 @@ class Cell(msgspec.Struct, frozen=True):
         return f"{words or 'cell'}-{self.hash[:HASH_DIGITS]}"
 
 
+def without_none(content: Any) -> Any:
+    """The content without entries that TOML cannot hold."""
+    if not isinstance(content, dict):
+        return content
+    return {k: without_none(v) for k, v in content.items() if v is not None}
+
+
 class CellOutcome(msgspec.Struct, frozen=True):
     """What became of a cell.
 
@@ -133,8 +136,6 @@ class Start(msgspec.Struct, frozen=True):
     """Who began an attempt, and when.
 
     Attributes:
-        host: name of the machine.
-        pid: of the process.
         since: seconds since the epoch, by the clock of that machine.
     """
 
@@ -149,7 +150,6 @@ class Plan(msgspec.Struct, frozen=True):
     Attributes:
         token: tells this sweep from others in a folder of the same name.
         version: of the client's program.
-        engine: what does the work.
         cells: name and label of each cell, in the order of the table.
     """
 
@@ -160,11 +160,7 @@ class Plan(msgspec.Struct, frozen=True):
 
 
 class CellStore:
-    """The cells of one run on disk.
-
-    Attributes:
-        path: the folder `cells` of the run.
-    """
+    """The cells of one run on disk."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -179,19 +175,11 @@ class CellStore:
         return self.path / cell.name
 
     def outcome(self, cell: Cell) -> CellOutcome | None:
-        """What became of a cell; none where it is not done.
-
-        Raises:
-            InputError: its folder is damaged.
-        """
+        """What became of a cell; none where it is not done."""
         return self.outcome_of(cell.name)
 
     def outcome_of(self, name: str) -> CellOutcome | None:
-        """What became of the cell of that name; none where it is not done.
-
-        Raises:
-            InputError: its folder is damaged.
-        """
+        """What became of the cell of that name; none where it is not done."""
         folder = self.path / name
         try:
             content = (folder / OUTCOME_FILE).read_bytes()
@@ -209,16 +197,7 @@ class CellStore:
             ) from error
 
     def read_result(self, cell: Cell, name: str, kind: type[Result]) -> Result:
-        """What a finished cell has written as JSON.
-
-        Args:
-            cell: that is done.
-            name: of the file in its folder.
-            kind: of the content.
-
-        Raises:
-            InputError: the file is missing or damaged.
-        """
+        """What a finished cell has written as JSON."""
         folder = self.folder(cell)
         try:
             return msgspec.json.decode((folder / name).read_bytes(), type=kind)
@@ -251,11 +230,7 @@ class CellStore:
         return plan
 
     def read_plan(self) -> Plan | None:
-        """The table of cells; none where there is none.
-
-        Raises:
-            InputError: the file is damaged.
-        """
+        """The table of cells; none where there is none."""
         file = self.path / SWEEP_FILE
         try:
             return msgspec.json.decode(file.read_bytes(), type=Plan)
@@ -267,11 +242,7 @@ class CellStore:
             ) from error
 
     def begin(self, cell: Cell) -> Path:
-        """A new folder for one attempt; `publish` makes its part `result` the cell's.
-
-        Raises:
-            OSError: the system refused to write.
-        """
+        """A folder for an attempt; `publish` makes its part `result` the cell's."""
         attempt = self.path / f".{cell.name}.{secrets.token_hex(4)}.tmp"
         (attempt / RESULT).mkdir(parents=True)
         start = Start(platform.node(), os.getpid(), time.time())
@@ -282,9 +253,6 @@ class CellStore:
         """Make the files of an attempt those of the cell, all at once.
 
         Where another attempt was first, its files stay, and these are dropped.
-
-        Raises:
-            OSError: the system refused to write.
         """
         result = attempt / RESULT
         write_whole(result / CELL_FILE, lambda file: file.write(cell.text.encode()))

@@ -1,8 +1,13 @@
-"""The client of a sweep: hands out what is not done, and once more what is lost."""
+"""The client of a sweep: hands out what is not done, and once more what is lost.
 
+How far a sweep is, any process may ask: its files alone tell it.
+"""
+
+import enum
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -12,7 +17,7 @@ from pinav import __version__
 from pinav.errors import InputError
 from pinav.sweeps.attempt import Answer, Order, process_name
 from pinav.sweeps.cluster import Cluster
-from pinav.sweeps.store import Cell, CellOutcome, CellStore
+from pinav.sweeps.store import Cell, CellOutcome, CellStore, is_claimed
 
 PAUSE = 0.5
 """How often a client looks for new workers [s]."""
@@ -37,9 +42,6 @@ def map_cells(
 
     Args:
         cells: the table.
-        store: where their folders are.
-        open_cluster: gives the workers.
-        timeout: seconds that a cell may take.
         title: of the progress bar.
         on_done: told of each cell when it is done now.
 
@@ -134,11 +136,7 @@ class _Sweep:
         return msgspec.json.encode(order).decode()
 
     def collect(self) -> list[tuple[Cell, CellOutcome]]:
-        """Wait a little; the cells that are done since.
-
-        Raises:
-            InputError: the workers cannot do anything.
-        """
+        """Wait a little; the cells that are done since."""
         if not self.running:
             time.sleep(PAUSE)  # for a worker to come
             return []
@@ -163,3 +161,90 @@ class _Sweep:
         if answer.refusal:
             raise InputError(f"{answer.refusal}; then continue with --resume")
         return self.store.wait_for(cell)
+
+
+class CellState(enum.StrEnum):
+    """What is true of a cell now."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+
+
+class CellLine(msgspec.Struct, frozen=True):
+    """One cell.
+
+    Attributes:
+        folder: where its files are, below the run.
+        seconds: that it took, or has been running for.
+        note: where it runs, or why it failed.
+    """
+
+    label: str
+    folder: str
+    state: CellState
+    seconds: float | None = None
+    note: str = ""
+
+
+class SweepStatus(msgspec.Struct, frozen=True):
+    """How far a sweep is.
+
+    Attributes:
+        cells: one line for each cell, in the order of the table.
+        at_work: a client is at work.
+        left: estimate of the time until the end [s]; none before a cell is done.
+    """
+
+    cells: tuple[CellLine, ...]
+    engine: str
+    at_work: bool
+    left: float | None = None
+
+    def count(self, state: CellState) -> int:
+        """How many cells are in a state."""
+        return sum(cell.state is state for cell in self.cells)
+
+
+def sweep_status(run: Path) -> SweepStatus:
+    """How far the sweep of a run is.
+
+    Raises:
+        InputError: the folder holds no sweep.
+    """
+    store = CellStore.of_run(run)
+    plan = store.read_plan()
+    if plan is None:
+        raise InputError(
+            f"{run} holds no cells; give the --out of a study, or of several files"
+        )
+    at_work = is_claimed(run)
+    cells = tuple(
+        _line(store, name, label, at_work=at_work) for name, label in plan.cells.items()
+    )
+    return SweepStatus(cells, plan.engine, at_work, _time_left(cells))
+
+
+def _line(store: CellStore, name: str, label: str, *, at_work: bool) -> CellLine:
+    folder = store.path.name + "/" + name
+    outcome = store.outcome_of(name)
+    if outcome is not None:
+        state = CellState.FAILED if outcome.failure else CellState.DONE
+        return CellLine(label, folder, state, outcome.seconds, outcome.failure)
+    starts = [store.start_of(attempt) for attempt in store.attempts(name)]
+    known = [start for start in starts if start is not None]
+    if not at_work or not known:
+        return CellLine(label, folder, CellState.WAITING)
+    last = max(known, key=lambda start: start.since)
+    since = max(0.0, time.time() - last.since)  # the clocks of machines may differ
+    place = f"on {last.host}, process {last.pid}"
+    return CellLine(label, folder, CellState.RUNNING, since, place)
+
+
+def _time_left(cells: tuple[CellLine, ...]) -> float | None:
+    """Mean time of the cells that are done, over those that run side by side."""
+    done = [c.seconds for c in cells if c.state is CellState.DONE and c.seconds]
+    running = sum(cell.state is CellState.RUNNING for cell in cells)
+    left = running / 2 + sum(cell.state is CellState.WAITING for cell in cells)
+    return sum(done) / len(done) * left / max(running, 1) if done else None

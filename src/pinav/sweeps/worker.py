@@ -16,11 +16,7 @@ SETTINGS = {"JAX_ENABLE_X64": "true", "TQDM_DISABLE": "1", **ONE_CORE}
 
 
 def dask_setup(worker: object) -> None:
-    """Prepare a worker of this machine, whose output is that of the command.
-
-    Args:
-        worker: The worker, as Dask hands it over.
-    """
+    """Prepare a worker of this machine, whose output is that of the command."""
     del worker
     os.dup2(2, 1)  # what a cell prints is no result of the command
 

@@ -15,6 +15,6 @@ from pinav.systems.starts import RingStarts as RingStarts
 from pinav.systems.starts import UniformStarts as UniformStarts
 from pinav.systems.system import Observation as Observation
 from pinav.systems.system import System as System
+from pinav.systems.system import Units as Units
 from pinav.systems.system import WanderingVelocity as WanderingVelocity
-from pinav.systems.units import Units as Units
-from pinav.systems.units import velocity_unit as velocity_unit
+from pinav.systems.system import velocity_unit as velocity_unit

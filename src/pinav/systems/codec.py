@@ -56,9 +56,6 @@ def encode(key: str, value: Any) -> Any:
     Args:
         key: where it stands, for messages.
         value: a module, array, tuple, number, text or truth value.
-
-    Raises:
-        InputError: TOML cannot hold it.
     """
     if isinstance(value, eqx.Module):
         return _encode_module(key, value)
@@ -117,9 +114,6 @@ def decode(key: str, wanted: Any, value: Any, context: Context) -> Any:
         wanted: the annotation.
         value: what the file holds.
         context: dimension and folder.
-
-    Raises:
-        InputError: the value is not of that kind.
     """
     if wanted is Any:
         return value
@@ -140,11 +134,7 @@ def decode(key: str, wanted: Any, value: Any, context: Context) -> Any:
 
 
 def number(key: str, value: Any) -> float:
-    """A finite number.
-
-    Raises:
-        InputError: the value is another thing.
-    """
+    """A finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{key}: expected a number, got {_show(value)}")
     if not math.isfinite(value):
@@ -197,11 +187,7 @@ def _decode_array(key: str, axes: list[str], value: Any, context: Context) -> An
 
 
 def decode_module(key: str, family: type, value: Any, context: Context) -> Any:
-    """The module of a table.
-
-    Raises:
-        InputError: the table is no statement of a member of the family.
-    """
+    """The module of a table."""
     if not isinstance(value, dict):
         raise InputError(
             f"{key}: expected a table with the key kind, got {_show(value)}"
@@ -272,11 +258,7 @@ def _constructor(
 def check_keys(
     key: str, table: TOML, known: Mapping[str, Any], needed: Iterable[str] = ()
 ) -> None:
-    """Refuse keys that nobody reads, and miss those that are needed.
-
-    Raises:
-        InputError: there is such a key.
-    """
+    """Refuse keys that nobody reads, and miss those that are needed."""
     before = f"{key}." if key else ""
     for name in table:
         if name not in known:

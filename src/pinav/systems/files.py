@@ -6,29 +6,37 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import tomli_w
 
 from pinav.arguments import on_device
+from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.files import check_regular, write_text
+from pinav.forces import AbstractForce, InFlow, SumForce, ZeroFlow, ZeroForce
 from pinav.systems.codec import (
     TOML,
     Context,
     check_keys,
     decode,
     decode_module,
+    encode,
     number,
 )
-from pinav.systems.document import document_of
 from pinav.systems.known_physics import force_of, section_of, swimmer_of
 from pinav.systems.priors import AbstractNumberPrior, FreeNumber
 from pinav.systems.python import load_name
 from pinav.systems.starts import AbstractStarts
-from pinav.systems.system import MODELS, Observation, System, WanderingVelocity
+from pinav.systems.system import (
+    MODELS,
+    Observation,
+    System,
+    Units,
+    WanderingVelocity,
+)
 from pinav.systems.thermal_unknown import FIELDS, ThermalUnknown
-from pinav.systems.units import Units
 
 MAX_BYTES = 2**22
 """Size of a file that is no statement of a system any more."""
@@ -98,7 +106,7 @@ def write_system(
 
 def system_text(system: System) -> str:
     """A system as the text of a TOML file; errors as of `write_system`."""
-    document = {key: part for key, part in document_of(system).items() if part != {}}
+    document = {key: part for key, part in _document(system).items() if part != {}}
     rows = re.compile(r"\[\s+(-?[\d.e+-]+,\s+)+\]")  # numbers of a vector in one line
     return rows.sub(_in_one_line, tomli_w.dumps(document))
 
@@ -282,3 +290,69 @@ def _even_times(section: TOML) -> np.ndarray:
     if not 2 <= samples <= 10**7:
         raise InputError(f"times: expected 2 to 10000000 samples, got {samples}")
     return np.asarray(jnp.linspace(first, last, samples))
+
+
+def _document(system: System) -> TOML:
+    """What a file states of a system."""
+    swimmer = system.swimmer
+    document: TOML = {"name": system.name, "dimension": system.dim}
+    document |= {
+        "order": system.order,
+        "units": _without_kind("units", system.base_units),
+    }
+    if not isinstance(swimmer.propulsion, ZeroForce):
+        document["propulsion"] = encode("propulsion", swimmer.propulsion)
+    if isinstance(swimmer, Swimmer):
+        drag, flow = swimmer.drag, ZeroFlow()
+        if isinstance(drag, InFlow):
+            drag, flow = drag.force, drag.flow
+        document["drag"] = encode("drag", drag)
+    else:
+        flow = swimmer.flow
+        document["mobility"] = encode("mobility", swimmer.mobility)
+    if not isinstance(flow, ZeroFlow):
+        document["flow"] = encode("flow", flow)
+    if not isinstance(swimmer.known_force, ZeroForce):
+        document["forces"] = _state_forces("forces", swimmer.known_force)
+    if system.thermal_energy is not None:
+        document["thermal"] = {"energy": float(system.thermal_energy)}
+    document["observation"] = _without_kind("observation", system.observation)
+    if system.wandering is not None:
+        document["wandering"] = _without_kind("wandering", system.wandering)
+    if system.learn:
+        document["learn"] = {
+            one.path: encode(f"learn.{one.path}", one.prior) for one in system.learn
+        }
+    document["unknown"] = {"model": system.model} | system.thermal.table()
+    if system.environment is not None:
+        document["truth"] = _state_forces("truth", system.environment)
+    return document | _state_sampling(system)
+
+
+def _state_sampling(system: System) -> TOML:
+    tables: TOML = {}
+    if system.rule is not None:
+        tables["starts"] = encode("starts", system.rule)
+    if len(system.starts) and not system.starts_follow_rule:
+        states = encode("starts", system.starts)
+        tables["starts"] = {**tables.get("starts", {}), "states": states}
+    if len(system.times):
+        times = np.asarray(system.times)
+        first, last, samples = float(times[0]), float(times[-1]), len(times)
+        if np.array_equal(jnp.linspace(first, last, samples), times):
+            tables["times"] = {"first": first, "last": last, "samples": samples}
+        else:
+            tables["times"] = {"values": encode("times", system.times)}
+    return tables
+
+
+def _without_kind(key: str, value: eqx.Module) -> TOML:
+    """A table without kind."""
+    table = encode(key, value)
+    return {name: part for name, part in table.items() if name != "kind"}
+
+
+def _state_forces(key: str, force: AbstractForce) -> Any:
+    if isinstance(force, SumForce):
+        return [encode(key, term) for term in force.terms]
+    return encode(key, force)

@@ -20,6 +20,7 @@ from pinav.forces import (
     ZeroForce,
     stokes_drag,
 )
+from pinav.settings import NOT_NEGATIVE, POSITIVE
 from pinav.systems.codec import (
     TOML,
     Context,
@@ -27,15 +28,11 @@ from pinav.systems.codec import (
     decode_module,
     number,
 )
-from pinav.systems.units import Units
+from pinav.systems.system import Units
 
 
 def section_of(table: TOML, key: str, known: tuple[str, ...]) -> TOML:
-    """The table of a key, which states some of the known ones.
-
-    Raises:
-        InputError: it is no table, or states another key.
-    """
+    """The table of a key, which states some of the known ones."""
     section = table.get(key, {})
     if not isinstance(section, dict):
         raise InputError(f"{key}: expected a table [{key}], got {section!r}")
@@ -113,9 +110,7 @@ def swimmer_of(
 def _drag(value: Any, context: Context) -> AbstractForce:
     if isinstance(value, dict):
         return force_of("drag", value, context)
-    damping = number("drag", value)
-    if damping < 0:
-        raise InputError(f"drag: expected >= 0, got {value}")
+    NOT_NEGATIVE.check("drag", damping := number("drag", value))
     return LinearDrag(damping)
 
 
@@ -130,9 +125,7 @@ def _mobility(
         return IsotropicTensor(1 / _stokes_drag(thermal, units))
     value = table["mobility"]
     if not isinstance(value, dict):
-        mobility = number("mobility", value)
-        if mobility <= 0:
-            raise InputError(f"mobility: expected > 0, got {value}")
+        POSITIVE.check("mobility", mobility := number("mobility", value))
         return IsotropicTensor(mobility)
     tensor = decode_module("mobility", AbstractTensorField, value, context)
     _check_space("mobility", lambda x: tensor(x, x), context.dim)
@@ -165,8 +158,7 @@ def _thermal_energy(
     if len(stated) > 1:
         raise InputError(f"thermal.{stated[1]}: {stated[0]} says it already; drop one")
     for key in stated:
-        if thermal[key] < 0:
-            raise InputError(f"thermal.{key}: expected >= 0, got {thermal[key]}")
+        NOT_NEGATIVE.check(f"thermal.{key}", thermal[key])
     if "temperature" in thermal:
         _check_si("thermal.temperature", units)
         return thermal_energy(thermal["temperature"])

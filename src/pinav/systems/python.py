@@ -20,9 +20,6 @@ def load_name(key: str, reference: str, folder: Path | None) -> Any:
         key: what names it, for messages.
         reference: `file.py:name`.
         folder: where a relative name of a file begins; None refuses to run it.
-
-    Raises:
-        InputError: the file cannot be read, raises an error or defines no such name.
     """
     if folder is None:
         raise InputError(
@@ -40,11 +37,7 @@ def load_name(key: str, reference: str, folder: Path | None) -> Any:
 
 
 def python_reference(key: str, cls: type) -> str:
-    """How a file names a class of a user's own.
-
-    Raises:
-        InputError: the class stands in no file that was loaded by name.
-    """
+    """How a file names a class of a user's own."""
     module = sys.modules.get(cls.__module__)
     if module is None or not cls.__module__.startswith(ORIGIN):
         raise InputError(

@@ -15,7 +15,8 @@ from pinav.forces import Domain
 class AbstractStarts(eqx.Module):
     """Random initial states: positions, and velocities where there is inertia.
 
-    More starts of a key begin with the same ones.
+    More starts of a key begin with the same ones; `count` are drawn by the key of
+    `seed` unless others are asked for.
     """
 
     count: eqx.AbstractVar[int]
@@ -65,8 +66,6 @@ class RingStarts(AbstractStarts):
         radius: of the circle [L].
         spread: standard deviation of the aim in each coordinate [L].
         speeds: least and greatest speed [L T⁻¹].
-        count: number of starts.
-        seed: of the random key.
     """
 
     center: tuple[float, float]
@@ -102,8 +101,6 @@ class UniformStarts(AbstractStarts):
     Attributes:
         lower: the box's lower corner [L].
         upper: its upper corner [L].
-        count: number of starts.
-        seed: of the random key.
     """
 
     lower: tuple[float, ...]
@@ -128,8 +125,6 @@ class CoastingStarts(AbstractStarts):
         lower: lower corner of the box of starts and targets [L].
         upper: its upper corner [L].
         damping: $\eta$ [T⁻¹].
-        count: number of starts.
-        seed: of the random key.
     """
 
     lower: tuple[float, ...]

@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
-from pinav.arguments import Scalar, check_positive, dimension
+from pinav.arguments import Scalar, check_positive, check_range, dimension
 from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import AbstractForce, ZeroForce
+from pinav.settings import NOT_NEGATIVE
 from pinav.systems.priors import FreeNumber
 from pinav.systems.starts import AbstractStarts
 from pinav.systems.thermal_unknown import ThermalUnknown
-from pinav.systems.units import Units
 
 MODELS = (
     *("kernel-potential", "kernel-force", "kernel-mixture", "kernel-potential-time"),
@@ -27,12 +27,63 @@ AXES = ("x", "y", "z")
 """Names of the coordinates; a velocity has a v before them."""
 
 
+LENGTHS = ("1", "nm", "um", "mm", "cm", "m", "px", "?")
+"""Units of length; "1" is dimensionless, "?" unknown."""
+
+TIMES = ("1", "us", "ms", "s", "min", "h", "frame", "?")
+"""Units of time."""
+
+FORCES = ("1", "fN", "pN", "nN", "uN", "mN", "N", "?")
+"""Units of force, for systems without inertia."""
+
+
+def velocity_unit(length: str, time: str) -> str:
+    """Unit of a velocity; unknown where either is."""
+    if "?" in (length, time):
+        return "?"
+    return length if time == "1" else f"{length}/{time}"
+
+
+class Units(eqx.Module):
+    """Units of length, time and force in which a system states its numbers.
+
+    A swimmer with inertia has accelerations in place of forces.
+
+    Raises:
+        InputError: a unit is none of `LENGTHS`, `TIMES` and `FORCES`.
+    """
+
+    length: str = eqx.field(static=True, default="1")
+    time: str = eqx.field(static=True, default="1")
+    force: str = eqx.field(static=True, default="1")
+
+    def __check_init__(self) -> None:
+        for name, known in (("length", LENGTHS), ("time", TIMES), ("force", FORCES)):
+            if (unit := getattr(self, name)) not in known:
+                raise InputError(
+                    f"units.{name}: expected one of {', '.join(known)}; got {unit!r}"
+                )
+
+    @property
+    def velocity(self) -> str:
+        """Unit of velocity."""
+        return velocity_unit(self.length, self.time)
+
+    def of_channels(self, channels: tuple[str, ...]) -> dict[str, str]:
+        """Unit of each channel, x or vx, and of time `t`."""
+        units = {
+            name: self.velocity if name.startswith("v") else self.length
+            for name in channels
+        }
+        return {**units, "t": self.time}
+
+
 class Observation(eqx.Module):
     """Errors of the measurement.
 
     Attributes:
-        noise: standard deviation of the Gaussian noise of every channel, not negative.
-        exposure: time over which a camera averages [T], not negative.
+        noise: standard deviation of the Gaussian noise of every channel.
+        exposure: time over which a camera averages [T].
 
     Raises:
         InputError: either is negative.
@@ -42,10 +93,7 @@ class Observation(eqx.Module):
     exposure: float = 0.0
 
     def __check_init__(self) -> None:
-        for name in ("noise", "exposure"):
-            value = getattr(self, name)
-            if isinstance(value, float | int) and not 0 <= value < np.inf:
-                raise InputError(f"observation.{name}: expected >= 0, got {value}")
+        check_range(self, NOT_NEGATIVE, "noise", "exposure")
 
 
 class WanderingVelocity(eqx.Module):
@@ -75,10 +123,7 @@ class WanderingVelocity(eqx.Module):
 
     def __check_init__(self) -> None:
         check_positive(self, "memory", "slow_memory")
-        for name in ("still", "driven", "slow"):
-            value = getattr(self, name)
-            if isinstance(value, float | int) and value < 0:
-                raise InputError(f"wandering.{name}: expected >= 0, got {value}")
+        check_range(self, NOT_NEGATIVE, "still", "driven", "slow")
 
     def strength(self, frequency: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         r"""$\sigma$ at these commanded frequencies [L T⁻¹]."""
@@ -157,8 +202,7 @@ class System(eqx.Module):
                 "system.wandering: expected a swimmer without inertia (order 1), got "
                 "order 2; drop it"
             )
-        if isinstance(energy, float | int) and energy < 0:
-            raise InputError(f"system.thermal_energy: expected >= 0, got {energy}")
+        check_range(self, NOT_NEGATIVE, "thermal_energy")
         if len(self.starts) and self.starts.shape[1] != len(self.channels):
             raise InputError(
                 f"system.starts: expected {len(self.channels)} numbers a start "

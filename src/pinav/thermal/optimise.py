@@ -243,14 +243,12 @@ class _Evaluation(NamedTuple):
 def _forward(problem: _Problem, numbers: Array) -> tuple[Array, Array, Solution]:
     """Values and their Jacobian, one tangent for each number."""
 
-    def push(tangent: Array) -> tuple[Array, Array, Solution]:
-        value, slope, solution = jax.jvp(
-            problem.values, (numbers,), (tangent,), has_aux=True
-        )
-        return value, slope, solution
+    def evaluate(at: Array) -> tuple[Array, tuple[Array, Solution]]:
+        values, solution = problem.values(at)
+        return values, (values, solution)
 
-    tangents = jnp.eye(numbers.shape[0])
-    return jax.vmap(push, out_axes=(None, -1, None))(tangents)
+    jacobian, (values, solution) = jax.jacfwd(evaluate, has_aux=True)(numbers)
+    return values, jacobian, solution
 
 
 @eqx.filter_jit

@@ -50,11 +50,7 @@ class _Row(NamedTuple):
 
 
 def read_csv(file: BinaryIO) -> Trajectories:
-    """Read trajectories from text.
-
-    Raises:
-        InputError: the file is at fault; the message names the line.
-    """
+    """Read trajectories from text."""
     try:
         text = file.read().decode("utf-8-sig")  # spreadsheets put a mark before it
         lines = io.StringIO(text, newline="").readlines()

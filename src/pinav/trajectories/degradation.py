@@ -11,8 +11,9 @@ import jax
 import numpy as np
 from jaxtyping import Float64, PRNGKeyArray
 
-from pinav.arguments import check_positive
+from pinav.arguments import check_positive, check_range
 from pinav.errors import InputError
+from pinav.settings import NOT_NEGATIVE, Range
 from pinav.trajectories.trajectories import Trajectories
 from pinav.trajectories.trajectory import Trajectory
 
@@ -54,7 +55,7 @@ class GaussianNoise(AbstractDegradation):
     channels: tuple[str, ...] | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
-        _check_range(self, "deviation", 0.0, np.inf)
+        check_range(self, NOT_NEGATIVE, "deviation")
 
     def __call__(
         self, trajectory: Trajectory, channels: Channels, random: Random
@@ -80,7 +81,7 @@ class FrameLoss(AbstractDegradation):
     probability: float = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        _check_range(self, "probability", 0.0, 1.0)
+        check_range(self, Range(least=0, below=1), "probability")
 
     def __call__(
         self, trajectory: Trajectory, channels: Channels, random: Random
@@ -138,11 +139,11 @@ class MotionBlur(AbstractDegradation):
                 "Unobserved"
             )
         times = trajectory.times
-        open_group = np.maximum(times - self.exposure / 2, times[0])
+        opened = np.maximum(times - self.exposure / 2, times[0])
         closed = np.minimum(times + self.exposure / 2, times[-1])
         columns = [
-            (_integral(times, y, closed) - _integral(times, y, open_group))
-            / (closed - open_group)
+            (_integral(times, y, closed) - _integral(times, y, opened))
+            / (closed - opened)
             for y in trajectory.states.T
         ]
         return _with(trajectory, states=np.stack(columns, axis=1))
@@ -161,8 +162,7 @@ class Subsample(AbstractDegradation):
     every: int = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        if self.every < 1:
-            raise InputError(f"Subsample.every: expected 1 or more, got {self.every}")
+        check_range(self, Range(least=1), "every")
 
     def __call__(
         self, trajectory: Trajectory, channels: Channels, random: Random
@@ -247,10 +247,3 @@ def _channel_mask(
                 f"some of {', '.join(channels)}"
             )
     return np.array([channel in names for channel in channels])
-
-
-def _check_range(step: AbstractDegradation, name: str, low: float, high: float) -> None:
-    value = getattr(step, name)
-    if not low <= value < high:
-        limit = ">= 0" if high == np.inf else f"from {low:g} to below {high:g}"
-        raise InputError(f"{type(step).__name__}.{name}: expected {limit}, got {value}")

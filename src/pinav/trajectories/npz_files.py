@@ -47,11 +47,7 @@ def metadata_text(trajectories: Trajectories) -> str:
 
 
 def parse_metadata(place: str, text: str) -> Metadata:
-    """Metadata from JSON.
-
-    Raises:
-        InputError: it is something else; the message begins with the place.
-    """
+    """Metadata from JSON."""
     try:
         values = json.loads(text)
         version = values.get("format", FORMAT) if isinstance(values, dict) else FORMAT
@@ -85,11 +81,7 @@ def write_npz(trajectories: Trajectories, file: BinaryIO) -> None:
 
 
 def read_npz(file: BinaryIO) -> Trajectories:
-    """Read trajectories from arrays.
-
-    Raises:
-        InputError: the file is at fault; the message names the array.
-    """
+    """Read trajectories from arrays."""
     if not zipfile.is_zipfile(file):
         raise InputError("not an npz file, or one cut short; write it again")
     try:

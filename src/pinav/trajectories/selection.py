@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int, PRNGKeyArray
 
 from pinav.errors import InputError
+from pinav.settings import FRACTION, Range
 from pinav.systems import System, velocity_unit
 from pinav.trajectories.trajectories import Trajectories, check_names
 from pinav.trajectories.trajectory import Trajectory
@@ -85,8 +86,7 @@ def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> 
         InputError: there is one trajectory, or `fraction` is not between 0 and 1.
     """
     count = len(trajectories)
-    if not 0.0 < fraction < 1.0:
-        raise InputError(f"split fraction: expected between 0 and 1, got {fraction}")
+    FRACTION.check("split fraction", fraction)
     if count < 2:
         raise InputError("split: expected two or more trajectories, got 1")
     num_train = min(max(round(fraction * count), 1), count - 1)
@@ -113,8 +113,7 @@ def bootstrap(
     """
     if len(trajectories) < 2:
         raise InputError("bootstrap: expected two or more trajectories, got 1")
-    if count < 1:
-        raise InputError(f"bootstrap count: expected 1 or more, got {count}")
+    Range(least=1).check("bootstrap count", count)
     shape = (count, len(trajectories))
     chosen = jax.random.randint(key, shape, 0, len(trajectories))
     return [trajectories.select(np.asarray(indices)) for indices in chosen]

@@ -32,9 +32,6 @@ def table_columns(table: Any) -> dict[str, Float64[np.ndarray, " row"]]:
     Args:
         table: a mapping of columns, or a table of pandas, polars, pyarrow or any other
             package with the Arrow stream protocol.
-
-    Raises:
-        InputError: it is no table, or a column holds something else than numbers.
     """
     if isinstance(table, Mapping):
         columns = dict(table)

@@ -11,13 +11,13 @@ from pinav.analysis.discovery.discovery import estimates
 from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.laws import LawForce
 from pinav.analysis.discovery.potentials import CONSTANT_FORCE, GAUSSIAN, HARMONIC
-from pinav.analysis.discovery.profiles import Lorentzian
 from pinav.analysis.discovery.refit import Refit, RefitProblem, laplace_posterior, refit
 from pinav.dynamics import Adaptive, FixedStep, NeuralDynamics, rollout
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome, Posterior
 from pinav.fitting.engine.constant_priors import known_model
 from pinav.forces import GaussianBarrier
+from pinav.forces.profiles import Lorentzian
 from pinav.scenarios import barrier_crossings
 from pinav.systems import Observation
 from pinav.trajectories import Trajectories, simulate, smooth_states

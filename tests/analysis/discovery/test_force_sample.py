@@ -28,8 +28,8 @@ from pinav.analysis.discovery.potentials import (
     RING,
     WALL,
 )
-from pinav.analysis.discovery.profiles import CompactHill, Lorentzian
 from pinav.errors import InputError
+from pinav.forces.profiles import CompactHill, Lorentzian
 
 POSITIONS = np.random.default_rng(0).uniform(0.0, 8.0, (60, 2))
 BARRIER = np.array([5.25, 5.0, 4.0, 2.9])

@@ -13,7 +13,6 @@ from pinav.analysis.discovery.geometries import (
 )
 from pinav.analysis.discovery.laws import (
     LawForce,
-    Role,
     SumLaw,
     Turned,
     expressions,
@@ -37,14 +36,15 @@ from pinav.analysis.discovery.potentials import (
     WALL,
     profile_laws,
 )
-from pinav.analysis.discovery.profiles import (
+from pinav.errors import InputError
+from pinav.forces import GaussianBarrier
+from pinav.forces.formulas import Role
+from pinav.forces.profiles import (
     CompactHill,
     Gaussian,
     InversePower,
     Lorentzian,
 )
-from pinav.errors import InputError
-from pinav.forces import GaussianBarrier
 
 SWIRL = GAUSSIAN_SWIRL
 STRUCTURED = (

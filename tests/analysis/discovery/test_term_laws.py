@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.open_forms import sample_profile
 
 from pinav.analysis import Verdict, discover_law
 from pinav.analysis.discovery.force_sample import ForceSample, Sampling
@@ -28,7 +29,6 @@ from pinav.analysis.discovery.potentials import (
     SWIRLS,
     WALL,
 )
-from pinav.analysis.discovery.profiles import SuperGaussian
 from pinav.analysis.discovery.refit import laplace_posterior
 from pinav.analysis.discovery.term_laws import (
     TermLaws,
@@ -50,8 +50,9 @@ from pinav.forces import (
     StructuredForce,
     WallTerm,
 )
-from pinav.forces.field_terms import HARMONICS
-from pinav.forces.profile_laws import HillLaw
+from pinav.forces.fitted_laws import FittedLaw
+from pinav.forces.profiles import SuperGaussian
+from pinav.forces.terms import HARMONICS
 from pinav.scenarios import barrier_crossings
 from pinav.systems import Observation
 from pinav.trajectories import simulate
@@ -66,7 +67,7 @@ def sample_of(force):
 
 
 def hill(center=CENTER, **options):
-    law = HillLaw(jnp.log(2.9), jnp.asarray(0.0))
+    law = FittedLaw("hill", (jnp.log(2.9), jnp.asarray(0.0)))
     return CentralTerm(jnp.array([5.25]), center, NONE, 1.0, law=law, **options)
 
 
@@ -197,7 +198,7 @@ def test_given_laws_are_tried_in_place_of_the_structure(structured):
 def test_the_profile_of_a_term_is_known_along_its_coordinate(structured):
     posterior, data = structured
     sampling = Sampling.of(posterior, data, 10.0)
-    profile = sampling.of_profile(0)
+    profile = sample_profile(sampling, 0)
     expected = 5.25 * profile.z / 2.9**2 * np.exp(-(profile.z**2) / (2 * 2.9**2))
     np.testing.assert_allclose(profile.force, expected, rtol=0.01, atol=1e-3)
     assert np.all(np.diff(profile.z) >= 0)
@@ -213,4 +214,4 @@ def test_a_lattice_has_no_profile(structured):
     model = posterior.model.with_environment(StructuredForce((lattice,), rest))
     other = eqx.tree_at(lambda p: p.free, posterior, known_model(model))
     with pytest.raises(InputError, match=r"term 0 .*\(lattice\) has no profile"):
-        Sampling.of(other, data, 10.0).of_profile(0)
+        sample_profile(Sampling.of(other, data, 10.0), 0)

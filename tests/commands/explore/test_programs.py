@@ -12,7 +12,6 @@ from tests.commands.explore.node import answer, needs_node
 from tests.forces.test_forces import FORCES
 
 import pinav.forces as forces
-import pinav.forces.profile_laws as laws
 from pinav.actuation import StepOutResponse
 from pinav.commands.explore.document import script_json
 from pinav.commands.explore.force_table import TableBox, tabulate
@@ -25,6 +24,7 @@ from pinav.commands.explore.printing import (
     print_function,
 )
 from pinav.dynamics import FixedStep, drive_by_commands, rollout
+from pinav.forces.fitted_laws import FittedLaw
 from pinav.learning.learned import Learned
 
 pytestmark = needs_node
@@ -107,7 +107,7 @@ def structured():
     """Terms whose profiles follow each law, with kernels beside it or alone."""
     center, places = jnp.array([0.4, 0.9]), jnp.arange(0.5, 3.0, 0.5)
     both, alone = (jnp.linspace(0.9, -0.3, 6), places), (jnp.ones(1), jnp.zeros(0))
-    hill, ended = laws.HillLaw(0.2, 0.7), laws.HillLaw(0.5, -1.1)
+    hill, ended = FittedLaw("hill", (0.2, 0.7)), FittedLaw("hill", (0.5, -1.1))
 
     def central(weights, places, law):
         return forces.CentralTerm(weights, center, places, 0.6, law=law)
@@ -115,18 +115,27 @@ def structured():
     terms = (
         central(*both, hill),
         central(*alone, ended),
-        central(*alone, laws.HillLaw(0.2, 0.0)),
-        central(*alone, laws.PlateauLaw(0.2, 0.6)),
-        central(*both, laws.RingLaw(1.5, -0.2, 0.0)),
+        central(*alone, FittedLaw("hill", (0.2, 0.0))),
+        central(*alone, FittedLaw("plateau", (0.2, 0.6))),
+        central(*both, FittedLaw("ring", (1.5, -0.2, 0.0))),
         central(both[0][1:], places, None),
         forces.EllipticTerm(
             both[0], center, jnp.array([0.2, -0.1]), places, 0.6, law=hill
         ),
-        forces.WallTerm(both[0], 0.6, center, places, 0.6, law=laws.StepLaw(1.0, -0.2)),
         forces.WallTerm(
-            alone[0], 0.6, center, alone[1], 0.6, law=laws.ChannelLaw(0.1, 0.9, -0.3)
+            both[0], 0.6, center, places, 0.6, law=FittedLaw("step", (1.0, -0.2))
         ),
-        forces.WallTerm(both[0], 0.9, center, places, 0.6, law=laws.WaveLaw(0.4, -0.3)),
+        forces.WallTerm(
+            alone[0],
+            0.6,
+            center,
+            alone[1],
+            0.6,
+            law=FittedLaw("channel", (0.1, 0.9, -0.3)),
+        ),
+        forces.WallTerm(
+            both[0], 0.9, center, places, 0.6, law=FittedLaw("wave", (0.4, -0.3))
+        ),
         forces.LinearTerm(jnp.arange(5.0) / 9, center, 2.0),
     )
     free = forces.KernelPotential.with_zero_weights(CENTERS, 1.1)

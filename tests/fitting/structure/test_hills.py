@@ -18,7 +18,7 @@ from pinav.forces import (
     LinearForce,
     SumForce,
 )
-from pinav.forces.field_terms import MIDDLE, WIDTHS
+from pinav.forces.terms import MIDDLE, WIDTHS
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 300, 2))
 NOISE = 0.02

@@ -14,7 +14,6 @@ from pinav.forces import (
     SoftWall,
     SumForce,
 )
-from pinav.forces.profile_laws import HillLaw, RingLaw, StepLaw, WaveLaw
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
 REGION = Region.of(POINTS[0])
@@ -39,7 +38,7 @@ def lawful(truth, *starts):
 )
 def test_a_hill_has_the_tail_and_size_of_the_true_one(truth, tail, size):
     term = lawful(truth, central_term(REGION, np.array([4.05, 5.97])))
-    assert isinstance(term.law, HillLaw)
+    assert term.law.name == "hill"
     constants = term.law.constants()
     np.testing.assert_allclose(constants["tail"], tail, atol=0.1)
     np.testing.assert_allclose(constants["size"], size, rtol=0.03)
@@ -50,10 +49,10 @@ def test_a_ring_and_a_wall_follow_their_laws():
     ring = lawful(
         RingBarrier(2.0, CENTER, 3.0, 0.8), central_term(REGION, np.array([4.0, 6.0]))
     )
-    assert isinstance(ring.law, RingLaw)
+    assert ring.law.name == "ring"
     np.testing.assert_allclose(ring.law.constants()["radius"], 3.0, atol=0.02)
     wall = lawful(SoftWall(4.0, 0.7, 7.0, 0.8), wall_term(REGION, 0.7))
-    assert isinstance(wall.law, StepLaw)
+    assert wall.law.name == "step"
     np.testing.assert_allclose(wall.law.constants()["size"], 0.8, rtol=0.05)
 
 
@@ -61,7 +60,7 @@ def test_a_ring_and_a_wall_follow_their_laws():
 def test_the_law_of_a_wide_ring_does_not_vanish_at_its_centre():
     truth = RingBarrier(2.0, CENTER, 1.8, 1.0)
     ring = lawful(truth, central_term(REGION, np.array([4.02, 5.98])))
-    assert isinstance(ring.law, RingLaw)
+    assert ring.law.name == "ring"
     np.testing.assert_allclose(ring.law.constants()["radius"], 1.8, atol=0.02)
     np.testing.assert_allclose(ring.law.constants()["size"], 1.0, rtol=0.02)
 
@@ -70,7 +69,7 @@ def test_a_ring_narrower_than_its_flank_is_no_law():
     """It would be one of any hill whose formula is not among the laws."""
     truth = RingBarrier(2.0, CENTER, 0.6, 1.0)
     hill = lawful(truth, central_term(REGION, np.array([4.02, 5.98])))
-    assert hill is None or not isinstance(hill.law, RingLaw)
+    assert hill is None or hill.law.name != "ring"
 
 
 @pytest.mark.parametrize(
@@ -79,7 +78,7 @@ def test_a_ring_narrower_than_its_flank_is_no_law():
 def test_stripes_follow_a_wave_of_their_period(period):
     along = 2 * np.pi / period * np.array([[np.cos(0.7), np.sin(0.7)]])
     wave = lawful(PlaneWaves([1.5], along, [0.4]), wall_term(REGION, 0.7))
-    assert isinstance(wave.law, WaveLaw)
+    assert wave.law.name == "wave"
     np.testing.assert_allclose(wave.law.constants()["period"], period, rtol=0.01)
 
 
@@ -89,7 +88,7 @@ def test_the_law_of_a_term_in_a_sum_is_found():
     truth = SumForce((PowerHill(3.0, CENTER, 1.5, 1.0), saddle))
     centre = central_term(REGION, np.array([4.03, 6.02]))
     term = lawful(truth, linear_term(REGION), centre)
-    assert isinstance(term.law, HillLaw)
+    assert term.law.name == "hill"
     np.testing.assert_allclose(term.law.constants()["tail"], 1.0, atol=0.15)
 
 

@@ -43,7 +43,7 @@ from pinav.forces import (
     SoftWall,
     StructuredForce,
 )
-from pinav.forces.profile_laws import RingLaw
+from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.structures import prior_of
 from pinav.scenarios import scenario
 
@@ -163,7 +163,7 @@ def test_an_ellipse_is_found_beside_the_wall_of_a_pair():
     linear = linear_term(REGION)
     circle, wall = central_term(REGION, np.array([6.0, 3.0])), wall_term(REGION, 0.72)
     pair = polish((linear, circle, wall), data)
-    (terms,) = candidates._beside_walls([pair, pair], linear)  # each wall once
+    (terms,) = candidates.beside_walls([pair, pair], linear)  # each wall once
     made = polish(terms, data, again=AGAIN, between=(0.014, 0.05))
     np.testing.assert_allclose(made.terms[2].center, ridge.center, atol=0.05)
     assert made.noise == pytest.approx(0.01, rel=0.3)
@@ -251,10 +251,13 @@ def test_a_term_that_left_the_data_is_no_proposal():
     assert polish((far,), response(SADDLE)) is None
 
 
+RING = FittedLaw("ring", (3.0, 0.1, 0.2))
+
+
 def test_terms_are_built_again_from_what_a_file_keeps():
     model = scenario("barrier-crossings").swimmer
     free = KernelPotential.with_zero_weights(POINTS[0, :3], 1.0)
-    center, law = central_term(REGION, np.array([4.0, 6.0])), RingLaw(3.0, 0.1, 0.2)
+    center, law = central_term(REGION, np.array([4.0, 6.0])), RING
     lawful = with_places(center, np.asarray(center.places), center.width, law)
     terms = (
         center,
@@ -278,7 +281,7 @@ def test_terms_are_built_again_from_what_a_file_keeps():
 
 
 def test_finer_kernels_and_single_centres_keep_the_law():
-    center, law = central_term(REGION, np.array([4.0, 6.0])), RingLaw(3.0, 0.1, 0.2)
+    center, law = central_term(REGION, np.array([4.0, 6.0])), RING
     lawful = with_places(center, np.asarray(center.places), center.width, law)
     (several,) = twins(lawful, np.array([[5.0, 8.0]]))
     assert several.law is law

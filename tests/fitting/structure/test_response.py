@@ -22,7 +22,7 @@ from pinav.forces import (
     SumForce,
     kernel_centers,
 )
-from pinav.forces.field_terms import WIDTHS
+from pinav.forces.terms import WIDTHS
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 40, 2))
 REGION = Region.of(POINTS[0])

@@ -1,5 +1,3 @@
-from types import SimpleNamespace
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,26 +6,21 @@ from benchmarks.fields.families import random_system
 from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.dynamics import FixedStep
-from pinav.errors import FitError
-from pinav.fitting import EvidenceFit, Outcome, fit_structured
+from pinav.fitting import Outcome, fit_structured
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.environments.kernels import kernel_environment
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.evidence.quadratic import Quadratic, restrict
-from pinav.fitting.structure import fit as structure_fit
-from pinav.fitting.structure.search import Search, StructuredFit
-from pinav.fitting.structure.starts import Region, central_term
-from pinav.fitting.structure.survey import Survey, SurveyedRotation, survey_rotation
-from pinav.fitting.structure.trials import Proposal
+from pinav.fitting.structure.survey import Survey, survey_rotation
 from pinav.forces import (
     GaussianBarrier,
     GaussianSwirl,
-    HillsTerm,
     KernelMixture,
     KernelPlaces,
     KernelPotential,
-    StructuredForce,
+    forces_at,
     kernel_centers,
+    split_structure,
 )
 from pinav.scenarios import scenario
 from pinav.trajectories import simulate, with_velocities
@@ -70,130 +63,24 @@ def test_parameters_that_are_restricted_to_zero_leave_the_same_squares():
     )
 
 
-@pytest.fixture
-def ended(monkeypatch):
-    """Searches whose fits end as they are told, without any data."""
-    truth = scenario("barrier-crossings")
-    data = simulate(truth, key=jax.random.key(0))
-    model = truth.swimmer.with_environment(kernel_environment(KernelPotential, data))
-    asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
-    made = Search(asked, 20, None, throw=False)
-    survey = Survey(response(PULL), Region.of(POINTS[0]), 0.05, is_begun=True)
-
-    def weigh(
-        surveyed,
-        beside,
-        fitted,
-        potential,
-        mixture,
-        *,
-        is_plain=False,
-        is_rugged=False,
-        proposal=None,
-        fit_free=None,
-    ):
-        def best(self, proposal, fit_free=None):
-            outcome = mixture if isinstance(self.kernels, KernelMixture) else potential
-            if outcome is None:
-                raise FitError("it failed")
-            fit = object.__new__(EvidenceFit)
-            object.__setattr__(fit, "model", self.specification.model)
-            object.__setattr__(fit, "outcome", outcome)
-            return StructuredFit(fit, 0.0)
-
-        asked = SurveyedRotation(surveyed, surveyed > DECISIVE, is_plain)
-        monkeypatch.setattr(Survey, "proposal", proposal or propose_nothing)
-        monkeypatch.setattr(structure_fit, "survey_rotation", lambda *_: asked)
-        monkeypatch.setattr(structure_fit, "_rotation_beside", lambda *_: beside)
-        monkeypatch.setattr(structure_fit, "fitted_gain", lambda _: fitted)
-        monkeypatch.setattr(Search, "best", best)
-        found = structure_fit._weigh_rotation(
-            made, survey, fit_free or made.fit_free, is_rugged=is_rugged
-        )
-        return type(found.fit.model.environment), found.fit.outcome, found.rotation
-
-    return weigh
-
-
-def propose_nothing(survey, *, rotational):
-    return None
-
-
-@pytest.mark.parametrize("is_plain", [False, True])
-def test_hills_come_first_in_a_rugged_field_without_a_plain_rotation(
-    ended, monkeypatch, is_plain
-):
-    """Nine hills that stand apart end the search; beside them a rotation is weighed."""
-    places = 4.0 * jnp.arange(9.0)[:, None] * jnp.array([[1.0, 0.0]])
-    hills = HillsTerm(weights=jnp.zeros(27), centers=places, shapes=jnp.zeros((9, 3)))
-    weighed = []
-
-    def weigh_beside(search, still, proposal):
-        weighed.append((still.gain, proposal))
-        return still
-
-    def fit_hills():
-        fit = object.__new__(EvidenceFit)
-        kernels = KernelPotential.with_zero_weights(POINTS[0][:3], 1.0)
-        model = SimpleNamespace(environment=StructuredForce((hills,), kernels))
-        object.__setattr__(fit, "model", model)
-        object.__setattr__(fit, "outcome", FINE)
-        return StructuredFit(fit, 900.0)
-
-    monkeypatch.setattr(Survey, "is_hopeless", lambda *_, **__: True)
-    monkeypatch.setattr(structure_fit, "_weigh_beside", weigh_beside)
-    options = {"is_rugged": True, "is_plain": is_plain, "fit_free": fit_hills}
-    ended(80.0, 90.0, 40.0, FINE, FINE, **options)
-    assert weighed == ([] if is_plain else [(900.0, None)])
-
-
-FINE, BAD = Outcome.CONVERGED, Outcome.DIVERGED
-
-
-@pytest.mark.parametrize(
-    ("gains", "potential", "mixture", "kind", "rotation"),
-    [
-        ((-9.0, 90.0, 40.0), FINE, FINE, KernelPotential, -9.0),
-        ((80.0, 90.0, 40.0), FINE, FINE, KernelMixture, 40.0),
-        ((80.0, -4.0, 40.0), FINE, FINE, KernelPotential, -4.0),
-        ((80.0, 90.0, 1.0), FINE, FINE, KernelPotential, 1.0),
-        ((-9.0, 90.0, 40.0), BAD, FINE, KernelMixture, 40.0),
-        ((-9.0, 90.0, 40.0), None, FINE, KernelMixture, 40.0),
-        ((80.0, 90.0, 40.0), FINE, BAD, KernelPotential, None),
-    ],
-)
-def test_the_evidence_of_the_fit_decides_and_a_potential_that_fails_yields(
-    ended, gains, potential, mixture, kind, rotation
-):
-    taken, outcome, told = ended(*gains, potential, mixture)
-    assert (taken, outcome) == (kind, FINE)
-    assert np.isnan(told) if rotation is None else told == rotation
-
-
-def test_a_mixture_that_failed_is_not_fitted_again_beside_the_potential(ended):
-    taken, outcome, told = ended(80.0, -4.0, 40.0, FINE, BAD, is_plain=True)
-    assert (taken, outcome) == (KernelPotential, FINE)
-    assert np.isnan(told)
-
-
-def test_where_a_rotation_is_plain_no_potential_is_sought(ended):
-    sought = []
-
-    def propose(survey, *, rotational):
-        sought.append(rotational)
-        swirl = central_term(survey.region, survey.region.middle, rotational=True)
-        return Proposal((swirl,), 0.0, 0.05)
-
-    taken, _, told = ended(
-        80.0, 90.0, 40.0, FINE, FINE, is_plain=True, proposal=propose
+@pytest.mark.slow
+@pytest.mark.parametrize("truth", [PULL, SWIRL, PULL + SWIRL])
+def test_the_fit_turns_where_the_force_does(truth):
+    """The evidence decides between a potential and a mixture."""
+    system = scenario("barrier-crossings", count=8).with_truth(truth)
+    data = simulate(system, key=jax.random.key(2))
+    model = system.swimmer.with_environment(kernel_environment(KernelPotential, data))
+    found = fit_structured(model, data, weigh_rotation=True)
+    turns = truth is not PULL
+    assert found.fit.outcome is Outcome.CONVERGED
+    assert (found.rotation > DECISIVE) == turns
+    _, rest = split_structure(found.force)
+    assert isinstance(rest, KernelMixture if turns else KernelPotential)
+    places = jnp.asarray(data.positions.reshape(-1, 2)[::7])
+    true, learned = (
+        forces_at(one, jnp.zeros(len(places)), places) for one in (truth, found.force)
     )
-    assert (taken, told, sought) == (KernelMixture, 40.0, [True])
-
-
-def test_where_both_fail_the_error_is_that_of_the_potential(ended):
-    with pytest.raises(FitError, match="it failed"):
-        ended(-9.0, -9.0, 40.0, None, None)
-    assert ended(-9.0, -9.0, 40.0, BAD, None)[:2] == (KernelPotential, BAD)
+    assert jnp.linalg.norm(learned - true) < 0.05 * jnp.linalg.norm(true)
 
 
 @pytest.mark.slow

@@ -19,7 +19,6 @@ from pinav.forces import (
 )
 from pinav.navigation import Disc, Rectangle, physics_only, task, time_to_go
 from pinav.navigation.adaptive.flight import fly
-from pinav.navigation.adaptive.known import with_known
 from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.safety import check_command
 from pinav.navigation.adaptive.steering import AdaptiveController
@@ -28,14 +27,14 @@ from pinav.navigation.adaptive.strategies import (
     MeanForce,
     axes_of,
     mean_and_spread,
+    with_known,
 )
 from pinav.navigation.belief.belief import Frame
 from pinav.navigation.belief.given import GivenForce, take_for_granted
-from pinav.navigation.control.controller import Observation
-from pinav.navigation.control.prediction import TrajectoryPrediction
-from pinav.navigation.model.tabulated import tabulate_model
-from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.control.controller import Observation, TrajectoryPrediction
+from pinav.navigation.predictors import tabulate_model
 from pinav.navigation.task.steering import SteeredSwimmer
+from pinav.navigation.task.task import ReachGoal
 
 STRATEGIES = {
     "mean": MeanForce(),

@@ -1,4 +1,4 @@
-"""A swimmer that gets nowhere: it notices, and what it does about it."""
+"""A swimmer that gets nowhere notices and acts; each command must have a way out."""
 
 import dataclasses
 
@@ -12,9 +12,14 @@ from pinav.forces import GaussianBarrier, ZeroForce
 from pinav.navigation import task
 from pinav.navigation.adaptive.flight import fly
 from pinav.navigation.adaptive.prior import with_truth
-from pinav.navigation.adaptive.progress import Progress
+from pinav.navigation.adaptive.safety import choose_command
 from pinav.navigation.adaptive.steering import AdaptiveController
-from pinav.navigation.adaptive.strategies import ExplorationBonus, MeanForce, axes_of
+from pinav.navigation.adaptive.strategies import (
+    ExplorationBonus,
+    MeanForce,
+    Progress,
+    axes_of,
+)
 from pinav.navigation.belief.belief import Frame
 from pinav.navigation.belief.given import BeliefPrior, GivenForce
 from pinav.navigation.control.controller import Observation
@@ -167,3 +172,18 @@ def test_who_is_held_plans_on_finer_cells_and_never_stops_planning(still):
     assert np.all(np.isfinite(memory.plan.values))
     command, _ = held(now, memory, key=jax.random.key(0))
     assert np.all(np.isfinite(command))
+
+
+def test_of_the_clear_commands_the_one_that_leads_on_most_is_given():
+    margins, lead = np.array([-0.1, 0.2, 5.0, 0.0]), np.array([9.0, 1.0, 0.5, 2.0])
+    assert choose_command(margins, lead) == 3
+
+
+def test_where_none_is_clear_the_lead_does_not_count():
+    margins, lead = np.array([-3.0, -1.0, -2.0]), np.array([9.0, 0.0, 9.0])
+    assert choose_command(margins, lead) == 1
+
+
+def test_of_equal_commands_the_first_one_is_given():
+    assert choose_command(np.full(3, -1.0), np.arange(3.0)) == 0
+    assert choose_command(np.ones(3), np.ones(3)) == 0

@@ -5,30 +5,36 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.navigation.steering_worlds import SwimmerPredictor
 
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.forces import UniformFlow, ZeroForce
-from pinav.navigation.control.controller import Observation
-from pinav.navigation.control.default import controller
-from pinav.navigation.control.mppi import GradientMPC, PathIntegral
-from pinav.navigation.control.prediction import (
+from pinav.navigation.control.controller import (
     ArrivalCost,
     GradientGuide,
+    Observation,
     TrackingCost,
     TrajectoryPrediction,
 )
-from pinav.navigation.model.predictors import SwimmerPredictor
-from pinav.navigation.model.tabulated import tabulate_model
+from pinav.navigation.control.default import controller
+from pinav.navigation.control.mppi import GradientMPC, PathIntegral
 from pinav.navigation.planning.plan import time_to_go
-from pinav.navigation.task.objectives import CirclePath, FollowPath, ReachGoal
+from pinav.navigation.predictors import tabulate_model
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
     SteeredSwimmer,
 )
-from pinav.navigation.task.task import Disc, Rectangle, Task
+from pinav.navigation.task.task import (
+    CirclePath,
+    Disc,
+    FollowPath,
+    ReachGoal,
+    Rectangle,
+    Task,
+)
 from pinav.navigation.trials.closed_loop import run, run_many
 
 ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
@@ -143,22 +149,6 @@ def test_a_path_is_followed_through_a_delay():
     targets = jax.vmap(task.objective.target)(jnp.asarray(episode.ts))
     errors = np.linalg.norm(episode.states - np.asarray(targets), axis=1)
     assert errors[20:].max() < 0.02
-
-
-@pytest.mark.slow
-def test_an_unknown_drift_is_found_on_the_way():
-    """The model does not know of it; tracking with the filter is as if it did."""
-    circle = CirclePath(center=[-2.0, 0.0], radius=1.0, period=12.0, phase=-np.pi / 2)
-    task = swimming((0.4, 0.2), objective=FollowPath(circle), time_limit=8.0)
-    blind = swimming().truth
-
-    def error(**settings):
-        pilot = controller(task, blind, **settings)
-        episode = run(task, pilot, key=jax.random.key(0))
-        targets = jax.vmap(task.objective.target)(jnp.asarray(episode.ts))
-        return np.linalg.norm(episode.states - np.asarray(targets), axis=1)[30:].mean()
-
-    assert error(drift=0.5) < error() / 3
 
 
 @pytest.mark.slow

@@ -19,8 +19,8 @@ from pinav.navigation.design.campaign import (
     record,
     run_campaign,
 )
-from pinav.navigation.design.candidates import CandidateTrajectories
-from pinav.navigation.design.choices import (
+from pinav.navigation.design.candidates import (
+    CandidateTrajectories,
     GridDesign,
     InformedDesign,
     RandomDesign,

@@ -10,9 +10,12 @@ from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Posterior, ravel_model
 from pinav.forces import KernelPotential, LinearDrag, ZeroForce
-from pinav.navigation.design.candidates import Experiment
-from pinav.navigation.design.information import PosteriorInformation, best_candidate
-from pinav.navigation.design.result import PriorField, prior_uncertainty
+from pinav.navigation.design.candidates import Experiment, best_candidate
+from pinav.navigation.design.information import (
+    PosteriorInformation,
+    PriorField,
+    prior_uncertainty,
+)
 from pinav.navigation.task.steering import CommandLimits, HelicalActuator
 from pinav.navigation.task.task import Rectangle
 from pinav.trajectories import Trajectories

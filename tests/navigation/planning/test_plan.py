@@ -18,15 +18,22 @@ from pinav.forces import (
     UniformFlow,
     ZeroForce,
 )
-from pinav.navigation.model.tabulated import tabulate_model
 from pinav.navigation.planning.plan import time_to_go
-from pinav.navigation.task.objectives import FollowPath, LinePath, ReachGoal
+from pinav.navigation.predictors import tabulate_model
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
     SteeredSwimmer,
 )
-from pinav.navigation.task.task import Disc, Rectangle, Task, Wall
+from pinav.navigation.task.task import (
+    Disc,
+    FollowPath,
+    LinePath,
+    ReachGoal,
+    Rectangle,
+    Task,
+    Wall,
+)
 
 ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
 GOAL, TOLERANCE = np.array([2.5, 1.5]), 0.2

@@ -20,21 +20,18 @@ from pinav.forces import (
     ZeroForce,
 )
 from pinav.navigation.control.default import controller
-from pinav.navigation.model.predictors import ControlMap
-from pinav.navigation.model.tabulated import tabulate_model
 from pinav.navigation.planning.plan import time_to_go
-from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.predictors import ControlMap, tabulate_model
 from pinav.navigation.task.steering import (
     CommandLimits,
     HelicalActuator,
     RollingActuator,
     SteeredSwimmer,
-    SteeringField,
     all_directions,
     direction,
     direction_angles,
 )
-from pinav.navigation.task.task import Behind, Disc, Rectangle, Task, Wall
+from pinav.navigation.task.task import Behind, Disc, ReachGoal, Rectangle, Task, Wall
 from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.metrics import summary
 
@@ -133,16 +130,6 @@ def test_directions_in_space_are_unit_vectors_all_around():
     assert np.degrees(np.arccos(nearest)).min() > 15
     angles = jax.vmap(direction_angles)(jnp.asarray(ahead))
     np.testing.assert_allclose(jax.vmap(direction)(angles), ahead, atol=1e-9)
-
-
-def test_the_field_turns_about_the_direction_of_the_command():
-    field = SteeringField(2.0, 1.5, 0.7, -0.4)
-    ahead = direction(jnp.array([0.7, -0.4]))
-    for t in (0.0, 0.13, 0.41):
-        np.testing.assert_allclose(field(t) @ ahead, 0.0, atol=1e-12)
-        np.testing.assert_allclose(jnp.linalg.norm(field(t)), 2.0)
-    turn = jnp.cross(field(0.0), field(0.01)) @ ahead
-    assert turn > 0  # by the right hand about the direction
 
 
 def test_the_thrust_of_a_screw_is_along_the_command_in_space():

@@ -10,9 +10,8 @@ from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.navigation.control.controller import StraightLine
 from pinav.navigation.task import catalogue as tasks
-from pinav.navigation.task.objectives import FollowPath, ReachGoal
-from pinav.navigation.task.steering import greatest_thrust
-from pinav.navigation.task.task import clearance
+from pinav.navigation.task.steering import greatest_thrust, physics_only
+from pinav.navigation.task.task import FollowPath, ReachGoal, clearance
 from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.situation import begin
 from pinav.scenarios import scenario
@@ -105,3 +104,11 @@ def test_swimmers_with_inertia_are_those_of_the_paper():
 def test_unknown_task_is_refused_with_the_known_ones(ask):
     with pytest.raises(InputError, match="task 'maze' is unknown; choose .*vortex"):
         ask("maze")
+
+
+def test_physics_alone_has_no_environment():
+    task = tasks.task("barrier-weak")
+    at = jnp.array([3.0, 4.0, 0.5, -1.0])
+    alone = physics_only(task.truth)(0.0, at, jnp.zeros(2))
+    np.testing.assert_allclose(alone, [0.5, -1.0, -0.18, 0.36])
+    assert eqx.tree_equal(physics_only(task.truth).actuator, task.truth.actuator)

@@ -19,9 +19,8 @@ from tests.navigation.steering_worlds import (
 
 from pinav.dynamics import rollout
 from pinav.forces import CircularMotion, GaussianBarrier, Moving
-from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import CommandLimits
-from pinav.navigation.task.task import Disc, Rectangle
+from pinav.navigation.task.task import Disc, ReachGoal, Rectangle
 from pinav.navigation.trials import closed_loop
 from pinav.navigation.trials.closed_loop import run, run_many
 from pinav.navigation.trials.situation import PARTS

@@ -11,8 +11,7 @@ from tests.navigation.steering_worlds import AHEAD, open_water
 
 from pinav.errors import InputError
 from pinav.navigation.task import catalogue as tasks
-from pinav.navigation.task.objectives import FollowPath, LinePath, ReachGoal
-from pinav.navigation.task.task import Disc
+from pinav.navigation.task.task import Disc, FollowPath, LinePath, ReachGoal
 from pinav.navigation.trials.closed_loop import run
 
 gymnasium = pytest.importorskip(

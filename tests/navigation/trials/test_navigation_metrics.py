@@ -10,7 +10,7 @@ from scipy.stats import norm
 from tests.navigation.steering_worlds import AHEAD, open_water
 
 from pinav.errors import InputError
-from pinav.navigation.task.objectives import FollowPath, LinePath, ReachGoal
+from pinav.navigation.task.task import FollowPath, LinePath, ReachGoal
 from pinav.navigation.trials import metrics
 from pinav.navigation.trials.closed_loop import Episodes, run_many
 

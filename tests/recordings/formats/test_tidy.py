@@ -59,7 +59,7 @@ def test_pixels_are_flipped_and_scaled(read):
     plain = read(PIXELS)
     np.testing.assert_array_equal(plain.states[0], [[10, -20], [12, -26], [14, -32]])
     assert plain.units["x"] == "px"
-    up = read(PIXELS, y_down=False)
+    up = read(PIXELS, y="up")
     np.testing.assert_array_equal(up.states[0, :, 1], [20, 26, 32])
     assert [r.provenance["positions"]["y flipped"] for r in (plain, up)] == [
         True,

@@ -27,7 +27,6 @@ from pinav.analysis.discovery.law_regression import (
 from pinav.analysis.discovery.laws import (
     AbstractLaw,
     LawForce,
-    Role,
     SumLaw,
     latex,
     sympy_text,
@@ -48,6 +47,7 @@ from pinav.evaluation import normal_quantile
 from pinav.fitting import AbstractLearned, Outcome, Posterior
 from pinav.fitting.environments.summary import learned_part
 from pinav.forces import as_learned_force, split_structure
+from pinav.forces.formulas import Role
 from pinav.identification import needs_kalman_filter
 from pinav.threads import map_on_cores
 from pinav.trajectories import Trajectories, with_velocities
@@ -60,13 +60,8 @@ class EstimatedConstant(eqx.Module):
     """A constant of a law, as the trajectories determine it.
 
     Attributes:
-        name: in words.
-        symbol: in LaTeX.
         unit: dimension in length L, time T and force F; "1" means dimensionless.
-        value: best value.
         sd: standard deviation; infinite where the data say nothing.
-        low: lower end of the 95 % interval.
-        high: upper end.
         identifiable: whether the interval is short enough to mean anything.
     """
 
@@ -84,19 +79,13 @@ class Candidate(eqx.Module):
     """A law in the ranking.
 
     Attributes:
-        name: of the law.
-        law: the formula.
-        constants: their values and intervals.
         bic: Bayesian information criterion on the trajectories.
-        delta_bic: that of this law less that of the best one.
         field_bic: the criterion on the learned force, by which the laws to be refitted
             were chosen.
         noise: standard deviation of the observations that the law needs.
-        outcome: how the refit ended.
         fits: whether the law explains the data as well as the learned force does.
         extends_best: whether the best law is a special case of this one, which then
             explains as much with more constants, and is no rival of it.
-        latex: the formula in LaTeX.
         sympy: both components of the force as SymPy prints and parses them.
     """
 
@@ -146,7 +135,6 @@ class Discovery(eqx.Module):
             pairs of a name and that criterion.
         verdict: identified, not identifiable (other laws are within `CLOSE` of the
             best one, or one of its constants is not determined), or no law fits.
-        central: whether the force is central at all.
         learned_noise: standard deviation of the observations about the learned force.
         num_effective: independent numbers that the data tell about the force.
         sample: the learned force that the candidates were fitted to first.
@@ -279,7 +267,6 @@ def discover_law(
 
 
 def _terms_of(sampling: Sampling) -> tuple[TermLaws, ...] | None:
-    """The terms of the learned force with their candidates, if it has a structure."""
     terms, _ = split_structure(sampling.posterior.model.environment)
     return term_laws(terms, sampling)
 
@@ -360,7 +347,6 @@ FORCES = {"L² T⁻²": "F L", "L T⁻²": "F", "T⁻²": "F L⁻¹"}
 
 
 def _force_unit(unit: str) -> str:
-    """The dimension of a constant of a force, from that of an acceleration."""
     return FORCES.get(unit, unit)
 
 

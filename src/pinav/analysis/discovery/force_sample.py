@@ -20,12 +20,7 @@ from pinav.analysis.discovery.laws import Landscape
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.fitting import ParametricModel, Posterior
-from pinav.forces import (
-    AbstractForce,
-    AbstractProfileTerm,
-    ObstaclesTerm,
-    split_structure,
-)
+from pinav.forces import AbstractForce
 from pinav.trajectories import Trajectories
 
 FLOOR = 0.01
@@ -43,7 +38,6 @@ class ForceSample(eqx.Module):
     Attributes:
         positions: where [L].
         force: its value there [L T⁻²].
-        covariance: of the force, flattened point by point.
         num_effective: number of independent numbers that the data tell about it.
 
     Raises:
@@ -127,7 +121,6 @@ class Sampling(eqx.Module):
     """Where a learned force is sampled: at points spread over visited ground.
 
     Attributes:
-        posterior: of a fit.
         positions: of the points [L].
         times: when trajectories were there [T].
         num_effective: independent numbers that the data tell about the force.
@@ -144,11 +137,6 @@ class Sampling(eqx.Module):
     ) -> "Sampling":
         """Points among the observed positions, each far from the others.
 
-        Args:
-            posterior: of a fit.
-            trajectories: their observed positions are the visited ground.
-            num_effective: independent numbers that the data tell about the force.
-
         Raises:
             InputError: the trajectories are not planar.
         """
@@ -163,33 +151,6 @@ class Sampling(eqx.Module):
     def of_term(self, index: int) -> "ForceSample":
         """One term of a structured force, from the first, 0."""
         return self._sample(lambda force: force.terms[index])
-
-    def of_profile(self, index: int) -> "ProfileSample":
-        """The profile of one term of a structured force, along its coordinate.
-
-        Args:
-            index: of a term with a profile of a single coordinate.
-
-        Raises:
-            InputError: the term has no such profile.
-        """
-        term = split_structure(self.posterior.model.environment)[0][index]
-        several = isinstance(term, ObstaclesTerm)
-        if several or not isinstance(term, AbstractProfileTerm):
-            raise InputError(
-                f"term {index} of the structure ({term.kind}) has no profile of a "
-                "single coordinate; choose another one"
-            )
-        with jax.enable_x64(new_val=True):
-            z = jax.vmap(lambda x: term.coordinates(x)[0])(jnp.asarray(self.positions))
-            z = jnp.sort(z)
-            theta = jnp.asarray(self.posterior.mean)
-            values, rows = _profile_and_jacobian(self.posterior.free, theta, z, index)
-        rows = np.asarray(rows)
-        covariance = rows @ self.posterior.covariance @ rows.T
-        return ProfileSample(
-            np.asarray(z), np.asarray(values), covariance, self.num_effective
-        )
 
     def _sample(self, part: Callable[[Any], AbstractForce]) -> "ForceSample":
         with jax.enable_x64(new_val=True):
@@ -209,29 +170,6 @@ class Sampling(eqx.Module):
         )
 
 
-class ProfileSample(eqx.Module):
-    """A force along one coordinate, with the joint covariance of its errors.
-
-    Attributes:
-        z: values of the coordinate [L].
-        force: along it [L T⁻²].
-        covariance: of the force.
-        num_effective: number of independent numbers that the data tell about it.
-    """
-
-    z: Float[np.ndarray, " point"]
-    force: Float[np.ndarray, " point"]
-    covariance: Float[np.ndarray, "point point"]
-    num_effective: float
-
-    @property
-    def total_covariance(self) -> Float[np.ndarray, "point point"]:
-        """The covariance with the error of `FLOOR` at every point."""
-        floor = FLOOR * float(np.sqrt(np.mean(self.force**2)))
-        floor = max(floor, np.finfo(float).tiny ** 0.25)
-        return self.covariance + floor**2 * np.eye(len(self.force))
-
-
 @eqx.filter_jit
 def _force_and_jacobian(
     free: ParametricModel,
@@ -248,24 +186,9 @@ def _force_and_jacobian(
     return values, jax.vmap(jax.jacrev(force), axes)(theta, points, times)
 
 
-@eqx.filter_jit
-def _profile_and_jacobian(
-    free: ParametricModel,
-    theta: Float[Array, " parameter"],
-    z: Float[Array, " point"],
-    index: int,
-) -> tuple[Float[Array, " point"], Float[Array, "point parameter"]]:
-    def force(theta: Float[Array, " parameter"], z: Scalar) -> Float[Array, ""]:
-        return free(theta).environment.terms[index].profile(z)
-
-    values = jax.vmap(force, (None, 0))(theta, z)
-    return values, jax.vmap(jax.jacrev(force), (None, 0))(theta, z)
-
-
 def _visited_positions(
     trajectories: Trajectories,
 ) -> tuple[Float[np.ndarray, "sample 2"], Float[np.ndarray, " sample"]]:
-    """Observed positions, and when."""
     if len(trajectories.channels) not in (2, 4):
         raise InputError(
             "law discovery: expected planar trajectories, got the channels "

@@ -6,17 +6,9 @@ import itertools
 import math
 from typing import final
 
-from pinav.analysis.discovery.laws import (
-    AbstractLaw,
-    AbstractPotential,
-    Constant,
-    Constants,
-    Expr,
-    Functions,
-    Landscape,
-    Role,
-)
-from pinav.analysis.discovery.profiles import AbstractProfile
+from pinav.analysis.discovery.laws import AbstractLaw, Landscape
+from pinav.forces.formulas import Constant, Constants, Expr, Functions, Role
+from pinav.forces.profiles import AbstractProfile
 
 CENTER = (
     Constant("center_x", "c_x", Role.POSITION),
@@ -24,6 +16,8 @@ CENTER = (
 )
 ANGLE = Constant("angle", r"\phi", Role.ANGLE, "1")
 OFFSET = Constant("offset", "d", Role.POSITION)
+
+Expressions = tuple[Expr, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,9 +30,7 @@ class AbstractGeometry(abc.ABC):
         """The constants that place them, in order."""
 
     @abc.abstractmethod
-    def coordinates(
-        self, c: Constants, x: Expr, y: Expr, f: Functions
-    ) -> tuple[Expr, ...]:
+    def coordinates(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expressions:
         """The coordinates [L]; where there are several, their potentials add up."""
 
     @abc.abstractmethod
@@ -62,9 +54,7 @@ class Center(AbstractGeometry):
     def constants(self) -> tuple[Constant, ...]:
         return CENTER
 
-    def coordinates(
-        self, c: Constants, x: Expr, y: Expr, f: Functions
-    ) -> tuple[Expr, ...]:
+    def coordinates(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expressions:
         return (f.root((x - c[0]) ** 2 + (y - c[1]) ** 2),)
 
     def starts(self, landscape: Landscape) -> list[tuple[float, ...]]:
@@ -82,9 +72,7 @@ class Ellipse(AbstractGeometry):
     def constants(self) -> tuple[Constant, ...]:
         return (*CENTER, Constant("aspect", "a", Role.SCALE, "1"), ANGLE)
 
-    def coordinates(
-        self, c: Constants, x: Expr, y: Expr, f: Functions
-    ) -> tuple[Expr, ...]:
+    def coordinates(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expressions:
         u, w = rotate_axes(x - c[0], y - c[1], c[3], f)
         return (f.root(u**2 / c[2] + c[2] * w**2),)
 
@@ -113,9 +101,7 @@ class Line(AbstractGeometry):
     def constants(self) -> tuple[Constant, ...]:
         return ANGLE, OFFSET
 
-    def coordinates(
-        self, c: Constants, x: Expr, y: Expr, f: Functions
-    ) -> tuple[Expr, ...]:
+    def coordinates(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expressions:
         return (rotate_axes(x, y, c[0], f)[0] - c[1],)
 
     def starts(self, landscape: Landscape) -> list[tuple[float, ...]]:
@@ -137,11 +123,7 @@ class Line(AbstractGeometry):
 @final
 @dataclasses.dataclass(frozen=True)
 class Centers(AbstractGeometry):
-    """Distances from several centres, of obstacles of one kind.
-
-    Attributes:
-        count: of the centres.
-    """
+    """Distances from several centres, of obstacles of one kind."""
 
     count: int
 
@@ -157,9 +139,7 @@ class Centers(AbstractGeometry):
             for axis, constant in zip("xy", CENTER, strict=True)
         )
 
-    def coordinates(
-        self, c: Constants, x: Expr, y: Expr, f: Functions
-    ) -> tuple[Expr, ...]:
+    def coordinates(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expressions:
         return tuple(
             f.root((x - c[2 * k]) ** 2 + (y - c[2 * k + 1]) ** 2)
             for k in range(self.count)
@@ -176,14 +156,10 @@ class Centers(AbstractGeometry):
 
 @final
 @dataclasses.dataclass(frozen=True)
-class ProfileLaw(AbstractPotential):
+class ProfileLaw(AbstractLaw):
     """A profile of the coordinates of a geometry.
 
     Its constants are the amplitude, those of the geometry and those of the profile.
-
-    Attributes:
-        profile: of the potential.
-        geometry: its coordinates.
     """
 
     profile: AbstractProfile

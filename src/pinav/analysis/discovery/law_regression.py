@@ -18,8 +18,10 @@ import scipy.special
 from jaxtyping import Array, ArrayLike, Float
 
 from pinav.analysis.discovery.force_sample import ForceSample
-from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role, SumLaw, terms_of
+from pinav.analysis.discovery.laws import AbstractLaw, LawForce, SumLaw, terms_of
 from pinav.analysis.discovery.term_laws import MOST_TERMS, TermLaws
+from pinav.forces import forces_at
+from pinav.forces.formulas import Role
 from pinav.threads import map_on_cores
 
 STARTS = 3
@@ -33,9 +35,6 @@ class FieldFit(eqx.Module):
     """A law fitted to a sampled force.
 
     Attributes:
-        law: the formula.
-        constants: its best constants.
-        squares: sum of squared, independent residuals of unit variance.
         bic: the squares, plus log of the effective sample size for each constant.
     """
 
@@ -88,18 +87,8 @@ def law_force(
 ) -> Float[np.ndarray, "point dim"]:
     """The force of a law at points [L T⁻²]."""
     with jax.enable_x64(new_val=True):
-        values = _force(law, jnp.asarray(constants), jnp.asarray(positions))
-        return np.asarray(values)
-
-
-@eqx.filter_jit
-def _force(
-    law: AbstractLaw,
-    constants: Float[Array, " constant"],
-    positions: Float[Array, "point dim"],
-) -> Float[Array, "point dim"]:
-    force = LawForce(law, constants)
-    return jax.vmap(lambda x: force(0.0, x, jnp.zeros_like(x)))(positions)
+        force = LawForce(law, jnp.asarray(constants))
+        return np.asarray(forces_at(force, np.zeros(len(positions)), positions))
 
 
 @eqx.filter_jit
@@ -111,7 +100,8 @@ def _force_and_slopes(
     """One program for both: compiling a second one takes longer than all its calls."""
 
     def force(constants: Float[Array, " constant"]) -> tuple[Array, Array]:
-        values = _force(law, constants, jnp.asarray(positions))
+        times = np.zeros(np.shape(positions)[:1])
+        values = forces_at(LawForce(law, constants), times, positions)
         return values, values
 
     slopes, values = jax.jacfwd(force, has_aux=True)(jnp.asarray(constants))
@@ -142,10 +132,10 @@ class _Regression(eqx.Module):
         self, constants: Float[np.ndarray, " constant"]
     ) -> tuple[Float[np.ndarray, "point dim"], Float[np.ndarray, "point dim constant"]]:
         """Force and slopes; of a sum term by term, whose programs are there already."""
-        law, parts = self.law, [(self.law, constants)]
-        if isinstance(law, SumLaw):
-            parts = [(one, np.asarray(c)) for one, c in law.split(tuple(constants))]
-        both = [_force_and_slopes(*part, self.positions) for part in parts]
+        both = [
+            _force_and_slopes(law, np.asarray(c), self.positions)
+            for law, c in self.law.split(tuple(constants))
+        ]
         values = sum(np.asarray(force) for force, _ in both)
         slopes = [np.asarray(slope) for _, slope in both]
         return np.asarray(values), np.concatenate(slopes, axis=-1)
@@ -204,12 +194,7 @@ MISFIT_PROBABILITY = 1e-3
 
 
 def screen(sample: ForceSample, laws: Sequence[AbstractLaw]) -> list[FieldFit]:
-    """Laws and sums of up to three fitted to a force, the lowest criterion first.
-
-    Args:
-        sample: the force, with the covariance of its errors.
-        laws: candidates.
-    """
+    """Laws and sums of up to three fitted to a force, the lowest criterion first."""
     fits = map_on_cores(lambda law: fit_law(law, sample), list(laws))
     everything = list(fits)
     for _ in range(MOST_TERMS - 1):
@@ -238,11 +223,6 @@ def exchange_terms(
     formula need not be that of any of them. Once the others are there, the right one
     explains as much with fewer constants.
 
-    Args:
-        fit: of a sum; a single law has no term to exchange.
-        laws: candidates.
-        sample: the force.
-
     Returns:
         The sums that were tried.
     """
@@ -264,12 +244,7 @@ def exchange_terms(
 
 
 def screen_terms(terms: Sequence[TermLaws], sample: ForceSample) -> list[FieldFit]:
-    """Sums of a law for each term, fitted to a force; the lowest criterion first.
-
-    Args:
-        terms: of the force, each with its candidates.
-        sample: the whole force, with the covariance of its errors.
-    """
+    """Sums of a law for each term, fitted to a force; the lowest criterion first."""
 
     def rank(term: TermLaws) -> list[FieldFit]:
         def fit(law: AbstractLaw) -> FieldFit:

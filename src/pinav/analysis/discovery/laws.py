@@ -1,18 +1,10 @@
-r"""Laws: formulas of a planar force over elementary functions, with constants.
-
-The force is that of a potential and of a stream function, whose part turns.
-
-A law is written once: its formulas take these functions, of JAX or of SymPy. So the
-force that is fitted and the formula that is printed cannot disagree.
-"""
+"""Laws: formulas of a planar force with constants, and how they are printed."""
 
 import abc
 import dataclasses
-import enum
-import functools
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple, final
+from collections.abc import Iterator
+from typing import ClassVar, final
 
 import equinox as eqx
 import jax
@@ -23,111 +15,15 @@ from jaxtyping import Array, Float
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.forces import AbstractForce
-
-Expr = Any
-"""What formulas are made of: JAX arrays without axes, numbers, or those of SymPy."""
-
-
-class Functions(NamedTuple):
-    """The functions that formulas are made of.
-
-    Attributes:
-        exp: exponential.
-        log: natural logarithm.
-        cos: cosine.
-        sin: sine.
-        root: square root of a number that is not negative; of numbers its derivative
-            is finite at zero, so that forces are finite at a centre.
-        positive_power: a power of the first number where that is positive, else zero.
-        logistic: 1/(1 + exp(-z)); of numbers no z overflows it.
-    """
-
-    exp: Callable[[Expr], Expr]
-    log: Callable[[Expr], Expr]
-    cos: Callable[[Expr], Expr]
-    sin: Callable[[Expr], Expr]
-    root: Callable[[Expr], Expr]
-    positive_power: Callable[[Expr, Expr], Expr]
-    logistic: Callable[[Expr], Expr]
-
-
-@functools.cache
-def symbolic() -> Functions:
-    """The functions of SymPy, which takes long to import."""
-    import sympy
-
-    def positive_power(base: Expr, exponent: Expr) -> Expr:
-        return sympy.Max(0, base) ** exponent
-
-    return Functions(
-        sympy.exp,
-        sympy.log,
-        sympy.cos,
-        sympy.sin,
-        sympy.sqrt,
-        positive_power,
-        lambda z: 1 / (1 + sympy.exp(-z)),
-    )
-
-
-def _root(square: Float[Array, ""]) -> Float[Array, ""]:
-    return jnp.sqrt(square + TINY)
-
-
-def _positive_power(
-    base: Float[Array, ""], exponent: Float[Array, ""]
-) -> Float[Array, ""]:
-    is_positive = base > 0
-    kept = jnp.where(is_positive, base, 1.0)  # no logarithm of zero in either branch
-    return jnp.where(is_positive, jnp.exp(exponent * jnp.log(kept)), 0.0)
-
-
-TINY = 1e-30
-"""Squared distance [L²] below which the root is flat."""
-
-NUMERIC = Functions(
-    jnp.exp,
-    jnp.log,
-    jnp.cos,
-    jnp.sin,
-    _root,
-    _positive_power,
-    jax.nn.sigmoid,
+from pinav.forces.formulas import (
+    NUMERIC,
+    Constant,
+    Constants,
+    Expr,
+    Functions,
+    Role,
+    symbolic,
 )
-"""The functions of JAX."""
-
-
-Constants = Sequence[Expr] | Float[Array, " constant"]
-"""Values or symbols of the constants of a law, in their order."""
-
-Components = tuple[Expr, Expr]
-"""The two components of a force."""
-
-
-class Role(enum.Enum):
-    """What a constant is, and so against what its uncertainty is judged."""
-
-    AMPLITUDE = "amplitude"
-    POSITION = "position"
-    SCALE = "scale"
-    ANGLE = "angle"
-
-
-@dataclasses.dataclass(frozen=True)
-class Constant:
-    """A constant of a law.
-
-    Attributes:
-        name: in words, as `height`.
-        symbol: as it is written in LaTeX.
-        role: amplitudes enter the force linearly, scales are positive.
-        unit: dimension in length L and time T; "1" means dimensionless.
-    """
-
-    name: str
-    symbol: str
-    role: Role
-    unit: str = "L"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,30 +48,31 @@ class Landscape:
 
 
 class AbstractLaw(abc.ABC):
-    r"""A family of forces $F = -\nabla U + (\partial_y\psi, -\partial_x\psi)$.
+    r"""A family of forces $-\nabla U$, or such forces turned by a right angle.
 
     $c$ stands for the constants, in their order, and `f` for the elementary functions,
     of JAX or of SymPy.
 
     Attributes:
-        name: what tables call it.
         constants: its constants, in order.
+        turns: whether $U$ is a stream function.
     """
 
     name: str
     constants: tuple[Constant, ...]
+    turns: ClassVar[bool] = False
 
     @abc.abstractmethod
     def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        """Potential energy per mass U [L² T⁻²] of the conservative part."""
+        """Potential energy per mass, or the stream function [L² T⁻²]."""
 
-    @abc.abstractmethod
-    def stream(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        """Stream function ψ [L² T⁻²] of the part that has no potential."""
-
-    @abc.abstractmethod
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        """Constants from which a fit may start, whatever their amplitudes."""
+        """Constants from which a fit may start, whatever their amplitudes.
+
+        Those of a law that has a centre, and amplitudes before it.
+        """
+        ones = (1.0,) * (len(self.constants) - 2)
+        return [(*ones, *center) for center in landscape.centers]
 
     def __add__(self, other: "AbstractLaw") -> "SumLaw":
         """The law of the sum of two forces."""
@@ -188,44 +85,30 @@ class AbstractLaw(abc.ABC):
         """
         return False
 
+    def split(self, c: Constants) -> Iterator[tuple["AbstractLaw", Constants]]:
+        """Each term with its constants."""
+        yield self, c
+
     def indices(self, role: Role) -> list[int]:
-        """Where the constants of that role stand."""
+        """Which of the constants have a role."""
         return [i for i, constant in enumerate(self.constants) if constant.role is role]
-
-
-class AbstractPotential(AbstractLaw):
-    """A conservative law: all of it has a potential."""
-
-    def stream(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        return 0
-
-
-class AbstractRotation(AbstractLaw):
-    """A law without any potential."""
-
-    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        return 0
 
 
 @final
 @dataclasses.dataclass(frozen=True)
-class Turned(AbstractRotation):
-    """A law whose potential is taken as a stream function: its force is turned.
+class Turned(AbstractLaw):
+    """A law whose potential is taken as a stream function: its force is turned."""
 
-    Attributes:
-        law: a potential.
-        name: what tables call it.
-    """
-
-    law: AbstractPotential
+    law: AbstractLaw
     name: str
     constants: tuple[Constant, ...] = dataclasses.field(init=False, repr=False)
+    turns = True
 
     def __post_init__(self) -> None:
         constants = tuple(map(_of_rotation, self.law.constants))
         object.__setattr__(self, "constants", constants)
 
-    def stream(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
         return self.law.potential(c, x, y, f)
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
@@ -235,15 +118,10 @@ class Turned(AbstractRotation):
         return isinstance(other, Turned) and self.law.contains(other.law)
 
 
+@final
 @dataclasses.dataclass(frozen=True)
 class SumLaw(AbstractLaw):
-    """The sum of laws; where constants share a name they are numbered by their term.
-
-    Attributes:
-        terms: the laws that add up.
-        name: their names.
-        constants: theirs, one term after the other.
-    """
+    """The sum of laws; where constants share a name they are numbered by their term."""
 
     terms: tuple[AbstractLaw, ...]
     name: str = dataclasses.field(init=False, repr=False)
@@ -257,21 +135,14 @@ class SumLaw(AbstractLaw):
         object.__setattr__(self, "constants", numbered)
 
     def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        return sum(t.potential(values, x, y, f) for t, values in self.split(c))
-
-    def stream(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        return sum(t.stream(values, x, y, f) for t, values in self.split(c))
+        return potential_of(self, c, (x, y), f, turns=False)
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         """The first shape of every term; sums start from fits of their terms."""
         return [sum((term.shapes(landscape)[0] for term in self.terms), ())]
 
     def contains(self, other: AbstractLaw) -> bool:
-        """Whether each term of the other law is one of this sum, or contained in one.
-
-        Args:
-            other: a law, or a sum of no more terms.
-        """
+        """Whether each term of the other law is one of this sum, or in one."""
         theirs = terms_of(other)
         return self != other and any(
             all(
@@ -282,12 +153,24 @@ class SumLaw(AbstractLaw):
         )
 
     def split(self, c: Constants) -> Iterator[tuple[AbstractLaw, Constants]]:
-        """Each term with its constants."""
         start = 0
         for term in self.terms:
             end = start + len(term.constants)
             yield term, c[start:end]
             start = end
+
+
+def potential_of(
+    law: AbstractLaw,
+    c: Constants,
+    place: tuple[Expr, Expr],
+    f: Functions,
+    *,
+    turns: bool,
+) -> Expr:
+    """The potential of the terms that have one, or the stream function of the rest."""
+    parts = (t.potential(v, *place, f) for t, v in law.split(c) if t.turns is turns)
+    return sum(parts)
 
 
 class LawForce(AbstractForce):
@@ -314,34 +197,26 @@ class LawForce(AbstractForce):
 
     def potential(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
         """Potential energy per mass [L² T⁻²] of the conservative part."""
-        value = self.law.potential(self.constants, x[0], x[1], NUMERIC)
-        return jnp.zeros((), x.dtype) + value
+        return self._potential(x, turns=False)
 
-    def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
-        """Stream function [L² T⁻²] of the part without a potential."""
-        value = self.law.stream(self.constants, x[0], x[1], NUMERIC)
+    def _potential(self, x: Float[Array, "2"], *, turns: bool) -> Float[Array, ""]:
+        place = x[0], x[1]
+        value = potential_of(self.law, self.constants, place, NUMERIC, turns=turns)
         return jnp.zeros((), x.dtype) + value
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        along, across = jax.grad(self.stream)(x)
+        along, across = jax.grad(lambda x: self._potential(x, turns=True))(x)
         turned = jnp.stack([across, -along])
         return turned - jax.grad(self.potential, argnums=1)(t, x)
 
 
 class LawExpressions(eqx.Module):
-    """A law in SymPy.
-
-    Attributes:
-        symbols: x, y and the constants, by name.
-        potential: of the conservative part.
-        stream: stream function of the rest.
-        force: the two components of the whole force.
-    """
+    """A law in SymPy: x, y and the constants by name, its two functions, its force."""
 
     symbols: dict[str, Expr]
     potential: Expr
     stream: Expr
-    force: Components
+    force: tuple[Expr, Expr]
 
 
 def expressions(law: AbstractLaw) -> LawExpressions:
@@ -358,8 +233,10 @@ def expressions(law: AbstractLaw) -> LawExpressions:
         for constant in law.constants
     }
     values = tuple(constants.values())
-    potential = sympy.sympify(law.potential(values, x, y, symbolic()))
-    stream = sympy.sympify(law.stream(values, x, y, symbolic()))
+    potential, stream = (
+        sympy.sympify(potential_of(law, values, (x, y), symbolic(), turns=turns))
+        for turns in (False, True)
+    )
     force = (
         sympy.diff(stream, y) - sympy.diff(potential, x),
         -sympy.diff(stream, x) - sympy.diff(potential, y),

@@ -14,19 +14,9 @@ from pinav.analysis.discovery.geometries import (
     ProfileLaw,
     rotate_axes,
 )
-from pinav.analysis.discovery.laws import (
-    AbstractLaw,
-    AbstractPotential,
-    AbstractRotation,
-    Constant,
-    Constants,
-    Expr,
-    Functions,
-    Landscape,
-    Role,
-    Turned,
-)
-from pinav.analysis.discovery.profiles import (
+from pinav.analysis.discovery.laws import AbstractLaw, Landscape, Turned
+from pinav.forces.formulas import Constant, Constants, Expr, Functions, Role
+from pinav.forces.profiles import (
     EVEN_PROFILES,
     HEIGHT,
     Channel,
@@ -39,7 +29,7 @@ from pinav.analysis.discovery.profiles import (
 
 @final
 @dataclasses.dataclass(frozen=True)
-class ConstantForce(AbstractPotential):
+class ConstantForce(AbstractLaw):
     r"""$U = -a x - b y$: a slope, the same force everywhere."""
 
     name = "constant force"
@@ -57,7 +47,7 @@ class ConstantForce(AbstractPotential):
 
 @final
 @dataclasses.dataclass(frozen=True)
-class Saddle(AbstractPotential):
+class Saddle(AbstractLaw):
     r"""$U = -\tfrac12 a (u^2 - w^2) - b\, u w$ about a centre: a linear force."""
 
     name = "saddle"
@@ -71,13 +61,10 @@ class Saddle(AbstractPotential):
         u, w = x - c[2], y - c[3]
         return -c[0] * (u**2 - w**2) / 2 - c[1] * u * w
 
-    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        return [(1.0, 1.0, *center) for center in landscape.centers]
-
 
 @final
 @dataclasses.dataclass(frozen=True)
-class AnisotropicTrap(AbstractPotential):
+class AnisotropicTrap(AbstractLaw):
     r"""$U = \tfrac12 (k_x u^2 + k_y w^2) - b\, u w$ about a centre."""
 
     name = "anisotropic trap"
@@ -92,16 +79,13 @@ class AnisotropicTrap(AbstractPotential):
         u, w = x - c[3], y - c[4]
         return (c[0] * u**2 + c[1] * w**2) / 2 - c[2] * u * w
 
-    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        return [(1.0, 1.0, 1.0, *center) for center in landscape.centers]
-
     def contains(self, other: AbstractLaw) -> bool:
         return other in (HARMONIC, SADDLE)
 
 
 @final
 @dataclasses.dataclass(frozen=True)
-class PlaneWave(AbstractPotential):
+class PlaneWave(AbstractLaw):
     r"""$U = U_0\cos(k_x x + k_y y) + U_1\sin(k_x x + k_y y)$: a washboard."""
 
     name = "plane wave"
@@ -126,14 +110,13 @@ class PlaneWave(AbstractPotential):
 
 @final
 @dataclasses.dataclass(frozen=True)
-class Lattice(AbstractPotential):
+class Lattice(AbstractLaw):
     r"""$U = \sum_m a_m \cos(m \cdot \phi) + b_m \sin(m \cdot \phi)$.
 
     $\phi_i = k_i \cdot x$ with two wave vectors $k_1, k_2$.
 
     Attributes:
         orders: $m$ of the waves.
-        name: what tables call it.
         constants: $a_m$ and $b_m$ of each wave, then the wave vectors.
     """
 
@@ -179,7 +162,7 @@ class Lattice(AbstractPotential):
 
 @final
 @dataclasses.dataclass(frozen=True)
-class DoubleWell(AbstractPotential):
+class DoubleWell(AbstractLaw):
     r"""$U = U_0 (u^2/a^2 - 1)^2 + \tfrac12 k w^2$ with axes turned by φ."""
 
     name = "double well"
@@ -205,7 +188,7 @@ class DoubleWell(AbstractPotential):
         ]
 
 
-def profile_laws(geometry: Center | Ellipse | Line) -> tuple[AbstractPotential, ...]:
+def profile_laws(geometry: Center | Ellipse | Line) -> tuple[AbstractLaw, ...]:
     """The laws of every even profile in a geometry."""
     return tuple(ProfileLaw(profile, geometry) for profile in EVEN_PROFILES)
 
@@ -223,7 +206,7 @@ LATTICES = (
     Lattice(((1, 0), (0, 1), (1, 1), (1, -1)), "lattice of four waves"),
 )
 
-POTENTIALS: tuple[AbstractPotential, ...] = (
+POTENTIALS: tuple[AbstractLaw, ...] = (
     CONSTANT_FORCE,
     *profile_laws(Center()),
     RING,
@@ -265,24 +248,22 @@ def _wave_vectors(landscape: Landscape) -> list[Pair]:
 
 @final
 @dataclasses.dataclass(frozen=True)
-class SolidRotation(AbstractRotation):
+class SolidRotation(AbstractLaw):
     r"""$\psi = -\tfrac12 \Omega r^2$: $\Omega\,(-(y - c_y),\ x - c_x)$."""
 
     name = "solid rotation"
     constants = (Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"), *CENTER)
+    turns = True
 
-    def stream(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
         return -c[0] * ((x - c[1]) ** 2 + (y - c[2]) ** 2) / 2
-
-    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        return [(1.0, *center) for center in landscape.centers]
 
 
 SOLID_ROTATION = SolidRotation()
 GAUSSIAN_SWIRL = Turned(GAUSSIAN, "Gaussian swirl")
 SHEAR = Turned(ProfileLaw(Harmonic(), Line()), "shear")
 
-SWIRLS: tuple[AbstractRotation, ...] = (
+SWIRLS: tuple[AbstractLaw, ...] = (
     SOLID_ROTATION,
     *(
         Turned(law, f"{law.name} swirl")
@@ -292,7 +273,7 @@ SWIRLS: tuple[AbstractRotation, ...] = (
 )
 """Swirls about a centre."""
 
-SHEAR_LAYERS: tuple[AbstractRotation, ...] = (
+SHEAR_LAYERS: tuple[AbstractLaw, ...] = (
     SHEAR,
     *(
         Turned(law, f"shear, {law.name}")
@@ -302,7 +283,7 @@ SHEAR_LAYERS: tuple[AbstractRotation, ...] = (
 )
 """Forces along the layers of a line."""
 
-ROTATIONS: tuple[AbstractRotation, ...] = (GAUSSIAN_SWIRL, SOLID_ROTATION, SHEAR)
+ROTATIONS: tuple[AbstractLaw, ...] = (GAUSSIAN_SWIRL, SOLID_ROTATION, SHEAR)
 """Candidates without a potential of a force of unknown structure."""
 
 LIBRARY: tuple[AbstractLaw, ...] = (*POTENTIALS, *ROTATIONS)

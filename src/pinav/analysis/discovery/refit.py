@@ -14,13 +14,14 @@ import scipy.special
 from jaxtyping import Array, Float
 
 from pinav.analysis.discovery.law_regression import MISFIT_PROBABILITY
-from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role
+from pinav.analysis.discovery.laws import AbstractLaw, LawForce
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer, with_dtype
 from pinav.errors import FitError
 from pinav.fitting import Outcome, Posterior
 from pinav.fitting.engine.constant_priors import ParametricModel, ravel_model
 from pinav.fitting.engine.multiple_shooting import Linearisation, advance, linearise
 from pinav.fitting.matching.state import Observations, Trainable
+from pinav.forces.formulas import Role
 from pinav.trajectories import Trajectories, smooth_states, with_velocities
 
 MAX_ITERATIONS = 40
@@ -35,12 +36,8 @@ class Refit(eqx.Module):
     r"""A law refitted on trajectories.
 
     Attributes:
-        law: the formula.
-        constants: its best constants.
         covariance: their covariance; infinite in directions the data say nothing of.
-        squares: sum of squared residuals.
         noise: $\sigma$ of the observations, estimated.
-        num_residuals: observations less starts.
         outcome: what was reached when the refit stalled or diverged is not a best fit.
     """
 
@@ -63,15 +60,7 @@ class Refit(eqx.Module):
 
 
 class LinearisedModel(eqx.Module):
-    """A model linearised about states that need not solve it, the starts eliminated.
-
-    Attributes:
-        parametric: the model as a function of its constants.
-        theta: their values.
-        states: one for each sample.
-        linear: the sum of squares of the residuals there.
-        hessian: of the sum of squares, halved.
-    """
+    """A model linearised about states that need not solve it, the starts eliminated."""
 
     parametric: ParametricModel
     theta: Float[np.ndarray, " parameter"]
@@ -114,16 +103,7 @@ class LinearisedModel(eqx.Module):
 
 
 class RefitProblem(eqx.Module):
-    """What all refits on the same trajectories share.
-
-    Attributes:
-        observations: what was observed.
-        states: where the first linearisation stands.
-        scale: spread of each channel.
-        extent: of the positions [L].
-        num_residuals: observations less starts.
-        solver: steps between samples.
-    """
+    """What all refits on the same trajectories share."""
 
     observations: Observations
     states: Float[np.ndarray, "trajectory time state"]
@@ -172,14 +152,7 @@ def refit(
     model: Swimmer | OverdampedSwimmer,
     problem: RefitProblem,
 ) -> Refit:
-    """Least squares of a law through the dynamics, by damped local Gauss-Newton.
-
-    Args:
-        law: the formula.
-        constants: where to start.
-        model: its propulsion and drag, or mobility, are kept.
-        problem: the trajectories.
-    """
+    """Least squares of a law through the dynamics, by damped local Gauss-Newton."""
     with jax.enable_x64(new_val=True):
         environment = LawForce(law, jnp.asarray(constants, jnp.float64))
         swimmer = model.with_environment(environment)
@@ -279,14 +252,7 @@ def _inverse(
 
 
 class LearnedOnPaths(eqx.Module):
-    """A learned force held against the trajectories once more.
-
-    Attributes:
-        problem: the trajectories, linearised about the smoothed states.
-        squares: sum of squared residuals.
-        noise: standard deviation of the observations.
-        num_effective: parameters that the data, not the prior, determine.
-    """
+    """A learned force held against the trajectories once more."""
 
     problem: RefitProblem
     squares: float

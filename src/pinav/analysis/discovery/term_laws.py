@@ -23,7 +23,6 @@ from pinav.analysis.discovery.geometries import (
 )
 from pinav.analysis.discovery.laws import (
     AbstractLaw,
-    AbstractPotential,
     Landscape,
     SumLaw,
     Turned,
@@ -44,7 +43,6 @@ from pinav.analysis.discovery.potentials import (
     WALL,
     profile_laws,
 )
-from pinav.analysis.discovery.profiles import EVEN_PROFILES, Ring
 from pinav.forces import (
     AbstractProfileTerm,
     AbstractTerm,
@@ -56,21 +54,15 @@ from pinav.forces import (
     ObstaclesTerm,
     WallTerm,
 )
-from pinav.forces.field_terms import HARMONICS
+from pinav.forces.profiles import EVEN_PROFILES, Ring
+from pinav.forces.terms import HARMONICS
 
 MOST_TERMS = 3
 """Terms of a sum of laws at most."""
 
 
 class TermLaws(eqx.Module):
-    """A term of a learned force, and the laws that it may follow.
-
-    Attributes:
-        kind: the word for it in tables.
-        sample: its force, with the covariance of its errors.
-        laws: candidates.
-        landscape: what the starts of their fits need to know.
-    """
+    """A term of a learned force, and the laws that it may follow."""
 
     kind: str = eqx.field(static=True)
     sample: ForceSample
@@ -82,10 +74,6 @@ def term_laws(
     terms: Sequence[AbstractTerm], sampling: Sampling
 ) -> tuple[TermLaws, ...] | None:
     """The laws that each term may follow.
-
-    Args:
-        terms: of a structured force.
-        sampling: where the force is known.
 
     Returns:
         Nothing known where there are no terms, more than `MOST_TERMS`, or one of a
@@ -128,7 +116,7 @@ def laws_of(term: AbstractTerm) -> tuple[AbstractLaw, ...]:
             return ()
 
 
-def _swirls_of(laws: Sequence[AbstractPotential]) -> tuple[AbstractLaw, ...]:
+def _swirls_of(laws: Sequence[AbstractLaw]) -> tuple[AbstractLaw, ...]:
     return tuple(Turned(law, f"{law.name} swirl") for law in laws)
 
 

@@ -52,8 +52,6 @@ class Influence(eqx.Module):
     Parameters are those that the fit learned, and the constants it was given.
 
     Attributes:
-        free: the model as a function of them.
-        theta: their values.
         removals: change of them where one trajectory is left out.
         first_order: the same by the infinitesimal jackknife.
         constants: change of them per unit of each constant, the data fitted anew.
@@ -219,7 +217,6 @@ def _learned_leaves(model: Any, learn: Pick) -> tuple[PyTree, ...]:
 def _place(
     name: str, free: ParametricModel, theta: Float[Array, " parameter"], pick: Pick
 ) -> int:
-    """Where a constant stands in the parameter vector."""
     places = np.flatnonzero(selected_entries(free, len(theta), pick))
     if len(places) != 1:
         raise InputError(
@@ -231,7 +228,6 @@ def _place(
 def _linearise_each(
     problem: BayesProblem, free: ParametricModel, theta: Float[Array, " parameter"]
 ) -> list[tuple[Hessian, Float[np.ndarray, " parameter"]]]:
-    """Normal matrix and gradient of each trajectory."""
     each, states = [], jnp.asarray(problem.states)
     for index in range(len(states)):
         rows = slice(index, index + 1)
@@ -253,8 +249,6 @@ def _covariance(
 
 
 class _Removal(eqx.Module):
-    """What leaving out one trajectory does."""
-
     change: Float[np.ndarray, " parameter"]
     first_order: Float[np.ndarray, " parameter"]
     leverage: float

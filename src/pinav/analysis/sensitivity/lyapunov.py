@@ -33,11 +33,7 @@ def _start_slopes(
 ) -> tuple[
     Float[np.ndarray, "start state"], Float[np.ndarray, "start state direction"]
 ]:
-    """Last states, and their derivatives along directions of the starts.
-
-    Raises:
-        InputError: the times are fewer than two.
-    """
+    """Last states, and their derivatives along directions of the starts."""
     ts = np.asarray(ts, float)
     if ts.ndim != 1 or len(ts) < 2:
         raise InputError(

@@ -1,17 +1,27 @@
 """`pinav compare`: several models of the same data, and their evidence."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+from pinav.commands import COMPARE
 from pinav.commands.command import CommandResult
-from pinav.commands.compare import COMPARE
-from pinav.commands.compare.result import ComparedModel, Comparison, ComparisonVerdict
-from pinav.commands.compare.settings import CompareOptions, CompareSettings
+from pinav.commands.compare import CompareOptions, CompareSettings
 from pinav.commands.progress import Reporter
 from pinav.commands.results import fingerprint, keep, start_run
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
-from pinav.fitting import EvidenceFit, Outcome, fit_bayes, fit_langevin, model_evidence
+from pinav.figures import Picture
+from pinav.figures.laws import evidence_bars
+from pinav.fitting import (
+    Estimate,
+    EvidenceFit,
+    ModelEvidence,
+    Outcome,
+    fit_bayes,
+    fit_langevin,
+    model_evidence,
+)
 from pinav.fitting.environments.catalogue import (
     build,
     mean_drag,
@@ -27,9 +37,118 @@ from pinav.fitting.environments.summary import (
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.learning.evidence import rotational_part
 from pinav.learning.plan import choose_system
+from pinav.report import Paragraph, Section, Table
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories, load, with_missing_channels
+
+
+@dataclasses.dataclass(frozen=True)
+class ComparedModel:
+    """The evidence of one model.
+
+    Attributes:
+        outcome: word for how its fit ended, or `failed`.
+        evidence: of the model; none for a failed fit.
+        rotational_fraction: of a mixture, where there are data.
+    """
+
+    outcome: str
+    evidence: ModelEvidence | None = None
+    noise: float | None = None
+    weights: int = 0
+    rotational_fraction: Estimate | None = None
+    reason: str = ""
+
+    @property
+    def log_evidence(self) -> float | None:
+        """Log evidence [nats], hyperparameters integrated out; none without a fit."""
+        return None if self.evidence is None else self.evidence.log_evidence
+
+
+@dataclasses.dataclass(frozen=True)
+class ComparisonVerdict:
+    """The answer of the evidence to a question.
+
+    Attributes:
+        models: the simple and the rich model.
+        difference: of their log evidence [nats]; none where one has none.
+    """
+
+    models: tuple[str, str]
+    difference: float | None
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """Several models of the same data.
+
+    Attributes:
+        models: each candidate by its name.
+        verdicts: answers to the questions that two of the candidates decide.
+    """
+
+    models: dict[str, ComparedModel]
+    verdicts: tuple[ComparisonVerdict, ...]
+
+
+HEADER = (
+    "model",
+    "log evidence [nats]",
+    "hyperparameter correction [nats]",
+    "Δ log evidence [nats]",
+    "outcome",
+)
+NOTE = (
+    "Log evidence with the hyperparameters integrated out; starts and learned "
+    "constants have priors of unit information."
+)
+
+
+def sections(comparison: Comparison) -> list[Section]:
+    """The verdicts, the table of the candidates, and their evidence as bars."""
+    picture = Picture(
+        "evidence",
+        lambda: evidence_bars(
+            {name: one.log_evidence for name, one in comparison.models.items()}
+        ),
+        "Nats below the best model; the scale is logarithmic above one.",
+        alt="Bars: by how much the log evidence of each model is below the best",
+    )
+    sentences = [verdict.text for verdict in comparison.verdicts]
+    sentences += [
+        f"Rotational fraction of {name} where there are data: {part.value:.3f} ± "
+        f"{part.sd:.2g} (sd)."
+        for name, one in comparison.models.items()
+        if (part := one.rotational_fraction)
+    ]
+    blocks = [*map(Paragraph, sentences), table(comparison), picture]
+    return [Section("The evidence", blocks)]
+
+
+def table(comparison: Comparison) -> Table:
+    """The candidates, the best one first."""
+    known = {
+        name: one.evidence
+        for name, one in comparison.models.items()
+        if one.evidence is not None
+    }
+    best = max((one.log_evidence for one in known.values()), default=0.0)
+    rows = [
+        (
+            name,
+            f"{one.log_evidence:.1f}",
+            f"{one.correction:.1f}",
+            f"{best - one.log_evidence:.1f}",
+            comparison.models[name].outcome,
+        )
+        for name, one in sorted(known.items(), key=lambda pair: -pair[1].log_evidence)
+    ]
+    failed = [name for name in comparison.models if name not in known]
+    rows += [(n, "–", "–", "–", comparison.models[n].reason) for n in failed]
+    return Table(HEADER, rows, NOTE)
+
 
 QUESTIONS = (
     ("physics-only", "kernel-potential", "no environment", "an environment"),
@@ -56,11 +175,7 @@ LEARNED: dict[str, Callable[[Any], Any] | None] = {
 
 
 def check_settings(settings: CompareSettings, data: Trajectories) -> System:
-    """The physics that all candidates share.
-
-    Raises:
-        InputError: a candidate cannot be had with these data or these physics.
-    """
+    """The physics that all candidates share."""
     known = choose_system(settings.system, data)
     inert = isinstance(known.swimmer, Swimmer)
     if "first-order" in settings.models and (
@@ -126,17 +241,16 @@ def fit_model(
     data: Trajectories,
     folder: RunFolder,
 ) -> EvidenceFit:
-    """The fit of one candidate, whether or not it converged.
-
-    Raises:
-        FitError: it led nowhere from the first step on.
-    """
+    """The fit of one candidate, whether or not it converged."""
     kernels = "kernel-potential" if name in KERNEL_POTENTIAL else name
     choice = ModelChoice(kernels)
     summary = summarise_for(choice, data)
     swimmer, inputs = known.swimmer, data
     if name == "first-order" and isinstance(swimmer, Swimmer):
-        swimmer, inputs = _without_inertia(swimmer, summary), positions_alone(data)
+        swimmer, inputs = (
+            _without_inertia(swimmer, summary),
+            data.only(_positions(data)),
+        )
     elif isinstance(swimmer, Swimmer) and len(_positions(data)) == len(data.channels):
         unseen = known.channels[len(data.channels) :]
         inputs = with_missing_channels(data, {n: known.units[n] for n in unseen})
@@ -165,19 +279,6 @@ def _without_inertia(swimmer: Swimmer, summary: DataSummary) -> OverdampedSwimme
     return OverdampedSwimmer(swimmer.propulsion, swimmer.environment, mobility)
 
 
-def positions_alone(data: Trajectories) -> Trajectories:
-    """The data without the channels that are no positions."""
-    names = _positions(data)
-    return Trajectories.from_arrays(
-        [piece.times for piece in data],
-        [piece.states[:, : len(names)] for piece in data],
-        observed=[piece.observed[:, : len(names)] for piece in data],
-        channels=names,
-        units={name: data.units[name] for name in (*names, "t")},
-        provenance=data.provenance,
-    )
-
-
 def _positions(data: Trajectories) -> list[str]:
     return list(data.channels[: data.dim])
 
@@ -186,9 +287,6 @@ def verdicts(rows: dict[str, ComparedModel]) -> list[ComparisonVerdict]:
     """The answer of the evidence to each question that two of the models answer.
 
     A difference of less than `DECISIVE` nats is called not decisive.
-
-    Args:
-        rows: the candidates by name.
     """
     return [
         _verdict((simple, rich), meanings, rows)

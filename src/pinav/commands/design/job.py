@@ -1,44 +1,51 @@
 """`pinav design`: what to record next, until a way is known."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import jax
 import numpy as np
 from tqdm import tqdm
 
+from pinav.commands import DESIGN
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.design import DESIGN
-from pinav.commands.design.settings import DesignOptions, DesignSettings
-from pinav.commands.recording_settings import RecordingSettings
+from pinav.commands.design import DesignOptions, DesignSettings
 from pinav.commands.results import fingerprint, keep, start_run
 from pinav.commands.steering import known_task, observe_positions, system_task
 from pinav.errors import InputError
-from pinav.navigation import AdaptiveController, Course, Experiment, Rectangle, Task
+from pinav.figures.images import Picture
+from pinav.figures.navigation import bounds_figure, recordings_figure
+from pinav.navigation import (
+    AdaptiveController,
+    Course,
+    Experiment,
+    Rectangle,
+    Suggestion,
+    Task,
+)
+from pinav.navigation.adaptive.flight import map_belief
 from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.design.campaign import (
     Campaign,
+    believe_data,
     decide,
     record_positions,
     run_campaign,
 )
-from pinav.navigation.design.choices import (
+from pinav.navigation.design.candidates import (
     AbstractDesign,
     GridDesign,
     InformedDesign,
     RandomDesign,
     Stage,
+    suggest_next,
 )
-from pinav.navigation.design.frames import believe_data
 from pinav.navigation.design.result import (
     CampaignSummary,
     DesignResult,
-    NextTrajectory,
-    Recorded,
-    map_belief,
-    relative_bound,
 )
+from pinav.report import AbstractBlock, Cell, Paragraph, Section, Table
 from pinav.runs import RunFolder
 from pinav.scenarios import find_system
 from pinav.systems import System
@@ -85,14 +92,14 @@ def _compare(
         system=system.name,
         accuracy=settings.accuracy,
         course=Course.of(task),
-        maps=map_belief(adaptive, first.belief),
-        way=first.decisions[-1].way,
+        maps=map_belief(task, first.belief),
+        decision=first.decisions[-1],
         thrust=adaptive.thrust,
         paths={name: some[0].paths for name, some in campaigns.items()},
         designs={name: CampaignSummary.of(some) for name, some in campaigns.items()},
         bounds={
             name: tuple(
-                np.array([relative_bound(decision) for decision in one.decisions])
+                np.array([min(decision.error, 1.0) for decision in one.decisions])
                 for one in some
             )
             for name, some in campaigns.items()
@@ -104,7 +111,7 @@ def _suggest(
     options: DesignOptions, settings: DesignSettings, system: System
 ) -> tuple[RunFolder, DesignResult]:
     """The knowledge of recordings, and the trajectory to record next."""
-    parts = [read_data(path, RecordingSettings()) for path in options.data]
+    parts = [read_data(path) for path in options.data]
     data = concatenate(parts) if len(parts) > 1 else parts[0]
     task = known_task(settings, system, data)
     adaptive = _adaptive(task, settings)
@@ -115,28 +122,19 @@ def _suggest(
     belief = believe_data(adaptive, system.swimmer, data, settings.position_noise)
     decision = decide(adaptive, belief)
     stage = Stage(adaptive, experiment, belief, decision.way)
-    _, spread = belief.force(decision.way)
-    recorded = Recorded(
-        trajectories=len(data),
-        arrives=decision.arrives,
-        error=decision.error,
-        certain=decision.certain(settings.accuracy),
-        sd=float(np.sqrt(np.mean(spread**2))),
-    )
     return folder, DesignResult(
         system=system.name,
         accuracy=settings.accuracy,
         course=Course.of(task),
-        maps=map_belief(adaptive, belief),
-        way=decision.way,
+        maps=map_belief(task, belief),
+        decision=decision,
         thrust=adaptive.thrust,
         paths={
             "recorded": tuple(
                 piece.states[piece.observed[:, :2].all(axis=1), :2] for piece in data
             )
         },
-        recorded=recorded,
-        next=NextTrajectory.informed(stage, key=jax.random.key(settings.seed)),
+        next=suggest_next(stage, key=jax.random.key(settings.seed)),
     )
 
 
@@ -147,12 +145,13 @@ def _adaptive(task: Task, settings: DesignSettings) -> AdaptiveController:
 
 
 def _experiment(settings: DesignSettings, adaptive: AdaptiveController) -> Experiment:
-    """The recording of trajectories, and the region of release.
-
-    Raises:
-        InputError: the place of release is outside of the arena.
-    """
+    """The recording of trajectories, and the region of release."""
     task, box = adaptive.task, settings.release_box()
+    if settings.duration < 2 * task.step:
+        raise InputError(
+            f"--duration: expected two steps or more, got {settings.duration:g} with "
+            f"--step {task.step:g}"
+        )
     region = task.arena
     if box is not None:
         region = Rectangle(list(box[:2]), list(box[2:]))
@@ -165,3 +164,129 @@ def _experiment(settings: DesignSettings, adaptive: AdaptiveController) -> Exper
                 f"{settings.release}; state a larger one with --arena"
             )
     return record_positions(task, region, settings.duration)
+
+
+CAPTION = (
+    "Finished: the force along the way was known well enough by the belief; "
+    "trajectories: median until then, a dash where more than half were given up; until "
+    "truly known: median until the true error was below the accuracy for the first "
+    "time; right when finished: campaigns whose true error was then below it."
+)
+
+
+def sections(result: DesignResult) -> list[Section]:
+    """The outcome, and what was recorded."""
+    outcome: list[AbstractBlock] = [*map(Paragraph, sentences(result))]
+    if result.designs:
+        outcome += [design_table(result), _bounds(result)]
+    if result.next is not None:
+        outcome.append(_programme(result.next))
+    return [Section("Outcome", outcome), Section("Recordings", [_map(result)])]
+
+
+def sentences(result: DesignResult) -> list[str]:
+    """The findings in words."""
+    if "recorded" in result.paths:
+        return [_next_sentence(result)]
+    lines = [
+        f"System {result.system} (synthetic): trajectories until the force along the "
+        f"planned way is known to {100 * result.accuracy:g} % with a probability of "
+        "95 %, by the belief."
+    ]
+    informed = result.designs.get("informed")
+    if informed is None or _known(informed.trajectories) is None:
+        return lines
+    for name, row in result.designs.items():
+        if name == "informed" or not informed.trajectories:
+            continue
+        if _known(row.trajectories) is None:
+            lines.append(f"Most {name} campaigns were given up.")
+        else:
+            ratio = informed.trajectories / row.trajectories
+            lines.append(
+                f"The informed design took {100 * ratio:.0f} % of the trajectories "
+                f"of the {name} one (medians)."
+            )
+    return lines
+
+
+def _known(value: float) -> float | None:
+    """A number, or none where it is not finite."""
+    return value if np.isfinite(value) else None
+
+
+def design_table(result: DesignResult) -> Table:
+    """One row for each design."""
+    columns: dict[str, Callable[[tuple[str, CampaignSummary]], Cell]] = {
+        "design": lambda one: one[0],
+        "campaigns": lambda one: one[1].campaigns,
+        "finished": lambda one: one[1].finished,
+        "trajectories": lambda one: _known(one[1].trajectories),
+        "fewest": lambda one: one[1].fewest,
+        "largest": lambda one: one[1].largest,
+        "until truly known": lambda one: _known(one[1].reached),
+        "right when finished": lambda one: one[1].right,
+        "true error at the end": lambda one: _known(one[1].error),
+    }
+    return Table.of(result.designs.items(), columns, CAPTION)
+
+
+def _next_sentence(result: DesignResult) -> str:
+    count, decision = len(result.paths["recorded"]), result.decision
+    advice, accuracy = result.next, result.accuracy
+    known = (
+        f"After {count} trajectories the force along the planned way "
+        f"is known to {100 * decision.error:.2g} % with a probability of 95 %"
+    )
+    if decision.certain(accuracy):
+        return f"{known}; nothing further need be recorded for {100 * accuracy:g} %."
+    if not decision.arrives:
+        known = (
+            f"After {count} trajectories no plan reaches the goal on the learned force"
+        )
+    if advice is None:
+        return f"{known}; no candidate trajectory stays inside of the arena."
+    x, y = advice.start
+    return (
+        f"{known}. Record next the trajectory in next.csv, released at ({x:.4g}, "
+        f"{y:.4g}): the standard deviation of the force along the way, now "
+        f"{advice.sd:.3g}, should then be {advice.sd_after:.3g}."
+    )
+
+
+def _programme(advice: Suggestion) -> Table:
+    """The commands of the trajectory to record next."""
+    series = advice.times, advice.frequency, advice.heading
+    rows = list(zip(*(values.tolist() for values in series), strict=True))
+    caption = "Commands of the trajectory to record next; linear between the times."
+    return Table(("t", "frequency", "heading"), rows, caption, "next")
+
+
+def _bounds(result: DesignResult) -> Picture:
+    return Picture(
+        "design-bounds",
+        lambda: bounds_figure(result.bounds, result.accuracy),
+        "Bound of the relative error of the force along the planned way (95 %), after "
+        "each trajectory of each campaign.",
+        width=0.8,
+    )
+
+
+def _map(result: DesignResult) -> Picture:
+    design = next((name for name, paths in result.paths.items() if paths), "")
+    what = {"recorded": "the recordings", "": "no trajectory"}.get(
+        design, f"the first campaign of the {design} design"
+    )
+    return Picture(
+        "design-recordings",
+        lambda: recordings_figure(
+            result.course,
+            result.maps,
+            result.paths.get(design, ()),
+            way=result.decision.way,
+            thrust=result.thrust,
+        ),
+        f"Standard deviation of the force after {what}, its trajectories, and the way "
+        "that is planned then.",
+        width=0.7,
+    )

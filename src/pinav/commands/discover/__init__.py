@@ -1,13 +1,27 @@
-"""The command `pinav discover`."""
+"""Options of `pinav discover`."""
 
-from pinav.commands.command import Command
+from pathlib import Path
+from typing import Annotated
 
-DISCOVER = Command(
-    name="discover",
-    summary="find the law behind the learned force of a run",
-    options="pinav.commands.discover.settings:DiscoverOptions",
-    run="pinav.commands.discover.job:run",
-    result="pinav.analysis:Discovery",
-    file="laws",
-    sections="pinav.commands.discover.sections:sections",
-)
+import tyro
+
+from pinav.commands.settings import AsJson, Range, Settings
+
+
+class DiscoverOptions(Settings, frozen=True):
+    """Find the law behind the learned force of a run of pinav fit.
+
+    Where the fit found a structure, each of its terms (central, wall, lattice and so
+    on) is asked for the formula of its profile; else laws and sums of up to three are
+    tried on the whole force. The best are refitted to the trajectories and printed
+    with 95 % intervals, or that no law fits, or that the data do not identify one.
+    Writes laws.json and report.html into the run.
+
+    Attributes:
+        run: Folder of pinav fit.
+        refits: Number of laws refitted to the trajectories.
+    """
+
+    run: tyro.conf.Positional[Path]
+    refits: Annotated[int, Range(1)] = 5
+    json: AsJson = False

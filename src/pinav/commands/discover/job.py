@@ -1,9 +1,9 @@
 """`pinav discover`: the law behind the learned force of a run."""
 
 from pinav.analysis import discover
+from pinav.commands import DISCOVER
 from pinav.commands.command import CommandResult
-from pinav.commands.discover import DISCOVER
-from pinav.commands.discover.settings import DiscoverOptions
+from pinav.commands.discover import DiscoverOptions
 from pinav.commands.results import keep
 from pinav.learning.learned import Learned
 

@@ -10,11 +10,11 @@ from typing import Any
 import jax
 
 from pinav.commands.command import CommandResult
+from pinav.commands.explore import ExploreOptions
 from pinav.commands.explore.document import PAGE, document
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.plan import fit_of_plan, is_plan, plan_of
 from pinav.commands.explore.printing import Tree
-from pinav.commands.explore.settings import ExploreOptions
 from pinav.commands.explore.warmth import heat_payload, is_heated
 from pinav.errors import InputError
 from pinav.learning.learned import Learned

@@ -67,7 +67,7 @@ def plan_of(folder: RunFolder) -> Tree:
     # Between zero and one: sixteen bits are finer than the lattice is right.
     levels = np.round(np.clip(lattice.values, 0.0, 1.0) * LEVELS)
     plan["values"] = pack_array(levels, "u2")
-    if result.suggestion is not None:
+    if result.suggestion is not None and result.suggestion.path is not None:
         plan["suggestion"] = result.suggestion.path.tolist()
     return plan
 

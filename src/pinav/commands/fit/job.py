@@ -1,30 +1,56 @@
 """`pinav fit`: one model of the unknown, fitted to given data."""
 
 import dataclasses
+from collections.abc import Callable, Mapping
 
+import numpy as np
+
+from pinav.commands import FIT
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.fit import FIT
-from pinav.commands.fit.settings import FitOptions
-from pinav.commands.many_files import run_files
+from pinav.commands.fit import FitOptions
 from pinav.commands.progress import Reporter
-from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.results import fingerprint, keep, start_run
-from pinav.commands.settings import Settings
+from pinav.commands.sweep import run_files
+from pinav.evaluation import RestartErrors
+from pinav.figures.fits import (
+    fit_figure,
+    force_line_figures,
+    learned_force_figure,
+    profile_figure,
+    thermal_figures,
+)
+from pinav.fitting import Estimate
+from pinav.fitting.evidence.model_evidence import DECISIVE
+from pinav.fitting.structure.survey import LEAST_SAMPLES, LEAST_TRAJECTORIES
+from pinav.forces import HillsTerm
 from pinav.learning.account import account
+from pinav.learning.findings import Findings, FoundLaw, FoundStructure, FoundTerm
 from pinav.learning.learn import infer
 from pinav.learning.learned import Learned, is_written
 from pinav.learning.plan import FitPlan, choose_system, plan_fit
+from pinav.learning.thermal import ObservedDiffusion, ThermalFindings
+from pinav.report import (
+    NO_UNIT,
+    AbstractBlock,
+    Cell,
+    Paragraph,
+    Section,
+    Table,
+    heading,
+    number,
+    quantity,
+)
 from pinav.runs import RunFolder
 
 
 def run(options: FitOptions) -> CommandResult:
     """Fit as the command line does."""
-    file, *others = options.data
-    if others:
+    file = options.file
+    if file is None:
         return run_files(FIT, options)
     settings = options.settings
-    data = read_data(file, options.recording)
+    data = read_data(file, options.reading)
     plan = plan_fit(
         choose_system(settings.system, data),
         data,
@@ -36,19 +62,13 @@ def run(options: FitOptions) -> CommandResult:
         depth=settings.depth,
     )
     identity = {"data": fingerprint(plan.data), "system": plan.system.name}
-    groups: list[Settings] = [settings, options.recipe]
-    if options.recording != RecordingSettings():
-        groups.append(options.recording)
-    folder = start_run(FIT, options, *groups, **identity)
+    settings_of_run = (settings, options.recipe, options.reading)
+    folder = start_run(FIT, options, *settings_of_run, **identity)
     return keep(FIT, folder, fit(plan, folder).findings)
 
 
 def fit(plan: FitPlan, folder: RunFolder) -> Learned:
-    """Fit and write the result; what the folder holds is not done again.
-
-    Raises:
-        FitError: the fit diverged, or the data do not determine it.
-    """
+    """Fit and write the result; what the folder holds is not done again."""
     if is_written(folder):
         learned = Learned.open(folder.path)
     else:
@@ -58,3 +78,289 @@ def fit(plan: FitPlan, folder: RunFolder) -> Learned:
             learned = infer(plan, checkpoint=checkpoint, on_progress=report)
         learned = learned.write(folder)
     return dataclasses.replace(learned, found=account(plan, learned))
+
+
+def sections(fit: Findings) -> list[Section]:
+    """The errors and constants of a fit, its structure, thermal motion, the force."""
+    first: list[AbstractBlock] = []
+    if fit.support is not None:
+        first.append(Paragraph(support_sentence(fit.support)))
+    first += [*map(Paragraph, fit.remarks), *_tables(fit), fit_figure(fit)]
+    shown = [Section(f"The fit: {fit.model}, {fit.recipe}", first)]
+    if fit.structure is not None:
+        shown.append(Section("The structure of the force", _structure(fit)))
+    if fit.thermal is not None:
+        blocks = [*_thermal(fit.thermal), *thermal_figures(fit)]
+        shown.append(Section("The thermal motion", blocks))
+    if force := _force(fit):
+        shown.append(Section("The learned force", force))
+    return shown
+
+
+def _tables(fit: Findings) -> list[Table]:
+    """Errors, choices of the evidence, loss and constants, as far as there are any."""
+    tables = [_errors(fit)]
+    if fit.hyperparameters is not None:
+        name = "noise of a position"
+        if fit.recipe == "langevin":
+            name = "thermal noise, √(2D)"
+        chosen = {
+            heading(name, unit_of_noise(fit)): fit.hyperparameters.noise,
+            "log evidence": fit.hyperparameters.log_evidence,
+            "iterations": fit.iterations,
+            "outcome": fit.outcome,
+        }
+        tables.append(_one_row(chosen, "What the evidence chose."))
+    if fit.losses is not None:
+        start, end = fit.losses.values[0][0], fit.losses.values[0][-1]
+        loss = {"start": float(start), "end": float(end), "outcome": fit.outcome}
+        tables.append(_one_row(loss, "Training loss."))
+    if fit.constants:
+        tables.append(constants_table(fit.constants))
+    return tables
+
+
+def unit_of_noise(fit: Findings) -> str:
+    """The unit of the noise that the evidence chose."""
+    length, time = (fit.units.get(name, "") for name in ("x", "t"))
+    if fit.recipe != "langevin" or {length, time} & set(NO_UNIT):
+        return length
+    return f"{length}/√{time}"
+
+
+def constants_table(constants: Mapping[str, Estimate]) -> Table:
+    """Learned constants with units and 95 % intervals."""
+    columns: dict[str, Callable[[tuple[str, Estimate]], Cell]] = {
+        "constant": lambda one: one[0],
+        "unit": lambda one: one[1].unit,
+        "value": lambda one: number(one[1].value, 6),
+        "standard deviation": lambda one: one[1].sd,
+        "2.5 %": lambda one: number(one[1].low, 6),
+        "97.5 %": lambda one: number(one[1].high, 6),
+    }
+    return Table.of(list(constants.items()), columns, "Constants learned.")
+
+
+def _errors(fit: Findings) -> Table:
+    """Errors by the length of rollouts for a recording, else those of whole ones."""
+    units = fit.units
+    length = units.get("x", "1")
+    if fit.restarts is not None:
+        return _restarts(fit.restarts, length, units.get("t", "1"))
+    whole = {"position": length, **units}
+    rmse = {
+        heading(name, whole.get(name, "1")): error for name, error in fit.rmse.items()
+    }
+    return _one_row(rmse, "Root-mean-square errors of rollouts.")
+
+
+def _restarts(restarts: RestartErrors, length: str, time: str) -> Table:
+    note = (
+        f"Median end-point error of {restarts.rollouts} rollouts from observed "
+        "positions, by their length. A rollout of the whole film adds up all that "
+        "wanders; its error is in metrics.json."
+    )
+    pairs = zip(restarts.lengths, restarts.errors, strict=True)
+    errors = {
+        heading(f"after {quantity(float(after), time)}", length): float(error)
+        for after, error in pairs
+    }
+    return _one_row(errors, note)
+
+
+def support_sentence(gain: float) -> str:
+    """What the evidence says of a field beside the commands, with the remedy."""
+    nats = f"{number(abs(gain), 3)} nats"
+    if gain > DECISIVE:
+        return f"field of position: supported, by {nats} over the known physics alone"
+    lead = (
+        "against it"
+        if gain < -DECISIVE
+        else f"which is not decisive (below {DECISIVE:g})"
+    )
+    sign = "+" if gain > 0 else "−"
+    return (
+        "field of position: not supported: its log evidence over the known physics "
+        f"alone is {sign}{nats}, {lead}. Do not steer by it: use "
+        "the system without a field, which pinav fit --model physics-only gives"
+    )
+
+
+def _structure(fit: Findings) -> list[AbstractBlock]:
+    """What the search came to, and each profile with its band."""
+    assert fit.structure is not None
+    figures = [
+        profile_figure(index, term, fit)
+        for index, term in enumerate(fit.structure.terms)
+    ]
+    sentences = structure_sentences(fit.structure)
+    return [*map(Paragraph, sentences), *(one for one in figures if one is not None)]
+
+
+def structure_sentences(structure: FoundStructure) -> list[str]:
+    """One sentence on the structure, and one on the rotation where it was weighed."""
+    whose = "the network's teacher: " if structure.of_teacher else ""
+    lines = [_structure_sentence(structure)]
+    if structure.rotation is not None:
+        nats = f"{number(structure.rotation, 3)} nats"
+        lines.append(
+            "force: a gradient and a rotational part (kernel-mixture), which the "
+            f"log evidence prefers to a potential alone by {nats}"
+            if structure.turns
+            else "force: a potential (kernel-potential); the log evidence of a "
+            f"rotational part beside it differs by {nats}"
+        )
+    return [f"{whose}{line}" for line in lines]
+
+
+def _structure_sentence(structure: FoundStructure) -> str:
+    gain = structure.gain
+    nats = "" if gain is None else f"{number(gain, 3)} nats"
+    if structure.terms:
+        names = ", and ".join(map(term_words, structure.terms))
+        if gain is None:
+            return f"structure: {names}; a fit of free kernels alone diverges"
+        if gain > DECISIVE:
+            return f"structure: {names}; {nats} over free kernels"
+        return (
+            f"structure: {names}; it is simpler than free kernels, which the log "
+            f"evidence cannot tell from it ({nats} over them)"
+        )
+    if not structure.sought:
+        return (
+            "structure: free kernels; none was sought, which takes "
+            f"{LEAST_TRAJECTORIES} trajectories and {LEAST_SAMPLES} numbers"
+        )
+    if gain is None:
+        return "structure: free kernels; no structure tried explains the data"
+    return (
+        "structure: free kernels; the log evidence of the best structure tried "
+        f"differs by {nats}"
+    )
+
+
+def term_words(term: FoundTerm) -> str:
+    """A term in words and numbers."""
+    place = _place(term)
+    return place if term.law is None else f"{place} ({_law_words(term.law)})"
+
+
+def _law_words(law: FoundLaw) -> str:
+    constants = [
+        f"{name} {number(one.value, 4)} ± {number(one.sd, 2)}"
+        for name, one in law.constants.items()
+    ]
+    return f"potential: {law.name} of {', '.join(constants)}"
+
+
+def _place(term: FoundTerm) -> str:
+    if not term.geometry:
+        return term.name
+    values = [one.value for one in term.geometry]
+    deviations = [one.sd for one in term.geometry]
+    if term.name in ("wall", "shear layer"):
+        degrees = float(np.degrees(values[0]) % 360)
+        spread = number(float(np.degrees(deviations[0])), 2)
+        return f"{term.name} with its normal at {number(degrees, 5)} ± {spread} degrees"
+    if term.name == HillsTerm.kinds[0]:
+        count = HillsTerm.count(len(values))
+        centers = np.reshape(values[: 2 * count], (count, 2))
+        places = ", ".join(f"({number(x, 4)}, {number(y, 4)})" for x, y in centers)
+        spread = number(max(deviations[: 2 * count]), 2)
+        return f"{count} {term.name} at {places} ± {spread}"
+    word = "about" if term.name.startswith("central") else "with"
+    numbers = ", ".join(number(value, 4) for value in values)
+    return f"{term.name} {word} ({numbers}) ± {number(max(deviations), 2)}"
+
+
+def _thermal(thermal: ThermalFindings) -> list[AbstractBlock]:
+    """Whether the fit explains the increments, and what the observation does."""
+    checks = thermal.checks
+    lags = range(1, 1 + len(checks.correlations))
+    ratios: list[tuple[str, Estimate]] = [
+        (f"{name} along {', '.join(one.channels)}", value)
+        for one in thermal.observed
+        for name, value in (
+            ("diffusion, mean over the data,", one.diffusion),
+            ("exposure as a share of the interval,", one.exposure),
+            ("error of a position, in steps by diffusion,", one.error),
+        )
+        if value is not None
+    ]
+    ratios += [
+        (
+            f"diffusion of every {one.every} samples over that of all, along "
+            f"{', '.join(thermal.named(one.axes))}",
+            one.ratio,
+        )
+        for one in checks.thinned
+    ]
+    correlations = zip(thermal.channels, checks.correlations.T, strict=True)
+    return [
+        *map(Paragraph, thermal_sentences(thermal)),
+        Table(
+            ("channel", *(f"{lag} apart" for lag in lags)),
+            [(name, *map(float, values)) for name, values in correlations],
+            "Correlations of innovations so many samples apart; those of independent "
+            f"ones lie within {checks.band:.3f} (two standard deviations).",
+        ),
+        Table(
+            ("quantity", "value", "standard deviation"),
+            [(name, one.value, one.sd) for name, one in ratios],
+            "Diffusion, blur and error of the positions, and the diffusion of thinned "
+            "data.",
+        ),
+    ]
+
+
+def thermal_sentences(thermal: ThermalFindings) -> list[str]:
+    """Whether the increments are explained, where diffusion varies, what drifts."""
+    several = len(thermal.observed) > 1
+    lines = [thermal.statement]
+    lines += [
+        _range_sentence(one, several=several)
+        for one in thermal.observed
+        if one.high > one.low
+    ]
+    path = thermal.reference
+    if path is not None:
+        lines.append(
+            f"the zero of {thermal.channels[path.axis]} drifts by "
+            f"{number(float(path.values.std()), 3)} (sd over {len(path.values)} knots, "
+            f"each known to {number(float(path.sd.mean()), 2)})"
+        )
+    return lines
+
+
+def _range_sentence(one: ObservedDiffusion, *, several: bool) -> str:
+    along = f" along {', '.join(one.channels)}" if several else ""
+    mean = f"{number(one.diffusion.value, 3)} ± {number(one.diffusion.sd, 2)} (sd)"
+    return (
+        f"diffusion{along}: {number(one.low, 3)} to {number(one.high, 3)} for nine "
+        f"tenths of the data, mean {mean}"
+    )
+
+
+def _force(fit: Findings) -> list[AbstractBlock]:
+    """Maps or lines of the force, and its errors where the truth is known."""
+    maps = learned_force_figure(fit)
+    blocks: list[AbstractBlock] = [] if maps is None else [maps]
+    blocks += force_line_figures(fit)
+    if fit.force_error is not None:
+        errors = {
+            f"{region} (%)": 100 * error for region, error in fit.force_error.items()
+        }
+        blocks.append(
+            _one_row(
+                errors,
+                "Relative L2 error of the force against the system's truth, on visited "
+                "and near grid points, and on the whole grid."
+                if maps is not None
+                else "Relative L2 error of the force against the system's truth.",
+            )
+        )
+    return blocks
+
+
+def _one_row(values: Mapping[str, Cell], caption: str) -> Table:
+    return Table(tuple(values), [tuple(values.values())], caption)

@@ -1,15 +1,27 @@
-"""The command `pinav heat`."""
+"""Options of `pinav heat`."""
 
-from pinav.commands.command import Command
+from pathlib import Path
+from typing import Literal
 
-HEAT = Command(
-    name="heat",
-    summary="bioheat: simulate a case, learn perfusion, optimise a protocol",
-    options="pinav.commands.heat.settings:HeatOptions",
-    run="pinav.commands.heat.job:run",
-    title="Bioheat",
-    result="pinav.thermal.heated_run:AbstractHeatResult",
-    file="metrics",
-    sections="pinav.commands.heat.sections:sections",
-    compiler_flags=False,  # small to compile, and its gradient runs slower with them
-)
+import tyro
+
+from pinav.commands.settings import RunOptions
+
+
+class HeatOptions(RunOptions, frozen=True, kw_only=True):
+    """Bioheat with magnetic heating: synthetic cases of a research code.
+
+    simulate: temperature and dose of a case; learn: perfusion from probes, with a
+    band; optimise: the protocol of largest dose in the tumour under the limits of the
+    case. A case is a
+    TOML file (docs/thermal.md, examples/heat). Perfusion takes a unit: 1/s, kg/m3/s,
+    ml/min/kg or ml/min/100g. Not for planning a treatment.
+
+    Attributes:
+        task: What to do.
+        case: TOML file of the case.
+    """
+
+    task: tyro.conf.Positional[Literal["simulate", "learn", "optimise"]]
+    case: tyro.conf.Positional[Path]
+    out: Path = Path("runs/heat")

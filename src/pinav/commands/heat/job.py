@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pinav.commands import HEAT
 from pinav.commands.command import CommandResult
-from pinav.commands.heat import HEAT
-from pinav.commands.heat.settings import HeatOptions
+from pinav.commands.heat import HeatOptions
 from pinav.commands.results import keep
 from pinav.runs import RunFolder
 from pinav.thermal.case import Case, read_case

@@ -2,12 +2,12 @@
 
 import dataclasses
 
+from pinav.commands import IDENTIFY
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.identify import IDENTIFY
-from pinav.commands.identify.settings import IdentifyOptions
-from pinav.commands.many_files import run_files
+from pinav.commands.identify import IdentifyOptions
 from pinav.commands.results import fingerprint, keep, start_run
+from pinav.commands.sweep import run_files
 from pinav.fitting import EvidenceFit
 from pinav.fitting.environments.summary import ModelChoice, summarise_data
 from pinav.identification import (
@@ -28,15 +28,15 @@ from pinav.trajectories import Trajectories
 
 def run(options: IdentifyOptions) -> CommandResult:
     """Identify as the command line does; tracks that are done stay done."""
-    file, *others = options.data
-    if others:
+    file = options.file
+    if file is None:
         return run_files(IDENTIFY, options)
-    recording = read_data(file, options.recording)
+    recording = read_data(file, options.reading)
     if recording.channels == ("x", "y", "z"):
         recording = recording.only(("x", "y"))  # the commands are headings in the plane
     settings = options.settings
     folder = start_run(
-        IDENTIFY, options, settings, options.recording, data=fingerprint(recording)
+        IDENTIFY, options, settings, options.reading, data=fingerprint(recording)
     )
     fits: dict[str, EvidenceFit] = {}
 

@@ -5,18 +5,21 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
+import tomli_w
 
 from pinav import __version__
 from pinav.codec import encode
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.inspect.settings import InspectOptions, RecordingSettings
+from pinav.commands.inspect import InspectOptions
 from pinav.errors import InputError
 from pinav.figures import overlay_figure, recording_figure
 from pinav.figures.images import Figures
 from pinav.files import write_text
 from pinav.fitting import judge_increments
+from pinav.reading import Reading
 from pinav.recordings.conventions import in_words
 from pinav.recordings.drive import Drive
 from pinav.recordings.quality import Quality, Run, Track, quality
@@ -25,10 +28,12 @@ from pinav.report.text import sections_text
 from pinav.trajectories import Trajectories
 
 JSON_FILE, PAGE_FILE = "inspection.json", "inspection.html"
+READING_FILE = "reading.toml"
+"""How the file was read, for `--reading` of other commands."""
 
 
 def inspect(
-    settings: RecordingSettings,
+    settings: Reading,
     path: Path,
     out: Path | None = None,
     *,
@@ -38,14 +43,8 @@ def inspect(
     """The quality report of a recording, written into a folder where one is given.
 
     Args:
-        settings: how to read the file.
-        path: the file.
-        out: folder of `inspection.json`, `inspection.html` and `figures/`.
-        image: a still of the film, over which the paths are drawn.
-        overwrite: replace a report that is there.
-
-    Raises:
-        InputError: the file or the image is damaged, or a report is there already.
+        out: folder of `inspection.json`, `inspection.html`, `figures/` and
+            `reading.toml`.
     """
     if out is not None and (out / JSON_FILE).exists() and not overwrite:
         raise InputError(f"{out}: holds a report already; give --overwrite or another")
@@ -55,10 +54,18 @@ def inspect(
     report = _with_verdict(quality(recording), recording)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
+        content = tomli_w.dumps(_elsewhere(settings).content())
+        write_text(out / READING_FILE, content, overwrite=True)
         text = json.dumps(encode(report).document, indent=2, allow_nan=False)
         write_text(out / JSON_FILE, text, overwrite=True)
         write_text(out / PAGE_FILE, page(recording, report, out, image), overwrite=True)
     return report
+
+
+def _elsewhere(settings: Reading) -> Reading:
+    """The settings as they hold in every folder."""
+    log = settings.commands
+    return msgspec.structs.replace(settings, commands=log and log.absolute())
 
 
 def _with_verdict(report: Quality, recording: Trajectories) -> Quality:
@@ -80,11 +87,7 @@ FEWEST = 100
 
 
 def _with_labels(data: Trajectories, path: Path) -> Trajectories:
-    """The positions of a file of pinav as one run, each trajectory a particle.
-
-    Raises:
-        InputError: they are not positions in the plane.
-    """
+    """The positions of a file of pinav as one run, each trajectory a particle."""
     if {"trajectories", "concatenated"} & set(data.provenance):
         return data
     if data.channels[:2] != ("x", "y") or "z" in data.channels:

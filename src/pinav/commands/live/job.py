@@ -10,7 +10,7 @@ import numpy as np
 
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.live.settings import LiveOptions, LiveSettings
+from pinav.commands.live import LiveOptions, LiveSettings
 from pinav.errors import InputError
 from pinav.identification.tracks import tracks
 from pinav.live.checkpoint import read_session, with_drive_of
@@ -180,7 +180,7 @@ def _lines_of_tracks(path: Path, options: LiveOptions) -> Iterator[Iterator[byte
     if path.suffix in (".jsonl", ".ndjson"):
         yield lines_in(path)
         return
-    recording = read_data(path, options.recording)
+    recording = read_data(path, options.reading)
     units = recording.units.get("x", "")
     for track in sorted(tracks(recording), key=lambda track: track.name):
         yield lines_of(track, units)

@@ -7,30 +7,129 @@ out.
 import dataclasses
 import functools
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
 import msgspec
+import numpy as np
 
-from pinav.commands.navigate.online import OnlineProblem, online_problem
-from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
-from pinav.commands.steering import way_of
+from pinav.commands.navigate import NavigateSettings, OnlineSettings
+from pinav.commands.steering import observe_positions, system_task, way_of
 from pinav.commands.sweep import Sweep
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.learning.learned import Learned
 from pinav.navigation import (
+    TASKS,
     AbstractController,
+    AdaptiveController,
     Attempt,
     Episodes,
     NavigationProblem,
     SwimmerFlights,
+    Task,
     concatenate_episodes,
     episode_keys,
     fly_swimmer,
+    task,
 )
+from pinav.navigation.adaptive.prior import with_prior_of
 from pinav.runs import RunFolder
+from pinav.scenarios import find_system
 from pinav.sweeps import Cell
+from pinav.systems import System, Units
+from pinav.units import with_order
+
+
+def online_task(name: str, *, position_noise: float, delay: float | None) -> Task:
+    """A task of the package as `observe_positions` has it.
+
+    Args:
+        position_noise: standard deviation of each coordinate [L].
+    """
+    known = task(name)
+    delayed = known if delay is None else dataclasses.replace(known, delay=delay)
+    return observe_positions(delayed, position_noise)
+
+
+def system_to_learn(settings: NavigateSettings, name: str) -> System | None:
+    """The system that the options name beside its places; none for a named task."""
+    if settings.start is None and settings.goal is None:
+        if name not in TASKS:
+            raise InputError(
+                f"--learn-online: task {name!r} is unknown; choose one of: "
+                f"{', '.join(TASKS)}; or state a system, with --from and --to"
+            )
+        return None
+    return find_system(name)
+
+
+def with_prior(
+    adaptive: AdaptiveController, run: Learned, units: Units
+) -> AdaptiveController:
+    """The controller that begins with the force and the posterior of a fit."""
+    if run.system.base_units != units:
+        raise InputError(
+            f"RUN: expected a fit in {_words(units)}, got one in "
+            f"{_words(run.system.base_units)}; fit and task must have the same units"
+        )
+    model, path = run.model, run.folder.path
+    if not isinstance(model, Swimmer | OverdampedSwimmer):
+        raise InputError(
+            f"RUN: expected a fitted swimmer, got the model {run.choice.name} of {path}"
+        )
+    if run.posterior is None:
+        raise InputError(
+            f"RUN: expected a fit with a posterior, got {path}, which has none; "
+            "fit with --recipe bayes"
+        )
+    dim = run.data.dim
+    places = [p.states[p.observed[:, :dim].all(axis=1), :dim] for p in run.data]
+    return with_prior_of(adaptive, model, run.posterior, np.concatenate(places))
+
+
+def _words(units: Units) -> str:
+    return f"{units.length}, {units.time} and {units.force}"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class OnlineProblem:
+    """A task that is learned on the way.
+
+    Attributes:
+        own_limit: time limit of the task itself [T].
+        units: units of the channels, and the order of the dynamics.
+    """
+
+    adaptive: AdaptiveController
+    own_limit: float
+    units: Mapping[str, str]
+
+
+def online_problem(
+    settings: NavigateSettings, online: OnlineSettings, prior: Path | None
+) -> OnlineProblem:
+    """The problem that the options ask for."""
+    name = online.learn_online or ""
+    system = system_to_learn(settings, name)
+    if system is not None:
+        known, units = system_task(settings, system), system.base_units
+        observed = observe_positions(known, online.position_noise)
+    else:  # the package's tasks have no units
+        known, units = task(name), Units()
+        observed = online_task(
+            name, position_noise=online.position_noise, delay=settings.delay
+        )
+    adaptive = AdaptiveController.of(observed)
+    if prior is not None:
+        adaptive = with_prior(adaptive, Learned.open(prior), units)
+    channels = units.of_channels(("x", "y"))
+    order = 2 if observed.inertial else 1
+    return OnlineProblem(
+        adaptive, known.time_limit, with_order(channels, order, units.force)
+    )
+
 
 Result = TypeVar("Result")
 
@@ -58,14 +157,10 @@ class LoopsCell(msgspec.Struct, frozen=True):
     """The settings of some closed loops with one model.
 
     Attributes:
-        settings: settings of the command, as JSON.
         digest: digest of the files of the fit.
-        model: name of the model.
-        first: number of the first seed.
-        last: number of the last one.
     """
 
-    settings: str
+    settings: NavigateSettings
     digest: str
     model: str
     first: int
@@ -76,51 +171,35 @@ class FlightsCell(msgspec.Struct, frozen=True):
     """The settings of the flights of one swimmer that learns on the way.
 
     Attributes:
-        settings: settings of the command, as JSON.
-        online: settings of learning, as JSON.
-        prior: folder of the fit to begin with; empty for none.
+        prior: folder of the fit to begin with.
         digest: digest of its files, and of that of the system.
     """
 
-    settings: str
-    online: str
-    prior: str
+    settings: NavigateSettings
+    online: OnlineSettings
     digest: str
+    prior: str | None = None
 
 
 def navigation_problem(settings: NavigateSettings, run: Learned) -> NavigationProblem:
-    """The navigation problem of a run, from its system and model alone.
-
-    Raises:
-        InputError: the run holds no fitted swimmer in the plane or in space, or the
-            settings name places of another dimension.
-    """
+    """The navigation problem of a run, from its system and model alone."""
     if run.data.dim > 1:
         settings.check_dimension(run.data.dim)
     way = dataclasses.replace(way_of(settings), sensor_noise=settings.sensor_noise)
-    return NavigationProblem.of(run, way, samples=settings.samples, seed=settings.seed)
+    drawn = settings.samples if settings.samples > 1 else 0
+    return NavigationProblem.of(run, way, samples=drawn, seed=settings.seed)
 
 
 def sweep_loops(
     sweep: Sweep, settings: NavigateSettings, run: Path, models: Sequence[str]
 ) -> list[Attempt]:
-    """Closed loops with several models, by the workers of a sweep.
-
-    Args:
-        sweep: sweep of the run.
-        settings: settings of the command.
-        run: folder of the fit.
-        models: their names.
-
-    Raises:
-        InputError: workers cannot do anything, or have failed.
-    """
+    """Closed loops with several models, by the workers of a sweep."""
     digest = _digest(run)
     cells = {
         model: [
             Cell.of(
                 "pinav.commands.navigate.cells:do_loops",
-                LoopsCell(_json(settings), digest, model, first, last),
+                LoopsCell(settings, digest, model, first, last),
                 system=str(run.absolute()),
                 label=f"{model}, seeds {first} to {last}",
                 shape=model,
@@ -150,16 +229,12 @@ def _loops(sweep: Sweep, cells: Sequence[Cell]) -> Episodes | str:
 
 
 def do_loops(cell: Cell, folder: Path) -> None:
-    """Do the closed loops of a cell.
-
-    Raises:
-        InputError: the run cannot be read.
-    """
+    """Do the closed loops of a cell."""
     one = cell.read(LoopsCell)
-    settings = msgspec.json.decode(one.settings, type=NavigateSettings)
-    problem = _problem(cell.system, one.settings)
+    settings = one.settings
+    problem = _problem(cell.system, settings)
     try:
-        steering = _steering(cell.system, one.settings, one.model)
+        steering = _steering(cell.system, settings, one.model)
     except InputError as error:
         loops = Loops(None, str(error))
     else:
@@ -170,13 +245,12 @@ def do_loops(cell: Cell, folder: Path) -> None:
 
 
 @functools.lru_cache(maxsize=1)
-def _problem(run: str, settings: str) -> NavigationProblem:
-    decoded = msgspec.json.decode(settings, type=NavigateSettings)
-    return navigation_problem(decoded, Learned.open(Path(run)))
+def _problem(run: str, settings: NavigateSettings) -> NavigationProblem:
+    return navigation_problem(settings, Learned.open(Path(run)))
 
 
 @functools.lru_cache(maxsize=3)
-def _steering(run: str, settings: str, model: str) -> AbstractController:
+def _steering(run: str, settings: NavigateSettings, model: str) -> AbstractController:
     return _problem(run, settings).controller_with(model)
 
 
@@ -186,26 +260,12 @@ def sweep_flights(
     online: OnlineSettings,
     prior: Path | None,
 ) -> list[SwimmerFlights]:
-    """The flights of every swimmer, by the workers of a sweep.
-
-    Args:
-        sweep: sweep of the run.
-        settings: settings of the command.
-        online: settings of learning.
-        prior: folder of the fit to begin with; none to know nothing.
-
-    Raises:
-        InputError: workers cannot do anything, or have failed.
-    """
+    """The flights of every swimmer, by the workers of a sweep."""
     system = Path(online.learn_online or "")
     if system.is_file():  # a worker may have another working directory
         online = msgspec.structs.replace(online, learn_online=str(system.absolute()))
-    one = FlightsCell(
-        _json(settings),
-        _json(online),
-        prior="" if prior is None else str(prior.absolute()),
-        digest=_digest(prior, system),
-    )
+    place = prior and str(prior.absolute())
+    one = FlightsCell(settings, online, _digest(prior, system), place)
     cells = [
         Cell.of(
             "pinav.commands.navigate.cells:do_flights",
@@ -221,30 +281,18 @@ def sweep_flights(
 
 
 def do_flights(cell: Cell, folder: Path) -> None:
-    """Do the flights of one swimmer.
-
-    Raises:
-        InputError: the true force changes in time, or a run cannot be read.
-    """
+    """Do the flights of one swimmer."""
     one = cell.read(FlightsCell)
-    problem = _online_problem(one.settings, one.online, one.prior)
-    settings = msgspec.json.decode(one.settings, type=NavigateSettings)
-    online = msgspec.json.decode(one.online, type=OnlineSettings)
-    flights = fly_swimmer(problem.adaptive, settings.seed, cell.seed, online.visits)
+    adaptive = _online_problem(one.settings, one.online, one.prior).adaptive
+    flights = fly_swimmer(adaptive, one.settings.seed, cell.seed, one.online.visits)
     RunFolder(folder).store(FILE, flights)
 
 
 @functools.lru_cache(maxsize=1)
-def _online_problem(settings: str, online: str, prior: str) -> OnlineProblem:
-    return online_problem(
-        msgspec.json.decode(settings, type=NavigateSettings),
-        msgspec.json.decode(online, type=OnlineSettings),
-        Path(prior) if prior else None,
-    )
-
-
-def _json(settings: msgspec.Struct) -> str:
-    return msgspec.json.encode(settings).decode()
+def _online_problem(
+    settings: NavigateSettings, online: OnlineSettings, prior: str | None
+) -> OnlineProblem:
+    return online_problem(settings, online, None if prior is None else Path(prior))
 
 
 OF_A_FIT = (
@@ -264,11 +312,7 @@ def _digest(*paths: Path | None) -> str:
 
 
 def _result(sweep: Sweep, cell: Cell, wanted: type[Result]) -> Result:
-    """The result of a cell.
-
-    Raises:
-        InputError: it failed.
-    """
+    """The result of a cell."""
     outcome = sweep.store.outcome(cell)
     if outcome is None or outcome.failure:
         reason = "it was not done" if outcome is None else outcome.failure

@@ -2,18 +2,18 @@
 
 from functools import partial
 
+from pinav.commands import NAVIGATE
 from pinav.commands.command import CommandResult
-from pinav.commands.navigate import NAVIGATE
+from pinav.commands.navigate import NavigateOptions
 from pinav.commands.navigate.cells import (
     navigation_problem,
+    online_problem,
     sweep_flights,
     sweep_loops,
 )
-from pinav.commands.navigate.online import online_problem
-from pinav.commands.navigate.settings import NavigateOptions
 from pinav.commands.results import keep, start_run
+from pinav.commands.settings import ALONE
 from pinav.commands.sweep import start_sweep
-from pinav.commands.worker_settings import WorkerSettings
 from pinav.learning.learned import Learned
 from pinav.navigation import OnlineNavigation, compare_models
 
@@ -25,7 +25,7 @@ def run(options: NavigateOptions) -> CommandResult:
         return _learn_online(options)
     problem = navigation_problem(settings, Learned.open(run))
     compare = partial(compare_models, problem, seeds=settings.seeds, seed=settings.seed)
-    if options.workers == WorkerSettings():
+    if options.workers == ALONE:
         folder = start_run(NAVIGATE, options, settings, fitted=run.name)
         return keep(NAVIGATE, folder, compare())
     with start_sweep(

@@ -85,14 +85,14 @@ def online_table(
         "success": lambda row: percent_interval(row.success),
         "in time": lambda row: percent_interval(row.in_time),
         "violation": lambda row: percent_interval(row.violation),
-        with_unit("arrival", time): lambda row: known(row.arrival.median),
-        "5 %": lambda row: known(row.arrival.low),
-        "95 %": lambda row: known(row.arrival.high),
+        with_unit("arrival", time): lambda row: row.arrival.median,
+        "5 %": lambda row: row.arrival.low,
+        "95 %": lambda row: row.arrival.high,
         "regret": lambda row: "–" if row.regret is None else ratio_interval(row.regret),
         with_unit("least clearance", length): lambda row: row.clearance,
         "force error": lambda row: row.force_error,
         "cover": lambda row: row.cover,
-        "consistency": lambda row: known(row.consistency),
+        "consistency": lambda row: row.consistency,
     }
     rows = [
         (name, *(column(row) for column in columns.values()))
@@ -170,8 +170,3 @@ def ratio_interval(interval: Interval) -> str:
     parts = interval.value, interval.lower, interval.upper
     value, lower, upper = ("∞" if math.isinf(p) else f"{p:.3f}" for p in parts)
     return f"{value} ({lower}–{upper})"
-
-
-def known(value: float) -> float | None:
-    """A number, or none where nobody arrived."""
-    return None if math.isnan(value) else value

@@ -7,7 +7,6 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from pinav.commands.navigate.online_sections import (
-    known,
     online_sections,
     percent_interval,
     ratio_interval,
@@ -81,9 +80,9 @@ def controller_table(
         "controller": lambda one: one[0],
         "success": lambda one: percent_interval(one[1].success),
         "violation": lambda one: percent_interval(one[1].violation),
-        "arrival": lambda one: known(one[1].arrival.median),
+        "arrival": lambda one: one[1].arrival.median,
         "regret": lambda one: ratio(one[0]),
-        "efficiency": lambda one: known(one[1].efficiency),
+        "efficiency": lambda one: one[1].efficiency,
         "least clearance": lambda one: one[1].clearance,
     }
     runs = next(iter(controllers.values())).runs
@@ -141,7 +140,7 @@ def _programme(suggestion: Suggestion, unit: str) -> Table:
     x, y = suggestion.start
     caption = (
         f"Commands of the trajectory to record next, released at ({x:.4g}, {y:.4g}) "
-        f"for {quantity(suggestion.duration, unit)}; linear between the times."
+        f"for {quantity(suggestion.times[-1], unit)}; linear between the times."
     )
     return Table(("t", "frequency", "heading"), rows, caption, "suggestion")
 

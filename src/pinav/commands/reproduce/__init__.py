@@ -1,15 +1,43 @@
-"""The command `pinav reproduce`."""
+"""Settings of `pinav reproduce`."""
 
-from pinav.commands.command import Command
+from pathlib import Path
+from typing import Annotated
 
-REPRODUCE = Command(
-    name="reproduce",
-    summary="run the paper's experiment: simulate, train, Table 2, report",
-    options="pinav.commands.reproduce.settings:ReproduceOptions",
-    run="pinav.commands.reproduce.job:run",
-    title="The paper's benchmark",
-    result="pinav.commands.reproduce.result:Reproduction",
-    file="metrics",
-    sections="pinav.commands.reproduce.sections:sections",
-    resumable=True,
+from pinav.commands.settings import (
+    Range,
+    RecipeName,
+    ResumableOptions,
+    Settings,
+    Several,
 )
+
+
+class ReproduceSettings(Settings, frozen=True):
+    """Settings of `pinav reproduce`.
+
+    Attributes:
+        recipe: default: Gauss-Newton, from one-step matching to the full rollout;
+            paper: Adam, then L-BFGS, as in its Table 1.
+        seeds: Seeds of the networks; several train in one batch.
+        max_steps: Default recipe: steps of each phase at most.
+        adam_steps: Paper's recipe: steps of Adam (7500 in the paper).
+        lbfgs_steps: Paper's recipe: steps of L-BFGS (500 in the paper).
+    """
+
+    recipe: RecipeName = "default"
+    seeds: Annotated[tuple[int, ...], Several()] = (42,)
+    max_steps: Annotated[int, Range(1)] = 20
+    adam_steps: Annotated[int, Range(1)] = 7500
+    lbfgs_steps: Annotated[int, Range(1)] = 500
+
+
+class ReproduceOptions(ResumableOptions, frozen=True, kw_only=True):
+    """Run the paper's experiment, from nothing to its table and figures.
+
+    Simulates the Gaussian-barrier benchmark, trains the UDE and the network-only
+    baseline, scores them in float64, prints Table 2 beside the paper's values and
+    writes report.html. A killed run goes on with --resume.
+    """
+
+    settings: ReproduceSettings = ReproduceSettings()
+    out: Path = Path("runs/reproduce")

@@ -4,12 +4,17 @@ import dataclasses
 
 import numpy as np
 
+from pinav.commands import REPRODUCE
 from pinav.commands.command import CommandResult
 from pinav.commands.progress import Reporter
-from pinav.commands.reproduce import REPRODUCE
-from pinav.commands.reproduce.result import ModelRollout, Reproduction, label_of
-from pinav.commands.reproduce.settings import ReproduceOptions, ReproduceSettings
-from pinav.commands.reproduce.table2 import HEADER, csv_row
+from pinav.commands.reproduce import ReproduceOptions, ReproduceSettings
+from pinav.commands.reproduce.sections import (
+    HEADER,
+    ModelRollout,
+    Reproduction,
+    csv_row,
+    label_of,
+)
 from pinav.commands.results import keep, start_run
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.evaluation import (
@@ -39,7 +44,6 @@ class TrainedKind:
     """One kind of model that is trained, for all its seeds.
 
     Attributes:
-        name: name of its row.
         seeds: seeds of its network; (None,) where there is nothing random.
         model: name of the model in the catalogue.
     """
@@ -78,10 +82,6 @@ def reproduce(settings: ReproduceSettings, folder: RunFolder) -> Reproduction:
     """Simulate the benchmark, train the models and score them.
 
     Whatever the folder already holds is not computed again.
-
-    Args:
-        settings: recipe and seeds.
-        folder: the run.
     """
     benchmark = scenario("paper")
     write_system_of(folder, benchmark)

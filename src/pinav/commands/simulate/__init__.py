@@ -1,10 +1,48 @@
-"""The command `pinav simulate`."""
+"""Settings of `pinav simulate`."""
 
-from pinav.commands.command import Command
+from pathlib import Path
+from typing import Annotated
 
-SIMULATE = Command(
-    name="simulate",
-    summary="write the trajectories of a system to a file",
-    options="pinav.commands.simulate.settings:SimulateOptions",
-    run="pinav.commands.simulate.job:run",
+import tyro
+
+from pinav.commands.settings import (
+    AsJson,
+    Range,
+    Settings,
 )
+
+
+class SimulateSettings(Settings, frozen=True):
+    """Settings of `pinav simulate`.
+
+    Attributes:
+        seed: Seed of random starts and observation noise.
+        noise: Standard deviation of observation noise, in every state.
+        count: Number of trajectories; that of the system unless given. More of a seed
+            begin with the same ones.
+        frame_loss: Probability that a sample is missing.
+        positions_only: Leave the velocities unobserved.
+    """
+
+    seed: int = 0
+    noise: Annotated[float | None, Range(0)] = None
+    count: Annotated[int | None, Range(1)] = None
+    frame_loss: Annotated[float, Range(0, below=1)] = 0.0
+    positions_only: bool = False
+
+
+class SimulateOptions(Settings, frozen=True):
+    """Write the trajectories of a system to a .npz or .csv file.
+
+    Attributes:
+        system: A built-in system such as barrier-crossings (docs/scenarios.md lists
+            them), a file my.toml (docs/systems.md), or my.py:name.
+        out: File to write, .npz or .csv.
+        overwrite: Replace the file if it is there.
+    """
+
+    system: tyro.conf.Positional[str]
+    out: Path
+    settings: SimulateSettings = SimulateSettings()
+    overwrite: bool = False
+    json: AsJson = False

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 
 from pinav.commands.command import CommandResult
-from pinav.commands.simulate.settings import SimulateOptions, SimulateSettings
+from pinav.commands.simulate import SimulateOptions, SimulateSettings
 from pinav.scenarios import find_system
 from pinav.trajectories import (
     AbstractDegradation,
@@ -23,12 +23,7 @@ from pinav.trajectories import simulate as simulate_system
 def simulate(
     name: str, settings: SimulateSettings, out: Path, *, overwrite: bool
 ) -> Trajectories:
-    """Simulate a system and save its trajectories.
-
-    Raises:
-        InputError: the system is unknown, a setting makes no sense, or the file is
-            there.
-    """
+    """Simulate a system and save its trajectories."""
     settings.check()
     check_savable(out, overwrite=overwrite)
     starts_key, noise_key = jax.random.split(jax.random.key(settings.seed))

@@ -6,6 +6,9 @@ trajectories from starts that no fit has seen. A cell that is done is not done a
 
 import dataclasses
 import functools
+import math
+from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 
 import equinox as eqx
@@ -13,17 +16,17 @@ import jax
 import msgspec
 
 from pinav.codec import decode, encode
+from pinav.commands import STUDY
 from pinav.commands.command import CommandResult
 from pinav.commands.results import keep
 from pinav.commands.settings import ModelName
-from pinav.commands.study import STUDY
-from pinav.commands.study.result import Study, StudyFit
-from pinav.commands.study.sections import COLUMNS, csv_rows
-from pinav.commands.study.settings import StudyOptions, StudySettings
+from pinav.commands.study import StudyOptions, StudySettings
 from pinav.commands.sweep import Sweep, start_sweep, status_text
 from pinav.dynamics import AbstractDynamics
-from pinav.errors import FitError, InputError
+from pinav.errors import InputError
 from pinav.evaluation import (
+    Agreement,
+    RolloutSummary,
     default_regions,
     extent,
     field_map,
@@ -34,22 +37,156 @@ from pinav.evaluation import (
     square,
     summarise,
 )
+from pinav.figures import Picture
+from pinav.figures.errors import scaling_figure
 from pinav.files import write_text
-from pinav.fitting import Outcome as FitOutcome
-from pinav.fitting import fit_bayes
-from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.summary import (
     KnownSwimmer,
-    ModelChoice,
-    summarise_data,
-    summarise_for,
 )
-from pinav.learning.matching import matching
-from pinav.learning.recipes import Curriculum
+from pinav.learning.learn import infer
+from pinav.learning.plan import MATCHED_MODELS, plan_fit
+from pinav.learning.recipes import Bayes, Curriculum
+from pinav.report import Cell as Entry
+from pinav.report import Paragraph, Section, Table
 from pinav.scenarios import scenario
 from pinav.sweeps import Cell, CellOutcome, CellStore, sweep_status
 from pinav.systems import System
 from pinav.trajectories import GaussianNoise, Trajectories, degrade, simulate
+
+VISITED = "visited"
+"""The region whose force error the figure of a study shows."""
+
+
+@dataclasses.dataclass(frozen=True)
+class StudyFit:
+    """One fit of a study; one that failed has no scores.
+
+    Attributes:
+        seed: seed of starts, noise and network.
+        outcome: word for how the fit ended, or why it failed.
+        force: agreement with the true force by the distance to the data; none where
+            the model has no force.
+        rollouts: position errors over held-out starts.
+    """
+
+    model: str
+    seed: int
+    trajectories: int
+    sigma: float
+    outcome: str
+    force: dict[str, Agreement] = dataclasses.field(default_factory=dict)
+    rollouts: RolloutSummary | None = None
+
+    def force_error(self, region: str) -> float:
+        """Relative L2 error of the force in a region; NaN without a force."""
+        return self.force[region].error if self.force else math.nan
+
+    def cosine(self, region: str) -> float:
+        """Cosine similarity of the force in a region; NaN without a force."""
+        return self.force[region].cosine if self.force else math.nan
+
+    def rollout(self, score: str) -> float:
+        """A score of the rollouts, by the name of its field; NaN without one."""
+        return math.nan if self.rollouts is None else getattr(self.rollouts, score)
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """All fits of a study.
+
+    Attributes:
+        name: `data-efficiency` or `noise`.
+        fits: one for each model, seed and amount of data or noise.
+    """
+
+    name: str
+    scenario: str
+    fits: tuple[StudyFit, ...]
+
+
+COLUMNS: dict[str, Callable[[StudyFit], Entry]] = {
+    "model": lambda fit: fit.model,
+    "seed": lambda fit: fit.seed,
+    "trajectories": lambda fit: fit.trajectories,
+    "sigma": lambda fit: fit.sigma,
+    "outcome": lambda fit: fit.outcome,
+    "force visited": lambda fit: fit.force_error(VISITED),
+    "force near": lambda fit: fit.force_error("near"),
+    "force unvisited": lambda fit: fit.force_error("unvisited"),
+    "cosine visited": lambda fit: fit.cosine(VISITED),
+    "rollouts median": lambda fit: fit.rollout("median"),
+    "rollouts 90 %": lambda fit: fit.rollout("high"),
+    "rollouts diverged": lambda fit: fit.rollout("diverged"),
+}
+"""Columns of `study.csv`, a published format: errors of the force are fractions."""
+
+QUANTITIES = {
+    "data-efficiency": "number of trajectories",
+    "noise": "noise of the observations",
+}
+"""What each study varies."""
+
+
+def sections(study: Study) -> list[Section]:
+    """The figure of a study, and a row for each fit."""
+    quantity = QUANTITIES[study.name]
+    picture = Picture(
+        study.name,
+        lambda: scaling_figure(
+            _series(study, lambda fit: fit.force_error(VISITED)),
+            _series(study, lambda fit: fit.rollout("median")),
+            quantity=quantity,
+        ),
+        "Synthetic data, dimensionless. Lines: median over seeds. A model without "
+        "points failed, diverged or has no force; the table says which.",
+        alt=f"Force and rollout error over the {quantity}",
+    )
+    note = Paragraph(
+        "Force: relative L2 error on ground within 0.35 of the training data. "
+        "Rollouts: median over held-out clean starts of the root-mean-square position "
+        "error."
+    )
+    heading = f"{study.name.capitalize()} on {study.scenario}"
+    return [Section(heading, [picture, note, table(study)])]
+
+
+def _series(
+    study: Study, error: Callable[[StudyFit], float]
+) -> dict[str, list[tuple[float, float]]]:
+    """The points of each model that are numbers."""
+    series: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    for fit in study.fits:
+        place = fit.sigma if study.name == "noise" else float(fit.trajectories)
+        points = series[fit.model]
+        if math.isfinite(error(fit)):
+            points.append((place, error(fit)))
+    return series
+
+
+def table(study: Study) -> Table:
+    """All fits of a study, errors of the force in percent."""
+    columns: dict[str, Callable[[StudyFit], Entry]] = {}
+    for name, cell in COLUMNS.items():
+        if name.startswith("force"):
+            region = name.removeprefix("force ")
+            columns[f"{name} (%)"] = lambda fit, at=region: 100 * fit.force_error(at)
+        else:
+            columns[name] = cell
+    caption = (
+        "Relative L2 error of the force by ground, and position errors of rollouts: "
+        "median and 90th percentile over held-out starts, share diverged."
+    )
+    return Table.of(study.fits, columns, caption)
+
+
+def csv_rows(study: Study) -> list[list[Entry]]:
+    """The rows of `study.csv`, empty where a number is not defined."""
+    rows = [[cell(fit) for cell in COLUMNS.values()] for fit in study.fits]
+    return [
+        ["" if c != c else "diverged" if c == math.inf else c for c in row]
+        for row in rows
+    ]
+
 
 FIT_FILE, TASK = "fit.json", "pinav.commands.study.job:do_cell"
 
@@ -59,15 +196,7 @@ of which smaller sets are the first ones."""
 
 
 class StudyCell(msgspec.Struct, frozen=True):
-    """What decides one fit of a study, beside the scenario and the seed.
-
-    Attributes:
-        model: name of the model.
-        count: number of trajectories.
-        sigma: standard deviation of the observations.
-        held_out: number of clean starts to score on.
-        max_steps: of the fit, or of each of its windows.
-    """
+    """What decides one fit of a study, beside the scenario and the seed."""
 
     model: ModelName
     count: int
@@ -97,17 +226,7 @@ def cells(name: str, world: str, settings: StudySettings) -> list[Cell]:
 
 
 def study(name: str, world: str, settings: StudySettings, sweep: Sweep) -> Study:
-    """Fit and score every cell.
-
-    Args:
-        name: `data-efficiency` or `noise`.
-        world: name of the scenario.
-        settings: which models, seeds and data.
-        sweep: the run; what it holds is not done again.
-
-    Raises:
-        InputError: the scenario is unknown, or of a kind that `pinav fit` cannot use.
-    """
+    """Fit and score every cell."""
     chosen = cells(name, world, settings)
     outcomes = sweep.run(chosen, name)
     fits = map(_fit_of, chosen, outcomes, [sweep.store] * len(chosen))
@@ -127,17 +246,14 @@ def _without_scores(cell: Cell, outcome: str) -> StudyFit:
 
 
 def do_cell(cell: Cell, folder: Path) -> None:
-    """Fit and score one cell, and write its row.
-
-    Raises:
-        FitError: the fit failed.
-    """
+    """Fit and score one cell, and write its row."""
     one, known = cell.read(StudyCell), scenario(cell.system)
     clean = _several(cell.system, cell.seed, max(one.count, NESTED))
     clean = clean.select(range(one.count))
     data = with_noise(clean, one.sigma, cell.seed)
-    choice = ModelChoice(one.model, seed=cell.seed)
-    model, outcome = fit_choice(choice, known.swimmer, data, max_steps=one.max_steps)
+    model, outcome = fit_model(
+        one.model, known, data, seed=cell.seed, max_steps=one.max_steps
+    )
     held = _held_out(cell.system, one.held_out)
     fit = with_scores(_without_scores(cell, outcome), model, known, clean, held)
     document = msgspec.json.encode(encode(fit).document)
@@ -155,11 +271,7 @@ def _several(world: str, seed: int, count: int) -> Trajectories:
 
 
 def check(name: str, world: str, settings: StudySettings) -> None:
-    """Refuse a study before a folder is made for it.
-
-    Raises:
-        InputError: the scenario is unknown, stochastic or has too few starts.
-    """
+    """Refuse a study before a folder is made for it."""
     counts = (settings.count,) if name == "noise" else settings.counts
     for count in counts:
         chosen = scenario(world, count=count)
@@ -171,62 +283,32 @@ def check(name: str, world: str, settings: StudySettings) -> None:
 
 
 def clean_data(world: str, seed: int, count: int) -> Trajectories:
-    """Noise-free trajectories, from the starts of `pinav simulate --seed`.
-
-    Args:
-        world: name of the scenario.
-        seed: of the starts.
-        count: how many; more of a seed begin with the same ones.
-    """
+    """Noise-free trajectories, from the starts of `pinav simulate --seed`."""
     starts_key, _ = jax.random.split(jax.random.key(seed))
     chosen = scenario(world, starts_key, count=count)
     return simulate(eqx.tree_at(lambda s: s.observation.noise, chosen, 0.0))
 
 
 def with_noise(clean: Trajectories, sigma: float, seed: int) -> Trajectories:
-    """The trajectories as observed; more noise of a seed is the same noise, stronger.
-
-    Args:
-        clean: without noise.
-        sigma: standard deviation of the noise, in every state.
-        seed: of the noise.
-    """
+    """The trajectories as observed; more noise of a seed is the same, only stronger."""
     _, noise_key = jax.random.split(jax.random.key(seed))
     return degrade(clean, [GaussianNoise(sigma)], key=noise_key) if sigma else clean
 
 
-def fit_choice(
-    choice: ModelChoice, swimmer: KnownSwimmer, data: Trajectories, *, max_steps: int
+def fit_model(
+    model: ModelName, system: System, data: Trajectories, *, seed: int, max_steps: int
 ) -> tuple[AbstractDynamics, str]:
-    """A model as `pinav fit` fits it, and how the fit ended.
+    """A model as `pinav fit` fits it, without a structure, and how the fit ended.
 
     Physics alone has nothing to fit. A fit whose steps ran out is used as it stands.
-
-    Args:
-        choice: the model.
-        swimmer: the known physics.
-        data: the trajectories.
-        max_steps: of each fit, or of each of its windows.
-
-    Raises:
-        FitError: the fit failed.
     """
-    if choice.name == "physics-only":
-        return swimmer.without_environment(), "nothing to fit"
-    if choice.name not in ("ude", "nn-only"):
-        start = build(choice, swimmer, summarise_for(choice, data))
-        result = fit_bayes(start, data, max_iterations=max_steps, throw=False)
-    else:
-        model = build(choice, swimmer, summarise_data(data))
-        method = matching(Curriculum(max_steps), data, model)
-        (result,) = method.fit(
-            [model],
-            data,
-            trainable=choice.trainable,
-        )
-    if result.outcome is FitOutcome.DIVERGED:
-        raise FitError("the fit diverged")
-    return result.model, str(result.outcome)
+    if model == "physics-only":
+        return system.swimmer.without_environment(), "nothing to fit"
+    recipe = Bayes(structure="free", max_steps=max_steps)
+    if model in MATCHED_MODELS:
+        recipe = Curriculum(max_steps)
+    fit = infer(plan_fit(system, data, model=model, recipe=recipe, seed=seed))
+    return fit.model, fit.ending
 
 
 def with_scores(
@@ -239,12 +321,8 @@ def with_scores(
     """The fit with the errors of its force by region, and of rollouts.
 
     Args:
-        fit: without them.
-        model: the fitted model.
-        known: the scenario, whose force is the truth.
         training: what the model was fitted to, without noise: the regions are the same
             for every noise.
-        held: clean trajectories to predict; the grid is the square around them.
     """
     ys, _ = predict(model, held)
     rollouts = summarise(position_errors(ys, held, domain=extent(held)))

@@ -24,7 +24,7 @@ from pinav.forces import (
     WallTerm,
     split_structure,
 )
-from pinav.forces.profile_laws import LAWS
+from pinav.forces.fitted_laws import FITTED, FittedLaw
 
 TERMS: dict[str, type[AbstractTerm]] = {
     kind.__name__: kind
@@ -47,7 +47,7 @@ class TermSummary(msgspec.Struct, frozen=True):
 
     Attributes:
         kind: name of its class, in `TERMS`.
-        law: name of the class of the law that its profile follows, in `LAWS`, if any.
+        law: name of the law that its profile follows, in `FITTED`, if any.
     """
 
     kind: str
@@ -68,7 +68,7 @@ def _summarise(term: AbstractTerm) -> TermSummary:
         for field in dataclasses.fields(term)
         if field.name not in ("rotational", "law")
     }
-    name = None if law is None else type(law).__name__
+    name = law and law.name
     return TermSummary(type(term).__name__, shapes, term.rotational, name)
 
 
@@ -94,9 +94,9 @@ def _blank(term: TermSummary) -> AbstractTerm:
     make = functools.partial(TERMS[term.kind], **arrays, rotational=term.rotational)
     if term.law is None:
         return make()
-    if term.law not in LAWS:
+    if term.law not in FITTED:
         raise InputError(
-            f"law {term.law!r} is unknown; choose one of: {', '.join(LAWS)}"
+            f"law {term.law!r} is unknown; choose one of: {', '.join(FITTED)}"
         )
-    law = LAWS[term.law]
-    return make(law=law(*(jnp.zeros(()) for _ in dataclasses.fields(law))))
+    numbers = (jnp.zeros(()),) * len(FITTED[term.law].numbers)
+    return make(law=FittedLaw(term.law, numbers))

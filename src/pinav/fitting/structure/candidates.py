@@ -85,10 +85,7 @@ class Candidates(eqx.Module):
     """Structures that may explain more of some data.
 
     Attributes:
-        response: of the data to forces.
-        region: where they are.
-        noise: of the observations, roughly.
-        enough: misfit relative to it at which nothing else is sought.
+        enough: misfit relative to the noise at which nothing else is sought.
         seen: the potential of free kernels, in the plane.
         summits: of that potential, further places of centres [L].
     """
@@ -184,13 +181,13 @@ class Candidates(eqx.Module):
                 return proposals
         if self.is_hopeless(proposals):
             return proposals
-        for terms in self._beside_walls(proposals, linear):
+        for terms in self.beside_walls(proposals, linear):
             proposals += self._polish_each([terms], AGAIN)
             if self.is_enough(proposals):
                 break
         return proposals
 
-    def _beside_walls(
+    def beside_walls(
         self, proposals: Sequence[Proposal], linear: AbstractTerm
     ) -> Iterator[Terms]:
         """Structures of an ellipse anywhere beside the walls of the best pairs.
@@ -220,10 +217,6 @@ class Candidates(eqx.Module):
         The one that is scanned moves towards whatever its wrong axes explain best. So
         those about single summits are polished from there, too. A long one explains
         little unless its direction and place are right: it is a segment of a wall.
-
-        Args:
-            terms: beside the ellipse.
-            fitted: other terms beside them, among which there may be a wall.
         """
         turned = turned_shears()
         starts = [ellipses(self.region, place[None], turned) for place in self.summits]
@@ -272,7 +265,6 @@ class Candidates(eqx.Module):
 
     @property
     def _places(self) -> Float[np.ndarray, "place dim"]:
-        """Where further centres are scanned [L]."""
         return np.concatenate([self.region.places(), self.summits])
 
     def is_enough(self, proposals: Sequence[Proposal]) -> bool:
@@ -344,13 +336,6 @@ class Candidates(eqx.Module):
 
 
 class _Scanned(eqx.Module):
-    """A structure that was scanned.
-
-    Attributes:
-        terms: the last of them is the best of its kind.
-        log_evidence: at the better of a few smoothnesses, less what the geometry costs.
-    """
-
     terms: Terms
     log_evidence: float
 

@@ -92,7 +92,7 @@ def fit_structured(
         weigh_rotation &= may_turn(model)
         if not is_worth_a_search(model, trajectories):
             return _weigh_few(search) if weigh_rotation else search.best(None)
-        search, survey, is_rugged = _survey(search)
+        search, survey, is_rugged = survey_first_steps(search)
         fit_free = functools.cache(search.fit_free)
         if weigh_rotation:
             return _weigh_rotation(search, survey, fit_free, is_rugged=is_rugged)
@@ -128,18 +128,10 @@ def _fit_student(
     if not is_worth_a_search(model, data):
         return StructuredFit(learning(), np.nan)
     kernels, weigh_rotation = kernels_of_teacher(specification)
+    pupil = eqx.tree_at(lambda m: m.environment, model, kernels)
+    options = learning.keywords | {"throw": False, "weigh_rotation": weigh_rotation}
     try:
-        taught = fit_structured(
-            eqx.tree_at(lambda m: m.environment, model, kernels),
-            data,
-            learn=specification.learn,
-            noise=specification.noise,
-            solver=specification.solver,
-            max_iterations=max_iterations,
-            on_step=on_step,
-            weigh_rotation=weigh_rotation,
-            throw=False,
-        )
+        taught = fit_structured(pupil, data, **options)
     except FitError:  # as of a potential, where the force turns
         return StructuredFit(learning(), np.nan)
     if taught.fit.outcome is Outcome.DIVERGED:
@@ -167,15 +159,12 @@ PLANE = 2
 """Dimension in which a rotation is weighed."""
 
 
-def _survey(search: Search) -> tuple[Search, Survey, bool]:
+def survey_first_steps(search: Search) -> tuple[Search, Survey, bool]:
     """A survey about the first steps of the free fit, and the search from there.
 
     Smoothed states miss the path of quick swimmers, and the data linearised about them
     ask for forces that are not there. They stay where free kernels do not explain the
     data, as a potential does not those of a swirl.
-
-    Returns:
-        The search, the survey, and whether the free kernels fail, too coarse.
     """
     specification, smooth = search.specification, search.free()
     survey = Survey.of(specification, smooth)
@@ -197,7 +186,6 @@ def _explains(free: EvidenceFit, survey: Survey) -> bool:
 
 
 def _about(search: Search, fit: EvidenceFit) -> tuple[Search, Survey]:
-    """A search from the states of a fit, and the survey of the data about it."""
     search = search.about(fit)
     return search, Survey.of(search.specification, search.free(), fit)
 
@@ -209,15 +197,7 @@ def _weigh_rotation(
     *,
     is_rugged: bool,
 ) -> StructuredFit:
-    """The fit of a potential or that of a mixture, by the evidence of its rotation.
-
-    Args:
-        search: of the potential.
-        survey: of the data.
-        fit_free: the fit of free kernels, or of hills.
-        is_rugged: whether hills are sought before any other structure, unless a
-            rotation is plain.
-    """
+    """The fit of a potential or that of a mixture, by the evidence of its rotation."""
     kernels = search.kernels.kernels
     asked = survey_rotation(survey.response, survey.noise, (), kernels)
     is_plain = asked.is_plain
@@ -264,7 +244,6 @@ def _weigh_rotation(
 
 
 def _has_swirl(proposal: Proposal | None) -> bool:
-    """Whether a proposal has a term without a potential."""
     return proposal is not None and any(term.rotational for term in proposal.terms)
 
 
@@ -279,17 +258,7 @@ def _potential(
     mixture: Callable[[], StructuredFit | None],
     fit_free: Callable[[], StructuredFit] | None = None,
 ) -> tuple[StructuredFit, bool]:
-    """The fit of a potential, or where that fails one of a mixture; which of them.
-
-    Args:
-        search: of the potential.
-        proposal: terms beside it.
-        mixture: gives the other fit, or None where that fails, too.
-        fit_free: see `Search.best`.
-
-    Raises:
-        FitError: both failed; the error is that of the potential.
-    """
+    """The fit of a potential, or where that fails one of a mixture; which of them."""
     try:
         still = search.best(proposal, fit_free)
     except FitError:
@@ -336,13 +305,7 @@ def _coarse_rotation(search: Search, still: EvidenceFit) -> float:
 def _weigh_beside(
     search: Search, still: StructuredFit, proposal: Proposal | None
 ) -> StructuredFit:
-    """The fit of a potential, or that of a mixture where the data about it ask for one.
-
-    Args:
-        search: of the potential.
-        still: its fit.
-        proposal: terms beside which a mixture is fitted.
-    """
+    """The fit of a potential, or of a mixture where the data about it ask for one."""
     rotation, turning = _rotation_beside(search, still.fit), None
     if rotation > DECISIVE:
         turning = _turning(search, proposal)
@@ -364,7 +327,6 @@ def _rotation_beside(search: Search, fit: EvidenceFit) -> float:
 
 
 def _turning(search: Search, proposal: Proposal | None) -> StructuredFit | None:
-    """The fit of a mixture, beside a structure or alone; None where it fails."""
     try:
         mixture = search.of(mixture_on(search.kernels.kernels)).best(proposal)
     except FitError:

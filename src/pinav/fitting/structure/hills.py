@@ -32,7 +32,7 @@ from pinav.fitting.structure.response import ForceResponse, columns
 from pinav.fitting.structure.starts import Region, central_term, obstacles_at
 from pinav.fitting.structure.summits import NUMBERS, Hills, doubtful, halves, summits
 from pinav.forces import HillsTerm, KernelPotential, ObstaclesTerm, forces_at
-from pinav.forces.field_terms import MIDDLE, WIDTHS
+from pinav.forces.terms import MIDDLE, WIDTHS
 from pinav.threads import map_on_cores
 
 MOST_HILLS = 24
@@ -80,14 +80,7 @@ def propose_hills(
     potential: KernelPotential,
     chosen: Hyperparameters,
 ) -> HillsTerm | None:
-    """Hills and wells that explain the data; None where kernels explain them better.
-
-    Args:
-        response: of the data to forces, about a fit of free kernels.
-        noise: of the observations.
-        potential: of that fit.
-        chosen: its hyperparameters.
-    """
+    """Hills and wells that explain the data; None where kernels explain them better."""
     first = summits(potential, np.asarray(response.points).reshape(-1, 2))
     if not 0 < len(first) <= MOST_HILLS:
         return None
@@ -115,12 +108,7 @@ def propose_hills(
 
 
 def obstacles_of(hills: HillsTerm, region: Region) -> ObstaclesTerm | None:
-    """Obstacles of one kind in place of several round hills that are alike.
-
-    Args:
-        hills: of a fit.
-        region: of the data.
-    """
+    """Obstacles of one kind in place of several round hills that are alike."""
     heights = np.asarray(hills.weights).reshape(-1, len(WIDTHS)).sum(axis=1)
     sizes, shears = np.split(np.asarray(hills.shapes), [1], axis=1)
     is_one_kind = abs(np.sign(heights).sum()) == len(heights)
@@ -137,13 +125,6 @@ obstacles of one kind; their greatest shear; and a height next to none."""
 
 
 class _Fit(eqx.Module):
-    """Hills beside coarse kernels.
-
-    Attributes:
-        hills: of least misfit.
-        log_evidence: by Laplace's method.
-    """
-
     hills: Hills
     log_evidence: float
 
@@ -153,22 +134,7 @@ def _log_evidence(fit: _Fit) -> float:
 
 
 class _Landscape(eqx.Module):
-    """Least squares of hills in the linearised data, coarse kernels projected out.
-
-    Attributes:
-        points: where forces act [L].
-        noise: of the observations.
-        rows: from forces to data, in deviations of the noise.
-        offset: of the data without any force, likewise.
-        kernels: the coarse ones.
-        root: of the covariance of their weights, for a deviation of one.
-        columns: data by each of the columns of that root.
-        height: of a typical hill [L² T⁻²].
-        price: logarithm of the number of places at which a hill may be.
-        deviation: of the coarse kernels [L² T⁻²].
-        basis: orthonormal, of what they explain.
-        kernel_volume: half the logarithm of the determinant of their evidence.
-    """
+    """Least squares of hills in the linearised data, coarse kernels projected out."""
 
     points: Float[Array, "trajectory group 2"]
     noise: float
@@ -222,13 +188,7 @@ class _Landscape(eqx.Module):
         chosen: Hyperparameters,
         response: ForceResponse,
     ) -> float:
-        """Log evidence of a potential of kernels alone, of the same data.
-
-        Args:
-            potential: its kernels.
-            chosen: the hyperparameters of their weights.
-            response: of the data to forces.
-        """
+        """Log evidence of a potential of kernels alone, of the same data."""
         free = chosen.amplitude * root(potential.prior().covariance(chosen.shape))
         explained = columns(potential, response) @ free
         told = _told(explained, *self.rows.shape[:2]) / self.noise
@@ -238,11 +198,7 @@ class _Landscape(eqx.Module):
         return -0.5 * float(left @ left) - alone.kernel_volume
 
     def with_share(self, share: float) -> "_Landscape":
-        """The same for another deviation of the coarse kernels.
-
-        Args:
-            share: relative to the height of a typical hill.
-        """
+        """The same for another deviation of the coarse kernels."""
         return self.with_deviation(share * self.height)
 
     def with_deviation(self, deviation: float) -> "_Landscape":
@@ -257,10 +213,6 @@ class _Landscape(eqx.Module):
         """Hills of least misfit, their priors about where they are.
 
         The evidence of hills whose forces are not finite is none.
-
-        Args:
-            hills: where the fit begins.
-            evaluations: of the misfit at most.
         """
         from scipy.optimize import least_squares
 
@@ -292,11 +244,9 @@ class _Landscape(eqx.Module):
         return _Fit(search.x.reshape(-1, NUMBERS), value)
 
     def fit_each(self, trials: Sequence[Hills]) -> list[_Fit]:
-        """Short fits from several starts."""
         return map_on_cores(lambda hills: self.fit(hills, TRIED), trials)
 
     def without_needless(self, fit: _Fit) -> _Fit:
-        """The fit without hills that explain less than they cost."""
         shorter = [np.delete(fit.hills, i, axis=0) for i in doubtful(fit.hills)]
         best = max(self.fit_each(shorter), key=_log_evidence, default=fit)
         if best.log_evidence <= fit.log_evidence:
@@ -362,7 +312,6 @@ def _told(
 
 
 def _log_places(positions: Float[np.ndarray, "point 2"], hills: Hills) -> float:
-    """Logarithm of how many places there are for a hill where there are data."""
     size = np.exp(np.median(hills[:, 3]))
     ground = float(np.prod(np.ptp(positions, axis=0)))
     return float(np.log1p(ground / (2 * np.pi * (PLACE * size) ** 2)))
@@ -416,7 +365,6 @@ def _forces(
 
 
 def _term(hills: Hills) -> HillsTerm:
-    """The term of Gaussian hills."""
     weights = np.zeros((len(hills), len(WIDTHS)))
     weights[:, MIDDLE] = hills[:, 0]
     return HillsTerm(

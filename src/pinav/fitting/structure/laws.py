@@ -5,6 +5,7 @@ evidence gains more than its numbers cost; the kernels of the profile stay besid
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 
 import equinox as eqx
@@ -12,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import on_device
+from pinav.arguments import Scalar, on_device
 from pinav.fitting.structure.proposals import prune
 from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.trials import (
@@ -24,15 +25,7 @@ from pinav.fitting.structure.trials import (
     with_profiles,
 )
 from pinav.forces import AbstractProfileTerm
-from pinav.forces.profile_laws import (
-    AbstractProfileLaw,
-    ChannelLaw,
-    HillLaw,
-    PlateauLaw,
-    RingLaw,
-    StepLaw,
-    WaveLaw,
-)
+from pinav.forces.fitted_laws import FITTED, FittedLaw
 
 SIZES, PLACES = 10, 16
 """Sizes and places of a law that are tried."""
@@ -83,21 +76,18 @@ def follow_laws(terms: Terms, response: ForceResponse, noise: float) -> Proposal
 
 
 def _is_lawful(alone: Proposal, index: int, noise: float) -> bool:
-    """Whether a law alone explains nearly what the kernels of a profile did.
+    """True if a law alone explains nearly what the kernels of a profile did.
 
-    Not where its numbers left the data: of their forces nothing but rounding is left,
-    and that explains data to any noise. A ring narrower than its own flank is no ring
-    but a hill whose formula is another one.
-
-    Args:
-        alone: the structure without these kernels.
-        index: of the term.
-        noise: that the structure with them left.
+    Rejects laws whose parameters left the region of the data: their forces are rounding
+    errors, which explain data to any noise. A ring narrower than its own flank is a
+    hill of another formula.
     """
     term = alone.terms[index]
     assert isinstance(term, AbstractProfileTerm)
     law = term.law
-    if term.is_odd and isinstance(law, RingLaw) and law.radius < law.size:
+    assert law is not None
+    constants = law.constants()
+    if term.is_odd and constants.get("radius", np.inf) < law.size:
         return False
     return ROUNDED * noise < alone.noise < LAWFUL * noise
 
@@ -136,9 +126,7 @@ def _with_law_of(
     return beside and dataclasses.replace(beside, terms=with_profiles(terms, response))
 
 
-def _laws_like(
-    term: AbstractProfileTerm, response: ForceResponse
-) -> list[AbstractProfileLaw]:
+def _laws_like(term: AbstractProfileTerm, response: ForceResponse) -> list[FittedLaw]:
     """The laws whose forces come nearest to the profile of a term, of several kinds."""
     z = np.sort(np.asarray(coordinates(term, response.points)), axis=None)
     z = z[:: -(-len(z) // POINTS)]
@@ -149,17 +137,11 @@ def _laws_like(
 
 
 def _nearest(
-    laws: AbstractProfileLaw,
+    laws: FittedLaw,
     z: Float[np.ndarray, " place"],
     profile: Float[np.ndarray, " place"],
-) -> tuple[float, AbstractProfileLaw]:
-    """The law of a kind whose force comes nearest to a profile, after its misfit.
-
-    Args:
-        laws: where its numbers may begin, stacked.
-        z: where they are compared [L].
-        profile: the force there [L T⁻²].
-    """
+) -> tuple[float, FittedLaw]:
+    """The law of a kind whose force comes nearest to a profile, after its misfit."""
     from scipy.optimize import least_squares
 
     leaves, kind = jax.tree.flatten(laws)
@@ -189,7 +171,7 @@ def _profile(
 
 @eqx.filter_jit
 def _law_forces(
-    laws: AbstractProfileLaw, z: Float[Array, " place"]
+    laws: FittedLaw, z: Float[Array, " place"]
 ) -> Float[Array, "law place"]:
     """Of laws whose numbers are stacked, for unit height."""
     return jax.vmap(lambda law: jax.vmap(law.force)(z))(laws)
@@ -197,33 +179,30 @@ def _law_forces(
 
 def _laws(
     term: AbstractProfileTerm, z: Float[np.ndarray, " place"]
-) -> Iterator[AbstractProfileLaw]:
-    """Laws of each kind that a profile may follow, their numbers stacked.
-
-    Args:
-        term: the profile.
-        z: where there are data [L].
-    """
+) -> Iterator[FittedLaw]:
+    """Laws of each kind that a profile may follow, their numbers stacked."""
     low, extent = z.min(), np.ptp(z)
     width = float(term.width)
     sizes = np.log(np.geomspace(width, max(0.5 * extent, 2 * width), SIZES))
     first = 0.0 if term.is_odd else -BEYOND
     places = low + extent * np.linspace(first, 1 + BEYOND, PLACES)
-    if term.is_odd:
-        yield jax.vmap(HillLaw)(*_mesh(sizes, np.array(FORMS)))
-        yield jax.vmap(PlateauLaw)(*_mesh(sizes, np.array(STEEP)))
-    yield jax.vmap(RingLaw)(*_mesh(places, sizes, np.zeros(1)))
-    yield jax.vmap(StepLaw)(*_mesh(places, sizes))
-    if not term.is_odd:
-        halves = np.linspace(0.0, 0.6, HALVES + 1)[1:] * extent
-        yield jax.vmap(ChannelLaw)(*_mesh(places, halves, sizes))
-        # between neighbouring waves the phase at the rim of the data differs little
-        turns = np.arange(1.0, extent / (SHORTEST * width), 0.5)
-        waves = np.log(extent / (2 * np.pi * turns))
-        yield jax.vmap(WaveLaw)(*_mesh(places, waves))
+    # between neighbouring waves the phase at the rim of the data differs little
+    turns = np.arange(1.0, extent / (SHORTEST * width), 0.5)
+    grids = {
+        "size": sizes,
+        "half width": np.linspace(0.0, 0.6, HALVES + 1)[1:] * extent,
+        "period": np.log(extent / (2 * np.pi * turns)),
+        "steepness": np.array(STEEP),
+        **dict.fromkeys(("place", "middle", "radius"), places),
+    }
+    for name, family in FITTED.items():
+        if family.of_distances if term.is_odd else family.of_lines:
+            forms = np.zeros(1) if family.is_placed else np.array(FORMS)
+            axes = [(grids | {"tail": forms})[number] for number in family.numbers]
+            mesh = np.meshgrid(*axes, indexing="ij")
+            numbers = [on_device(one.ravel()) for one in mesh]
+            yield jax.vmap(functools.partial(_law, name))(*numbers)
 
 
-def _mesh(*axes: Float[np.ndarray, " ..."]) -> list[Float[Array, " law"]]:
-    """Numbers of laws, each with each, one array for each number."""
-    grids = np.meshgrid(*axes, indexing="ij")
-    return [on_device(grid.ravel()) for grid in grids]
+def _law(name: str, *numbers: Scalar) -> FittedLaw:
+    return FittedLaw(name, numbers)

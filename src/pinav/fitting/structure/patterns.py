@@ -48,8 +48,8 @@ from pinav.forces import (
     ObstaclesTerm,
     WallTerm,
 )
-from pinav.forces.field_terms import HARMONICS
 from pinav.forces.priors import Shape
+from pinav.forces.terms import HARMONICS
 
 MOST_PERIODS = 6
 """Periods of a lattice across most of the data, at most."""
@@ -68,11 +68,11 @@ points of the map within which a peak is the only one."""
 
 def lattices(region: Region) -> list[LatticeTerm]:
     """Square lattices of all periods and directions that the data could show."""
-    finest = 2 * np.pi * MOST_PERIODS / region.crowded
+    finest = 2 * np.pi * MOST_PERIODS / region.core_extent
     # a step changes the phase at the rim of the data by a radian
-    step = 2.0 / region.crowded
+    step = 2.0 / region.core_extent
     made = []
-    for size in np.arange(2 * np.pi / region.crowded, finest, step):
+    for size in np.arange(2 * np.pi / region.core_extent, finest, step):
         turns = max(int(np.ceil(0.5 * np.pi * size / step)), 2)
         for angle in 0.5 * np.pi * np.arange(turns) / turns:
             one = size * np.array([np.cos(angle), np.sin(angle)])
@@ -89,10 +89,6 @@ def lattice_of(first: WallTerm, second: WallTerm) -> LatticeTerm:
 
     Two plane waves are two walls, which explain the data as well where these are, but
     not what repeats beyond them.
-
-    Args:
-        first: with its weights; it gives the origin.
-        second: likewise; both rotational, or neither.
     """
     return LatticeTerm(
         weights=jnp.zeros(2 * len(HARMONICS)),
@@ -103,7 +99,6 @@ def lattice_of(first: WallTerm, second: WallTerm) -> LatticeTerm:
 
 
 def _wave_vector(wall: WallTerm) -> Float[np.ndarray, "2"]:
-    """Of the strongest wave in a profile [rad L⁻¹]."""
     z = np.asarray(wall.places)
     profile = np.asarray(jax.vmap(wall.profile)(wall.places))
     waving = profile - np.polyval(np.polyfit(z, profile, 1), z)
@@ -118,9 +113,7 @@ class PotentialMap(eqx.Module):
     """The potential that free kernels have in the linearised data.
 
     Attributes:
-        places: of a grid [L].
-        heights: of the potential there [L² T⁻²].
-        is_seen: whether there are data nearby.
+        heights: of the potential at the places of a grid [L² T⁻²].
     """
 
     places: Float[np.ndarray, "row column 2"]
@@ -166,13 +159,7 @@ class PotentialMap(eqx.Module):
     def peaks(
         self, heights: Float[np.ndarray, "row column"], apart: int, least: float
     ) -> Float[np.ndarray, "peak 2"]:
-        """Where heights over the map have peaks, the highest first [L].
-
-        Args:
-            heights: what to look at.
-            apart: points within which a peak is the only one.
-            least: height of a peak that counts, relative to the highest.
-        """
+        """Where heights over the map have peaks, the highest first [L]."""
         seen = np.where(self.is_seen, heights, 0.0)
         is_peak = (seen == maximum_filter(seen, size=apart)) & (
             seen > least * seen.max()
@@ -214,12 +201,7 @@ def obstacles(seen: PotentialMap, region: Region) -> Iterator[ObstaclesTerm]:
 def twins(
     term: CentralTerm | ObstaclesTerm, places: Float[np.ndarray, "place dim"]
 ) -> list[ObstaclesTerm]:
-    """Obstacles of the kind of a central term, one more than there are.
-
-    Args:
-        term: whose profile they share.
-        places: of the additional one [L].
-    """
+    """Obstacles of the kind of a central term, one more than there are."""
     several = isinstance(term, ObstaclesTerm)
     centers = term.centers if several else term.center[None]
     return [
@@ -241,12 +223,7 @@ def with_one_less(term: ObstaclesTerm) -> Iterator[ObstaclesTerm | CentralTerm]:
 def free_potential(
     response: ForceResponse, positions: Float[np.ndarray, "point 2"]
 ) -> KernelPotential | None:
-    """Free kernels of the linearised data; None where the data do not depend on them.
-
-    Args:
-        response: of the data to forces.
-        positions: around which kernels are laid [L].
-    """
+    """Free kernels of the linearised data; None if the data do not depend on them."""
     kernels = KernelPotential.with_zero_weights(*surround_with_kernels(positions, MAP))
     prior = kernels.prior()
     shape = prior.start.copy()
@@ -274,12 +251,7 @@ AT_ONCE = 2000
 
 
 class ScannedPair(eqx.Module):
-    """The best pair of two kinds.
-
-    Attributes:
-        terms: both.
-        log_evidence: at the best of a few amplitudes.
-    """
+    """The best pair of two kinds."""
 
     terms: tuple[AbstractTerm, AbstractTerm]
     log_evidence: float
@@ -291,14 +263,7 @@ def scan_pairs(
     beside: AbstractTerm,
     response: ForceResponse,
 ) -> list[ScannedPair]:
-    """The best pair of each two kinds, that of highest evidence first.
-
-    Args:
-        kinds: terms of each kind, of several geometries.
-        shapes: of the prior of each kind.
-        beside: a term that is there in any case.
-        response: of the data to forces.
-    """
+    """The best pair of each two kinds, that of highest evidence first."""
     blocks = [
         _directions([beside], beside.prior().start, response),
         *(
@@ -328,16 +293,7 @@ def _directions(
 
 
 class _Products(eqx.Module):
-    """Products of all directions of all terms with each other.
-
-    Attributes:
-        gram: of the directions with each other.
-        along: of the directions with the residuals of no force.
-        places: of the directions of each term of each kind; those of the term that is
-            there in any case come first.
-        squares: sum of squares where there is no force.
-        num_free: residuals less starts.
-    """
+    """Products of all directions of all terms with each other."""
 
     gram: Float[np.ndarray, "all all"]
     along: Float[np.ndarray, " all"]

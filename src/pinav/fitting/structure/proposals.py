@@ -54,13 +54,6 @@ def propose(
     Terms are added while the data are not explained to the noise, the evidence gains,
     and the last term explained a good part of what was left. Terms that a later one
     made needless are removed.
-
-    Args:
-        response: of the data to forces.
-        region: where they are.
-        noise: of the observations, roughly.
-        rotational: whether the force may have no potential.
-        enough: misfit relative to the noise at which nothing else is sought.
     """
     candidates = Candidates.of(response, region, noise, enough)
     best: Proposal | None = None
@@ -102,14 +95,7 @@ def propose(
 def is_hopeless(
     response: ForceResponse, region: Region, noise: float, *, rotational: bool
 ) -> bool:
-    """Whether no centre, wall or linear force explains much of the data on its own.
-
-    Args:
-        response: of the data to forces.
-        region: where they are.
-        noise: of the observations, roughly.
-        rotational: whether the force may have no potential.
-    """
+    """Whether no centre, wall or linear force explains much of the data on its own."""
     candidates = Candidates.of(response, region, noise, HOPELESS)
     return candidates.is_hopeless(candidates.add_term((), rotational=rotational))
 
@@ -121,11 +107,6 @@ def refine(
 
     Kernels that are coarser than the process asks for know of fewer profiles than
     there are, and their band is too sure. So finer ones need not gain.
-
-    Args:
-        proposal: terms that explain the data.
-        response: of the data to forces.
-        halvings: of the width of the kernels at most.
     """
     for _ in range(halvings):
         finer = proposal.finer
@@ -137,12 +118,7 @@ def refine(
 
 
 def prune(proposal: Proposal, response: ForceResponse) -> Proposal:
-    """Leave out terms and centres that are needless; make circles of ellipses.
-
-    Args:
-        proposal: terms that explain the data.
-        response: of the data to forces.
-    """
+    """Leave out terms and centres that are needless; make circles of ellipses."""
     for fewer in _simpler(proposal.terms):
         made = polish(fewer, response)
         if made and made.log_evidence >= proposal.log_evidence - 2 * DECISIVE:

@@ -48,12 +48,7 @@ class ForceResponse(eqx.Module):
 
     Attributes:
         rows: $R_i$ of each trajectory, from forces to independent data.
-        targets: what the data ask of the change of the force.
-        points: where the forces act [L].
-        times: when [T].
         forces: $F_0$ there [L T⁻²].
-        num_free: residuals less starts.
-        squares: sum of squares that no force explains.
     """
 
     rows: Float[np.ndarray, "trajectory datum force"]
@@ -90,22 +85,13 @@ class ForceResponse(eqx.Module):
     def change(
         self, forces: Float[np.ndarray, "trajectory group dim *all"]
     ) -> Float[np.ndarray, " datum *all"]:
-        """What forces change of the residuals.
-
-        Args:
-            forces: at the points, or several of them, along further axes.
-        """
+        """What forces change of the residuals."""
         others = forces.shape[3:]
         flat = forces.reshape(len(forces), self.rows.shape[2], -1)
         return (self.rows @ flat).reshape(-1, *others)
 
     def linearise(self, parametric: ParametricModel, theta: Parameters) -> Slopes:
-        """Residuals of a sum of terms, and their slopes by its parameters.
-
-        Args:
-            parametric: the sum by the weights and the geometry of its terms.
-            theta: these parameters.
-        """
+        """Residuals of a sum of terms, and their slopes by its parameters."""
         parts = [_slopes(term, self) for term in parametric.at(theta).terms]
         forces = sum(part[0] for part in parts) - self.forces
         slopes = np.concatenate([part[1] for part in parts], axis=-1)
@@ -123,12 +109,7 @@ def columns(
 
 
 def force_quadratic(parts: Sequence[Linear], response: ForceResponse) -> Quadratic:
-    """What the data say of the weights of forces that act together.
-
-    Args:
-        parts: the forces; their other numbers are held.
-        response: of the data to forces.
-    """
+    """What the data say of the weights of forces that act together."""
     rows = np.concatenate([columns(part, response) for part in parts], axis=1)
     offset = response.residuals_of_none
     return _about_none(rows.T @ rows, rows.T @ offset, offset, response)
@@ -139,13 +120,7 @@ def term_quadratics(
     beside: tuple[AbstractTerm, ...],
     response: ForceResponse,
 ) -> list[Quadratic]:
-    """What the data say of the weights of each of several terms, beside others.
-
-    Args:
-        terms: of one kind, with as many kernels each.
-        beside: whose weights come first.
-        response: of the data to forces.
-    """
+    """What the data say of the weights of each of several terms, beside others."""
     offset = response.residuals_of_none
     others = [columns(term, response) for term in beside]
     kept = np.concatenate([np.zeros((len(offset), 0)), *others], axis=1)
@@ -167,10 +142,6 @@ def term_columns(
 
     Always as many are computed in one call, so that lists of every length share a
     compilation.
-
-    Args:
-        terms: of one kind, with as many kernels each.
-        response: of the data to forces.
     """
     for first in range(0, len(terms), AT_ONCE):
         some = terms[first : first + AT_ONCE]
@@ -271,15 +242,7 @@ def force_response(
     solver: FixedStep,
     dim: int,
 ) -> ForceResponse:
-    """The response of the observations to a change of the force of a fitted model.
-
-    Args:
-        model: the fitted model.
-        states: its smoothed states.
-        observations: the data.
-        solver: steps between samples.
-        dim: dimension of space.
-    """
+    """The response of the observations to a change of the force of a fitted model."""
     group, groups = _grouped(states.shape[1] - 1)
     hessians, gradients, squares = _normal_equations(
         model, states, observations, solver, group, groups, dim
@@ -311,7 +274,6 @@ def _means(
     group: Int[np.ndarray, " step"],
     groups: int,
 ) -> Float[np.ndarray, "trajectory group channel"]:
-    """Mean over the steps of each group."""
     fractions = np.eye(groups)[group]
     return np.einsum("isc,sg->igc", values, fractions / fractions.sum(axis=0)[None])
 

@@ -67,7 +67,6 @@ class StructuredFit(eqx.Module):
     """A fit, and what the search for structure came to.
 
     Attributes:
-        fit: the result, structured or free.
         gain: log evidence of the structured force over the free one on the kernels with
             which fits begin, of hills over that on finer ones [nats]; NaN where no
             structure was fitted.
@@ -100,10 +99,6 @@ class Search(eqx.Module):
     """Fits of one kind of free kernels, with structured terms and without.
 
     Attributes:
-        specification: what is asked; its model is that of the free kernels.
-        max_iterations: of each fit.
-        on_step: called after each step.
-        throw: raise where a fit did not converge.
         states: about which fits begin; smoothed ones unless given.
     """
 
@@ -258,12 +253,7 @@ class Search(eqx.Module):
     def _fit_obstacles(
         self, hills: EvidenceFit, rough: EvidenceFit
     ) -> StructuredFit | None:
-        """The fit of obstacles of one kind in place of hills that are alike.
-
-        Args:
-            hills: their fit.
-            rough: that of free kernels.
-        """
+        """The fit of obstacles of one kind in place of hills that are alike."""
         terms = hills.model.environment.terms
         survey = Survey.of(self.specification, self.free(), hills)
         alike = obstacles_of(terms[0], survey.region)
@@ -291,9 +281,6 @@ class Search(eqx.Module):
         carries all terms, as about a centre that swimmers circle faster than smoothing
         follows, the one that was added last is left out; of obstacles, which such
         errors multiply, one stays.
-
-        Returns:
-            The fit, and its log evidence.
         """
         fit: EvidenceFit | None = None
         with contextlib.suppress(FitError):
@@ -381,15 +368,7 @@ class Search(eqx.Module):
     def _with_laws(
         self, fit: EvidenceFit, evidence: float
     ) -> tuple[EvidenceFit, float]:
-        """The fit of terms whose profiles follow laws, where it explains the data.
-
-        Args:
-            fit: of the terms.
-            evidence: its logarithm.
-
-        Returns:
-            The better fit, and its log evidence.
-        """
+        """The fit of terms whose profiles follow laws, where it explains the data."""
         survey = Survey.of(self.specification, self.free(), fit)
         noise = fit.hyperparameters.noise
         lawful = follow_laws(fit.model.environment.terms, survey.response, noise)
@@ -403,12 +382,10 @@ class Search(eqx.Module):
         return fit, evidence
 
     def _fit_terms(self, terms: Terms, begun: EvidenceFit) -> EvidenceFit:
-        """The fit of terms beside the free kernels, from the states of another."""
         search = self._beside(terms).about(begun)
         return search.fit(search.free(), None)
 
     def _beside(self, terms: Terms) -> "Search":
-        """The same with terms beside the free kernels."""
         return self.of(StructuredForce(terms, self.kernels))
 
 
@@ -468,7 +445,6 @@ def stands_alone(fit: EvidenceFit) -> bool:
 
 
 def _evidence_of_terms(fit: EvidenceFit) -> float:
-    """Log evidence of the terms of a fit where the free kernels are absent."""
     if not split_structure(fit.model.environment)[0]:
         return -np.inf
     return evidence_without_second(fit.linear, fit.hyperparameters)

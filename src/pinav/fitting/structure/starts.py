@@ -3,7 +3,9 @@
 Their kernels and their scanned places come from where the data are.
 """
 
-from collections.abc import Iterator, Sequence
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -11,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from pinav.arguments import on_device
 from pinav.forces import (
+    AbstractProfileTerm,
     AbstractTerm,
     CentralTerm,
     EllipticTerm,
@@ -40,24 +43,27 @@ ANGLES = 18
 """Directions that are scanned."""
 
 
+Term = TypeVar("Term", bound=AbstractProfileTerm)
+
+
 class Region(eqx.Module):
     """The region with data.
 
     Attributes:
         middle: of the data [L].
         extent: longest side of the box around them [L].
-        crowded: longest side of the box around nine tenths of them [L].
-        heart: the middle of that box [L].
-        inner: twice the longest distance between the quartiles: of data that are spread
-            evenly their extent, of swimmers that are flung out less [L].
+        core_extent: longest side of the box around nine tenths of them [L].
+        core_center: the middle of that box [L].
+        quartile_extent: twice the longest distance between the quartiles [L]: of evenly
+            spread data their extent, of swimmers that are flung out less.
         ranks: positions along each axis with equal shares of the data between them [L].
     """
 
     middle: Float[np.ndarray, " dim"]
     extent: float
-    crowded: float
-    heart: Float[np.ndarray, " dim"]
-    inner: float
+    core_extent: float
+    core_center: Float[np.ndarray, " dim"]
+    quartile_extent: float
     ranks: Float[np.ndarray, "rank dim"]
 
     @classmethod
@@ -69,9 +75,9 @@ class Region(eqx.Module):
         return cls(
             middle=(low + high) / 2,
             extent=float((high - low).max()),
-            crowded=float((most - few).max()),
-            heart=(few + most) / 2,
-            inner=2 * float((upper - lower).max()),
+            core_extent=float((most - few).max()),
+            core_center=(few + most) / 2,
+            quartile_extent=2 * float((upper - lower).max()),
             ranks=np.quantile(
                 positions, np.linspace(0.05, 0.95, RANKS[positions.shape[1]]), axis=0
             ),
@@ -86,7 +92,7 @@ class Region(eqx.Module):
     def width(self) -> float:
         """Of a kernel of a profile [L]."""
         # few widths, so that regions share compilations
-        wanted = np.log(self.extent / max(self.inner, 1e-9)) / np.log(FINER)
+        wanted = np.log(self.extent / max(self.quartile_extent, 1e-9)) / np.log(FINER)
         finer = FINER ** np.clip(np.floor(wanted + 0.3), 0, FINEST - 1)
         return float(self.extent / round(KERNELS[len(self.middle)] * finer))
 
@@ -103,8 +109,8 @@ class Region(eqx.Module):
             middle: of the grid [L]; that of most of the data unless given.
             fraction: its size, as a share of the extent of most of the data.
         """
-        middle = self.heart if middle is None else middle
-        axis = np.linspace(-0.5, 0.5, side) * self.crowded * fraction
+        middle = self.core_center if middle is None else middle
+        axis = np.linspace(-0.5, 0.5, side) * self.core_extent * fraction
         return middle + _mesh([axis] * len(middle))
 
     def places(self) -> Float[np.ndarray, "point dim"]:
@@ -130,7 +136,6 @@ class Region(eqx.Module):
 def _mesh(
     axes: Sequence[Float[np.ndarray, " place"]] | Float[np.ndarray, "dim place"],
 ) -> Float[np.ndarray, "point dim"]:
-    """All points whose coordinates are among these."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
@@ -157,27 +162,22 @@ def central_term(
     region: Region, center: Float[np.ndarray, " dim"], *, rotational: bool = False
 ) -> CentralTerm:
     """A central term about a place, without weight yet."""
-    places, width = region.distances()
-    return CentralTerm(
-        weights=on_device(np.zeros(places.shape)),
-        center=on_device(center),
-        places=places,
-        width=width,
-        rotational=rotational,
-    )
+    make = _on_kernels(CentralTerm, *region.distances())
+    return make(center=on_device(center), rotational=rotational)
 
 
 def wall_term(region: Region, angle: float, *, rotational: bool = False) -> WallTerm:
     """A wall whose normal has this angle, without weight yet."""
-    places, width = region.offsets()
-    return WallTerm(
-        weights=on_device(np.zeros(places.shape)),
-        angle=on_device(angle),
-        origin=on_device(region.middle),
-        places=places,
-        width=width,
-        rotational=rotational,
-    )
+    make = _on_kernels(WallTerm, *region.offsets())
+    origin = on_device(region.middle)
+    return make(angle=on_device(angle), origin=origin, rotational=rotational)
+
+
+def _on_kernels(
+    kind: Callable[..., Term], places: Float[Array, " kernel"], width: Float[Array, ""]
+) -> Callable[..., Term]:
+    weights = on_device(np.zeros(places.shape))
+    return functools.partial(kind, weights=weights, places=places, width=width)
 
 
 def linear_term(region: Region, *, rotational: bool = False) -> LinearTerm:
@@ -196,23 +196,22 @@ def circular(
     term: EllipticTerm | ObstaclesTerm, center: Float[Array, "2"]
 ) -> CentralTerm:
     """The central term about a place with the profile of an ellipse or of obstacles."""
-    return CentralTerm(
-        weights=term.weights,
-        center=center,
-        places=term.places,
-        width=term.width,
-        rotational=term.rotational,
-        law=term.law,
-    )
+    return _with_profile(CentralTerm, term)(center=center)
 
 
 def obstacles_at(
     term: CentralTerm | ObstaclesTerm, centers: Float[Array, "center dim"]
 ) -> ObstaclesTerm:
     """Obstacles at several centres with the profile of a term."""
-    return ObstaclesTerm(
+    return _with_profile(ObstaclesTerm, term)(centers=centers)
+
+
+def _with_profile(
+    kind: Callable[..., Term], term: AbstractProfileTerm
+) -> Callable[..., Term]:
+    return functools.partial(
+        kind,
         weights=term.weights,
-        centers=centers,
         places=term.places,
         width=term.width,
         rotational=term.rotational,
@@ -225,22 +224,10 @@ def ellipses(
     centers: Float[np.ndarray, "place 2"],
     shears: Float[np.ndarray, "shear 2"],
 ) -> list[EllipticTerm]:
-    """Elliptic terms about several centres, each of several axes.
-
-    Args:
-        region: of the data.
-        centers: [L].
-        shears: $S$ of each.
-    """
-    places, width = region.distances()
+    """Elliptic terms about several centres [L], each of several axes."""
+    make = _on_kernels(EllipticTerm, *region.distances())
     return [
-        EllipticTerm(
-            weights=on_device(np.zeros(places.shape)),
-            center=on_device(center),
-            shear=on_device(shear),
-            places=places,
-            width=width,
-        )
+        make(center=on_device(center), shear=on_device(shear))
         for center in centers
         for shear in shears
     ]
@@ -265,11 +252,11 @@ def segments(region: Region, wall: WallTerm) -> list[EllipticTerm]:
         return []
     angle = np.asarray(wall.angle)
     normal, along = _directions(angle), _directions(angle + 0.5 * np.pi)
-    across = np.linspace(-0.5, 0.5, ACROSS) * region.crowded
-    steps = np.linspace(-0.5, 0.5, ALONG) * region.crowded
+    across = np.linspace(-0.5, 0.5, ACROSS) * region.core_extent
+    steps = np.linspace(-0.5, 0.5, ALONG) * region.core_extent
     rows = across[:, None, None] * normal + steps[:, None] * along
     shears = LONG * _directions(2 * angle)[None]
-    return ellipses(region, region.heart + rows.reshape(-1, 2), shears)
+    return ellipses(region, region.core_center + rows.reshape(-1, 2), shears)
 
 
 def _directions(angles: Float[ArrayLike, "*all"]) -> Float[np.ndarray, "*all 2"]:

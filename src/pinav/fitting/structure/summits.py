@@ -94,7 +94,6 @@ def _axes(
 
 
 def _distance(hill: Float[np.ndarray, "6"], place: Float[np.ndarray, "2"]) -> float:
-    """Distance of a place from a hill, in its own sizes."""
     lengths, directions = _axes(hill)
     return float(np.linalg.norm(directions.T @ (place - hill[1:3]) / lengths))
 

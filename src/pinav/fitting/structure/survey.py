@@ -60,7 +60,6 @@ class Survey(eqx.Module):
     """What the data say of any force, linearised about their smoothed states.
 
     Attributes:
-        response: of the observations to forces.
         region: where the observations are.
         noise: of the observations, roughly or as it was given.
         is_begun: whether the states are those of a fit, not smoothed ones.
@@ -156,14 +155,10 @@ class Survey(eqx.Module):
         return proposal.noise <= AT_NOISE * self.noise
 
     def would_repeat(self, proposal: Proposal, again: Proposal | None) -> bool:
-        """Whether the search that ended with terms would end with them here, too.
+        """True if repeating the search here would return the same terms.
 
-        It did where its terms were far from enough, so that it left nothing untried,
-        and these data tell of them what those told.
-
-        Args:
-            proposal: the terms as they were found.
-            again: their polish with these data.
+        The search ended with terms that are far from enough, so it left nothing
+        untried, and their misfit in these data is the same.
         """
         is_same = again is not None and abs(again.noise / proposal.noise - 1) < SAME
         return is_same and not self.is_near_noise(proposal)

@@ -37,8 +37,8 @@ from pinav.fitting.structure.response import (
 )
 from pinav.fitting.structure.starts import KERNELS
 from pinav.forces import AbstractProfileTerm, AbstractTerm, SumForce
+from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.priors import AbstractPrior
-from pinav.forces.profile_laws import AbstractProfileLaw
 from pinav.forces.structures import prior_of
 from pinav.threads import map_on_cores
 
@@ -56,9 +56,6 @@ class Proposal(eqx.Module):
     """Terms with their geometry, and what the linearised data think of them.
 
     Attributes:
-        terms: with weights.
-        log_evidence: less what the geometry costs.
-        noise: standard deviation of what they leave unexplained.
         length_scales: of the profile of each term, in widths of its kernels; infinite
             where it has none.
         is_rough: whether they may leave more unexplained than the noise, which they
@@ -91,7 +88,6 @@ to each other: a process of few derivatives needs several kernels for each."""
 
 
 def _with_finer_profile(term: AbstractProfileTerm) -> AbstractTerm:
-    """The term on kernels of half the width, without weight."""
     width, count = term.width / 2, 2 * len(term.places)
     places = (np.arange(count) + 0.5) * width
     if not term.is_odd:
@@ -103,7 +99,7 @@ def with_places(
     term: AbstractProfileTerm,
     places: Float[np.ndarray, " kernel"],
     width: Scalar,
-    law: AbstractProfileLaw | None = None,
+    law: FittedLaw | None = None,
 ) -> AbstractProfileTerm:
     """The term with other kernels, without weight.
 
@@ -140,11 +136,6 @@ def quick_evidences(
 
     The noise is estimated: far from the right geometry nothing explains the data, and
     with the noise fixed wild profiles would.
-
-    Args:
-        starts: terms of one kind on the same kernels, of different geometry.
-        beside: terms that there are.
-        response: of the data to forces.
     """
     terms = (*beside, starts[0])
     prior = prior_of(terms)

@@ -1,27 +1,194 @@
-"""Flights in the true environment of a controller that learns on the way."""
+"""Flights of a controller that learns on the way, judged by the truth."""
 
 import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
-from pinav.navigation.adaptive.scores import Flight, score_force
+from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.steering import AdaptiveController, ControllerState
 from pinav.navigation.belief.belief import Belief
+from pinav.navigation.maps import ArenaGrid, Course, ForceMaps
+from pinav.navigation.task.steering import physics_only
+from pinav.navigation.task.task import Task
 from pinav.navigation.trials.closed_loop import episode, last_observation
+from pinav.navigation.trials.metrics import (
+    Interval,
+    Quantiles,
+    median,
+    proportion,
+    quantiles,
+)
 from pinav.navigation.trials.situation import Situation
+
+ORACLE = "oracle"
+"""The controller that knows the true force."""
+
+NOMINAL = 1.96
+"""Half width of a band of 95 %, in standard deviations."""
+
+
+def true_force(
+    task: Task, positions: Float[np.ndarray, "point 2"]
+) -> Float[np.ndarray, "point 2"]:
+    """True contribution of the environment to the rate of a swimmer at rest."""
+    physics, rest = physics_only(task.truth), jnp.zeros(len(task.start) - 2)
+
+    def at(x: Float[Array, "2"]) -> Float[Array, "2"]:
+        state, idle = jnp.concatenate([x, rest]), jnp.zeros(2)
+        return (task.truth(0.0, state, idle) - physics(0.0, state, idle))[-2:]
+
+    return np.asarray(jax.vmap(at)(jnp.asarray(positions)), float)
+
+
+def score_force(
+    path: Float[np.ndarray, "point 2"], belief: Belief, task: Task
+) -> tuple[float, float]:
+    """Error and cover of a belief along the true path.
+
+    Returns:
+        Root sum of squared errors of the force over that of the force, and the fraction
+        of its components within their bands of 95 %.
+    """
+    truth = true_force(task, path)
+    mean, sd = belief.force(path)
+    error = float(np.linalg.norm(mean - truth) / np.linalg.norm(truth))
+    return error, float(np.mean(np.abs(mean - truth) <= NOMINAL * sd))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Flight:
+    """The record of a flight, judged by the truth.
+
+    Attributes:
+        path: true positions at the frames [L].
+        arrival_time: [T]; infinite if it was not.
+        consistency: mean of the squared error of the position over its variance.
+        changed: commands that the safety filter changed.
+        stalls: frames at which no progress was noticed.
+        learn_times: computing time of each frame [s].
+        command_times: computing time of each command [s].
+        replan_times: computing time of each later plan [s].
+        memory: of the belief at the end [byte].
+        force_error: of the belief along the path; see `score_force`.
+        cover: of its bands there.
+    """
+
+    path: Float[np.ndarray, "frame 2"]
+    reached: bool
+    violated: bool
+    arrival_time: float
+    clearance: float
+    consistency: float
+    changed: int
+    stalls: int
+    learn_times: Float[np.ndarray, " control"]
+    command_times: Float[np.ndarray, " control"]
+    replan_times: Float[np.ndarray, " plan"]
+    memory: int
+    force_error: float
+    cover: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FlightOutcome:
+    """Flights of one controller on one task.
+
+    Attributes:
+        success: proportion that arrived without a violation.
+        in_time: proportion that arrived within the task's own time limit.
+        violation: proportion that entered a forbidden place.
+        regret: median over pairs of arrival time / the oracle's; none for the oracle.
+        force_error: median error of the force over the visited path; none for the
+            oracle.
+        cover: mean fraction of true forces within their bands of 95 %, there.
+        consistency: mean of the squared error of the position over its variance.
+        changed: mean number of commands that the safety filter changed.
+        frame_time: 99 % quantile of the computing time of a frame [s].
+        command_time: median computing time of a command [s].
+        replan_time: median computing time of a plan [s].
+        memory: greatest memory of a belief at the end [byte].
+    """
+
+    runs: int
+    success: Interval
+    in_time: Interval
+    violation: Interval
+    arrival: Quantiles
+    regret: Interval | None
+    clearance: float
+    force_error: float | None
+    cover: float | None
+    consistency: float
+    changed: float
+    frame_time: float
+    command_time: float
+    replan_time: float
+    memory: float
+
+
+def judge_flights(
+    flights: Sequence[Flight],
+    own_limit: float,
+    oracle: Sequence[Flight] = (),
+) -> FlightOutcome:
+    """The outcome of some flights.
+
+    Args:
+        flights: flights of one controller.
+        own_limit: time limit of the task itself [T].
+        oracle: flights with the truth, of the same keys; none for the oracle itself.
+            A pair whose oracle did not arrive has no regret.
+    """
+    times = np.array([flight.arrival_time for flight in flights])
+    arrived = times[np.isfinite(times)]
+    count, ratio = len(flights), None
+    if oracle:
+        best = np.array([flight.arrival_time for flight in oracle])
+        pairs = np.isfinite(best)
+        ratio = median(times[pairs] / best[pairs]) if pairs.any() else None
+    frames = np.concatenate([flight.learn_times for flight in flights])
+    commands = np.concatenate([flight.command_times[1:] for flight in flights])
+    plans = np.concatenate([flight.replan_times[1:] for flight in flights])
+    return FlightOutcome(
+        runs=count,
+        success=proportion(sum(flight.reached for flight in flights), count),
+        in_time=proportion(int(np.sum(times <= own_limit)), count),
+        violation=proportion(sum(flight.violated for flight in flights), count),
+        arrival=quantiles(arrived),
+        regret=ratio,
+        clearance=min(flight.clearance for flight in flights),
+        force_error=float(np.median([f.force_error for f in flights]))
+        if oracle
+        else None,
+        cover=float(np.mean([f.cover for f in flights])) if oracle else None,
+        consistency=float(np.mean([flight.consistency for flight in flights])),
+        changed=float(np.mean([flight.changed for flight in flights])),
+        frame_time=float(np.quantile(frames, 0.99)) if len(frames) else np.nan,
+        command_time=float(np.median(commands)) if len(commands) else np.nan,
+        replan_time=float(np.median(plans)) if len(plans) else np.nan,
+        memory=float(max(flight.memory for flight in flights)),
+    )
+
+
+def judge_controllers(
+    flights: Mapping[str, Sequence[Flight]], own_limit: float
+) -> dict[str, FlightOutcome]:
+    """The outcome of each controller, in pairs with the oracle."""
+    oracle = flights[ORACLE]
+    return {
+        name: judge_flights(some, own_limit, oracle if name != ORACLE else ())
+        for name, some in flights.items()
+    }
 
 
 class Visit(NamedTuple):
-    """A flight, and what is believed after it.
-
-    Attributes:
-        flight: its record.
-        belief: belief at the end.
-        moments: beliefs on the way, to be shown.
-    """
+    """A flight, and what is believed after it."""
 
     flight: Flight
     belief: Belief
@@ -76,14 +243,7 @@ def fly(
 
 @dataclasses.dataclass
 class _Notes:
-    """Notes on a flight, as it goes.
-
-    Attributes:
-        every: time between the beliefs that are kept [T].
-        due: when the next one is kept [T].
-        stalls: frames at which no progress was noticed.
-        changed: commands that the safety filter changed.
-    """
+    """Notes on a flight, as it goes."""
 
     every: float
     due: float = 0.0
@@ -116,3 +276,109 @@ class _Notes:
         """A command was given."""
         self.command_times.append(memory.command_time)
         self.changed += memory.verdict is not None and memory.verdict.changed
+
+
+MAP_POINTS = 41
+"""Points of the maps of the force along each side."""
+
+MOMENTS = 4
+"""Beliefs of the first flight that are shown."""
+
+MOMENTS_KEPT = 40
+"""Beliefs of the first flight among which those that are shown are chosen."""
+
+
+def map_belief(task: Task, belief: Belief) -> ForceMaps:
+    """The learned force on the arena, and its standard deviation."""
+    grid = ArenaGrid.over(Course.of(task), MAP_POINTS)
+    mean, sd = belief.force(grid.places)
+    return ForceMaps(grid.field(lambda _: mean), sd=grid.lay(sd))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ShownFlight:
+    """The knowledge of a flight, as figures show it.
+
+    Attributes:
+        maps: true force, and learned one at the end.
+        truth: true force along the path.
+        mean: learned force along the path, at the end.
+        sd: standard deviation of its components.
+        means: learned force on the arena at these moments.
+        sds: standard deviation of its components.
+    """
+
+    maps: ForceMaps
+    truth: Float[np.ndarray, "frame 2"]
+    mean: Float[np.ndarray, "frame 2"]
+    sd: Float[np.ndarray, "frame 2"]
+    times: Float[np.ndarray, " moment"]
+    means: Float[np.ndarray, "moment y x 2"]
+    sds: Float[np.ndarray, "moment y x 2"]
+
+    @classmethod
+    def of(cls, task: Task, visit: Visit) -> "ShownFlight":
+        """The figures' part of a flight with moments."""
+        grid, path = ArenaGrid.over(Course.of(task), MAP_POINTS), visit.flight.path
+        mean, sd = visit.belief.force(path)
+        truth = grid.field(lambda places: true_force(task, places))
+        maps = dataclasses.replace(map_belief(task, visit.belief), truth=truth)
+        count = len(visit.moments) - 1
+        picked = np.linspace(0, count, MOMENTS).round().astype(int)
+        moments = [visit.moments[k] for k in picked]
+        beliefs = [belief.force(grid.places) for belief in moments]
+        means, sds = (
+            np.stack([grid.lay(values) for values in part])
+            for part in zip(*beliefs, strict=True)
+        )
+        times = np.array([belief.time for belief in moments])
+        return cls(maps, true_force(task, path), mean, sd, times, means, sds)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SwimmerFlights:
+    """The flights of one swimmer.
+
+    Attributes:
+        flights: by the controller: the oracle, and each visit.
+        shown: first visit of the first swimmer; none of others.
+    """
+
+    flights: dict[str, Flight]
+    shown: ShownFlight | None = None
+
+
+def fly_swimmer(
+    adaptive: AdaptiveController,
+    seed: int,
+    number: int,
+    visits: int,
+    *,
+    oracle: bool = True,
+) -> SwimmerFlights:
+    """The oracle's flight and those of each visit, with the same noise.
+
+    Args:
+        adaptive: the controller.
+        seed: seed of all noise.
+        number: number of the swimmer; the first one is shown.
+        visits: visits to the task, with the map kept.
+        oracle: True to fly the oracle, too.
+
+    Raises:
+        InputError: the true force changes in time.
+    """
+    task, key = adaptive.task, jax.random.fold_in(jax.random.key(seed), number)
+    flights: dict[str, Flight] = {}
+    if oracle:
+        flights[ORACLE] = fly(with_truth(adaptive), key=key).flight
+    shown = None
+    for number_of_visit in range(1, visits + 1):
+        is_shown = number == 0 and number_of_visit == 1
+        every = task.time_limit / MOMENTS_KEPT if is_shown else math.inf
+        visit = fly(adaptive, key=key, every=every)
+        flights[f"visit {number_of_visit}"] = visit.flight
+        if is_shown:
+            shown = ShownFlight.of(task, visit)
+        adaptive = dataclasses.replace(adaptive, known=visit.belief)
+    return SwimmerFlights(flights, shown)

@@ -13,12 +13,10 @@ from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import axes_of
-from pinav.navigation.belief.belief import Frame
 from pinav.navigation.belief.given import BeliefPrior, GivenForce, take_for_granted
 from pinav.navigation.belief.kernels import Points
-from pinav.navigation.model.predictors import split_rates
-from pinav.navigation.model.tables import FieldTable
-from pinav.navigation.model.tabulated import tabulate_model
+from pinav.navigation.predictors import split_rates, tabulate_model
+from pinav.navigation.tables import FieldTable
 from pinav.navigation.task.steering import SteeredSwimmer, physics_only
 from pinav.navigation.task.task import Task, steered_swimmer
 
@@ -31,10 +29,6 @@ DISTRUST = 0.05
 
 def environment_rate(task: Task, model: SteeredSwimmer) -> GivenForce:
     """The environment of a model, as a contribution to the rate of a swimmer at rest.
-
-    Args:
-        task: task with the arena.
-        model: the swimmer.
 
     Raises:
         InputError: the environment changes in time.
@@ -90,25 +84,20 @@ def with_prior_of(
     covariance = rows @ posterior.covariance @ rows.T
     covariance += (DISTRUST * adaptive.thrust) ** 2 * np.eye(len(rows))
     prior = BeliefPrior(rate, places[chosen], covariance)
-    start = np.asarray(task.start[:2], float)
-    first = Frame(0.0, start, task.position_sd, np.zeros(2))
-    return dataclasses.replace(adaptive, known=prior.lead(adaptive.believe(first)))
+    first = adaptive.believe(adaptive.first_frame)
+    return dataclasses.replace(adaptive, known=prior.lead(first))
 
 
 def with_truth(adaptive: AdaptiveController) -> AdaptiveController:
     """The oracle: a controller that knows the true force, and estimates its state.
 
-    Args:
-        adaptive: the controller.
-
     Raises:
         InputError: the true force changes in time.
     """
     task = adaptive.task
-    start = np.asarray(task.start[:2], float)
     belief = take_for_granted(
         environment_rate(task, task.truth),
-        Frame(0.0, start, task.position_sd, np.zeros(2)),
+        adaptive.first_frame,
         motion=adaptive.motion,
         longest=task.step,
     )

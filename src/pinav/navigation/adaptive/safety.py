@@ -23,11 +23,9 @@ from jaxtyping import Array, Float
 from pinav.arguments import Planar, State
 from pinav.navigation.adaptive.strategies import MeanForce
 from pinav.navigation.belief.belief import Belief
-from pinav.navigation.control.controller import Observation
-from pinav.navigation.control.prediction import TrajectoryPrediction
-from pinav.navigation.model.predictors import TimeCost
-from pinav.navigation.model.tabulated import TabulatedModel
-from pinav.navigation.task.steering import AbstractActuator, Command
+from pinav.navigation.control.controller import Observation, TrajectoryPrediction
+from pinav.navigation.predictors import TabulatedModel, TimeCost
+from pinav.navigation.task.steering import Command, thrusts_of
 
 DEVIATIONS = 3.0
 """Half width of a tube, in standard deviations."""
@@ -55,7 +53,6 @@ class CommandVerdict:
     """The decision of the filter on a command.
 
     Attributes:
-        command: the one to give.
         margin: least distance of the tube from forbidden places [L].
         changed: whether it is another than the controller's.
     """
@@ -135,7 +132,7 @@ def tube_radii(
     """
     actuator = prediction.control_map.actuator
     given = jnp.stack([observation.pending[-1], command])
-    waiting, wanted = np.asarray(_thrusts(actuator, given))
+    waiting, wanted = np.asarray(thrusts_of(actuator, given))
     ends = np.linspace(0, horizon, PIECES + 1)
     delay = float(observation.time) - belief.time
     delayed = math.ceil(delay / ends[1] - CLOCK)
@@ -148,13 +145,6 @@ def tube_radii(
     times = prediction.step * np.arange(1, count + 1)
     deviations = DEVIATIONS * np.minimum(1.0, FULL * horizon / times)
     return deviations * np.interp(times, ends, np.sqrt(np.maximum(greatest, 0.0)))
-
-
-@eqx.filter_jit
-def _thrusts(
-    actuator: AbstractActuator, commands: Float[Array, "command 2"]
-) -> Float[Array, "command 2"]:
-    return jax.vmap(actuator)(commands)
 
 
 @eqx.filter_jit

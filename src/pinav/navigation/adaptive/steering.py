@@ -11,35 +11,36 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.navigation.adaptive.known import motion_of, with_known
-from pinav.navigation.adaptive.progress import Progress
 from pinav.navigation.adaptive.safety import CommandVerdict, check_command
-from pinav.navigation.adaptive.strategies import AbstractStrategy, ExplorationBonus
+from pinav.navigation.adaptive.strategies import (
+    AbstractStrategy,
+    ExplorationBonus,
+    Progress,
+    motion_of,
+    with_known,
+)
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.motion import AbstractMotion, Vector
-from pinav.navigation.control.compensation import Timing
 from pinav.navigation.control.controller import (
     AbstractController,
-    Controls,
-    Observation,
-)
-from pinav.navigation.control.mppi import PathIntegral
-from pinav.navigation.control.prediction import (
     ArrivalCost,
+    Controls,
     GradientGuide,
+    Observation,
     TrajectoryPrediction,
 )
-from pinav.navigation.model.predictors import InertialTable
-from pinav.navigation.model.tabulated import (
+from pinav.navigation.control.default import Timing
+from pinav.navigation.control.mppi import PathIntegral
+from pinav.navigation.planning.plan import TimeToGo, check_places
+from pinav.navigation.planning.replanning import HEADROOM, Replanner
+from pinav.navigation.predictors import (
+    InertialTable,
     TabulatedModel,
     greatest_rate,
     tabulate_model,
 )
-from pinav.navigation.planning.plan import TimeToGo, check_places
-from pinav.navigation.planning.replanning import HEADROOM, Replanner
-from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import Command, physics_only
-from pinav.navigation.task.task import Rectangle, Task
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task
 from pinav.navigation.trials.situation import mean_thrust
 
 POINTS, SPEEDS = 25, 11
@@ -81,13 +82,9 @@ class ControllerState:
     """The memory of the controller between two frames.
 
     Attributes:
-        belief: state of the swimmer and force, after the last frame.
-        plan: the last one.
         lattice: on which the plan stands.
         planned: time at which it was made [T].
-        leader: filter that led then.
         controls: sequence of thrusts that is improved from step to step.
-        progress: places where the swimmer was, and whether it comes to new ones.
         pending: commands that waited at the last decision, as in `Observation`.
         verdict: of the safety filter on the last command; none where it is not used.
         learn_time: computing time of the last frame [s]; NaN for the first one.
@@ -116,7 +113,6 @@ class AdaptiveController(AbstractController[ControllerState]):
     alone. It decides in Python: its calls can be neither traced nor batched.
 
     Attributes:
-        task: what is to be done; its truth is not used.
         strategy: treatment of what is not known in the plan.
         physics: tables of what is known.
         motion: the same for the belief.
@@ -206,12 +202,14 @@ class AdaptiveController(AbstractController[ControllerState]):
             safe=safe,
         )
 
-    def believe(self, frame: Frame) -> Belief:
-        """The belief after the first frame of a swimmer that rests.
+    @property
+    def first_frame(self) -> Frame:
+        """The start of the task, as it would be seen without an error."""
+        start = np.asarray(self.task.start[:2], float)
+        return Frame(0.0, start, self.task.position_sd, np.zeros(2))
 
-        Args:
-            frame: the first one.
-        """
+    def believe(self, frame: Frame) -> Belief:
+        """The belief after the first frame of a swimmer that rests."""
         if self.known is not None:
             return self.known.restart(frame, speed_sd=self.rest_sd(frame))
         return Belief.start(
@@ -228,9 +226,6 @@ class AdaptiveController(AbstractController[ControllerState]):
         """Standard deviation of a component of a resting swimmer's velocity [L T⁻¹].
 
         In a tenth of the time to cross the arena it goes as far as positions err.
-
-        Args:
-            frame: the first one.
         """
         return 10 * frame.sd / self.crossing
 
@@ -252,12 +247,7 @@ class AdaptiveController(AbstractController[ControllerState]):
     def begin(
         self, belief: Belief, pending: Float[Array, "command 2"]
     ) -> ControllerState:
-        """The memory before the first command; the first plan is complete.
-
-        Args:
-            belief: after the first frame.
-            pending: as in `Observation`.
-        """
+        """The memory before the first command; the first plan is complete."""
         tables = self.strategy.tables(belief, self.physics, self.thrust)
         state = belief.state.mean
         return ControllerState(
@@ -280,12 +270,7 @@ class AdaptiveController(AbstractController[ControllerState]):
     def learn(
         self, memory: ControllerState, observation: Observation
     ) -> ControllerState:
-        """The memory after a frame: its belief, and the plan where one is due.
-
-        Args:
-            memory: before it.
-            observation: a control step after the last one.
-        """
+        """The memory after a frame: its belief, and the plan where one is due."""
         began = time.perf_counter()
         queue = jnp.concatenate([memory.pending[:1], observation.pending])
         frame = self._frame(observation, mean_thrust(self.task, queue))

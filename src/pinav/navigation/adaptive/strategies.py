@@ -1,15 +1,25 @@
-"""Plans under uncertainty: the price of a unit of time where the force is unknown."""
+"""The known motion of a belief, its plans under uncertainty, and progress."""
 
 import abc
+import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
-from pinav.navigation.belief.belief import Belief
-from pinav.navigation.model.tables import FieldTable, Grid
-from pinav.navigation.model.tabulated import TabulatedModel
+from pinav.navigation.belief.belief import Belief, Frame
+from pinav.navigation.belief.kernel_filter import KernelFilter
+from pinav.navigation.belief.motion import (
+    AbstractMotion,
+    InertialMotion,
+    OverdampedMotion,
+    Vector,
+)
+from pinav.navigation.predictors import InertialTable, TabulatedModel
+from pinav.navigation.tables import FieldTable, Grid
+from pinav.navigation.task.task import Task
 
 DRAWS = 12
 """Draws of the force from which its standard deviation on a map is taken."""
@@ -32,13 +42,7 @@ class AbstractStrategy(eqx.Module):
     def tables(
         self, belief: Belief, physics: TabulatedModel, thrust: float
     ) -> TabulatedModel:
-        """Tables of the mean force, with a price where it is not known.
-
-        Args:
-            belief: belief at the moment.
-            physics: tables without the environment.
-            thrust: greatest rate that the thrust gives.
-        """
+        """Tables of the mean force, with a price where it is not known."""
 
 
 class MeanForce(AbstractStrategy):
@@ -116,12 +120,7 @@ def mean_and_spread(
 def with_force(
     physics: TabulatedModel, force: Float[np.ndarray, "x y 2"]
 ) -> TabulatedModel:
-    """Tables with a force, or a velocity, added to what is known.
-
-    Args:
-        physics: tables without the environment.
-        force: on their grid.
-    """
+    """Tables with a force, or a velocity, added to what is known."""
     values = np.array(physics.table.values)
     values[..., :2] += force
     table = FieldTable(physics.table.grid, jnp.asarray(values))
@@ -146,3 +145,103 @@ def with_spread(
         model,
         (spread, jnp.asarray(price)),
     )
+
+
+def motion_of(task: Task, physics: TabulatedModel) -> AbstractMotion:
+    """The motion of a belief: its drag is the mean over arena and directions."""
+    if isinstance(physics.predictor, InertialTable):
+        drag = np.asarray(physics.table.values[0, ..., 2:]).reshape(-1, 2, 2)
+        return InertialMotion(float(np.mean(np.trace(drag.T))) / 2, task.noise)
+    return OverdampedMotion(task.noise)
+
+
+def with_known(frame: Frame, belief: Belief, physics: TabulatedModel) -> Frame:
+    """A frame whose thrust is all that is known of the rate since the last one."""
+    elapsed = frame.time - belief.time
+    rate = known_rate(belief.best, frame.thrust, elapsed, physics)
+    return dataclasses.replace(frame, thrust=rate)
+
+
+def known_rate(
+    before: KernelFilter, thrust: Vector, elapsed: float, physics: TabulatedModel
+) -> Vector:
+    r"""Known rate of the velocity, or of the position without inertia.
+
+    A table of the known physics holds the rate at rest a and a matrix D or M at each
+    place. With the thrust u and the drag $\gamma$ of the motion, the known rate is
+    $a + u - (D - \gamma)\,v$ with inertia and $a + M u$ without, at the middle of the
+    way as it was believed.
+    """
+    motion, state = before.motion, before.state
+    dim = motion.dim_of(state)
+    inertial = isinstance(motion, InertialMotion)
+    velocity = state[dim:] if inertial else np.zeros(dim)
+    middle = state[:dim] + velocity * elapsed / 2
+    values = np.asarray(_at(physics.table, jnp.asarray(middle)), float)
+    rate, matrix = values[:dim], values[dim:].reshape(dim, dim)
+    if inertial:
+        return rate + thrust - (matrix - motion.damping * np.eye(dim)) @ velocity
+    return rate + matrix @ thrust
+
+
+@eqx.filter_jit
+def _at(table: FieldTable, x: Float[Array, " dim"]) -> Float[Array, " channel"]:
+    return table(jnp.zeros(()), x)
+
+
+CLOCK = 1e-6
+"""Times that are nearer than this are one [T]."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Progress:
+    """Places where a swimmer was, and the time since it came to a new one.
+
+    A place is new if it is far from all places where the swimmer was. Who hovers comes
+    nowhere new, and neither does who goes to and fro, however fast. Who goes back out
+    of a dead end does not either, but as it believes the goal comes nearer.
+
+    Attributes:
+        length: distance from old places that makes a place new [L].
+        places: old ones, that far apart.
+        since: when it came to the last of them, nearer, or became bolder [T].
+        state: in which it was then.
+        patience: stalled is who came nowhere new in so long [T], and not nearer by half
+            of it.
+        boldness: how often the patience ended so far.
+        stalled: whether it has ended since the swimmer came to a new place.
+    """
+
+    length: float
+    places: Float[np.ndarray, "place 2"]
+    since: float
+    state: Float[np.ndarray, " state"]
+    patience: float
+    boldness: int = 0
+    stalled: bool = False
+
+    def after(
+        self,
+        time: float,
+        state: Float[np.ndarray, " state"],
+        time_to_go: Callable[[Float[np.ndarray, " state"]], float],
+    ) -> "Progress":
+        """The progress a frame later.
+
+        Args:
+            time: time of the frame [T].
+            state: state of the swimmer, its position first.
+            time_to_go: from a state, as the last plan has it [T]. Old and new state are
+                compared by one plan, because what is learned changes all of them.
+        """
+        place = state[None, :2]
+        new = np.min(np.linalg.norm(self.places - place, axis=1)) > self.length
+        if not new and time - self.since < self.patience - CLOCK:
+            return self
+        places = np.concatenate([self.places, place]) if new else self.places
+        gained = time_to_go(self.state) - time_to_go(state)
+        stalled = not new and bool(gained < self.patience / 2)
+        boldness = self.boldness + stalled
+        return Progress(
+            self.length, places, time, state, self.patience, boldness, stalled
+        )

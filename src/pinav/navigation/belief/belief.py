@@ -75,7 +75,6 @@ class StateEstimate:
 
     Attributes:
         mean: (x, v) or x.
-        covariance: covariance of the mean.
     """
 
     mean: Float[np.ndarray, " state"]
@@ -91,9 +90,6 @@ class Belief:
     leader is the most probable one, but for a nat.
 
     Attributes:
-        time: time of the last frame [T].
-        filters: the bank.
-        leader: which of them leads.
         count: frames so far.
         longest: longest step of a prediction [T].
     """
@@ -256,13 +252,7 @@ class Belief:
     def samples(
         self, axes: Sequence[Float[np.ndarray, " _"]], count: int, *, seed: int
     ) -> Float[np.ndarray, "{count} ... dim"]:
-        """Draws of the force at the points of a lattice, in no order.
-
-        Args:
-            axes: coordinates along each axis [L].
-            count: number of draws.
-            seed: seed of the random numbers.
-        """
+        """Draws of the force at the points of a lattice, in no order."""
         draws = self._draw_weights(count, seed)
         parts = [one.kernels.on_axes(axes, weights) for one, weights in draws]
         return np.concatenate(parts)
@@ -270,13 +260,7 @@ class Belief:
     def samples_at(
         self, positions: Points, count: int, *, seed: int
     ) -> Float[np.ndarray, "{count} point dim"]:
-        """Draws of the force at positions [L], in no order.
-
-        Args:
-            positions: any number of positions [L].
-            count: number of draws.
-            seed: seed of the random numbers.
-        """
+        """Draws of the force at positions [L], in no order."""
         draws = self._draw_weights(count, seed)
         parts = [
             np.einsum("pdw,kw->kpd", one.kernels.basis(positions), weights)

@@ -33,11 +33,7 @@ Axis = Float[np.ndarray, " _"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GivenForce(AbstractKernels):
-    """One planar force with one weight, its factor; the grid spans the arena.
-
-    Attributes:
-        splines: of each component.
-    """
+    """One planar force with one weight, its factor; the grid spans the arena."""
 
     splines: tuple[RectBivariateSpline, RectBivariateSpline]
 
@@ -45,12 +41,7 @@ class GivenForce(AbstractKernels):
     def of(
         cls, axes: tuple[Axis, Axis], force: Float[np.ndarray, "x y 2"]
     ) -> "GivenForce":
-        """The force whose values on a lattice are given.
-
-        Args:
-            axes: coordinates of the lattice [L].
-            force: on it.
-        """
+        """The force whose values on a lattice are given."""
         lower = np.array([along[0] for along in axes])
         grid = KernelGrid(lower, float(axes[0][-1] - axes[0][0]), (2, 2))
         x, y = (RectBivariateSpline(*axes, force[..., k]) for k in range(2))
@@ -59,10 +50,6 @@ class GivenForce(AbstractKernels):
     @property
     def size(self) -> int:
         return 1
-
-    @property
-    def gain(self) -> float:
-        return 1.0
 
     def at(self, x: Float[np.ndarray, " dim"]) -> Local:
         parts = [(0, 0), (1, 0), (0, 1)]
@@ -91,15 +78,7 @@ def take_for_granted(
     speed_sd: float = 0.1,
     longest: float = 0.1,
 ) -> Belief:
-    """The belief of one who knows the force: what it learns is the state.
-
-    Args:
-        force: the force.
-        frame: the first one.
-        motion: what is known of the dynamics.
-        speed_sd: standard deviation of each component of the first velocity.
-        longest: longest step of a prediction [T].
-    """
+    """The belief of one who knows the force: what it learns is the state."""
     assert frame.position is not None
     state, spread = motion.start(frame.position, frame.sd, speed_sd)
     empty = WeightPosterior.before_data(1, len(state), 0.0).reach(np.zeros(1, int))
@@ -117,12 +96,7 @@ FELT = 3e-4
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CorrectedForce(AbstractKernels):
-    """Kernels that correct a given force, whose factor is the last weight.
-
-    Attributes:
-        kernels: of the correction; on the same grid.
-        given: the force.
-    """
+    """Kernels that correct a given force, whose factor is the last weight."""
 
     kernels: AbstractKernels
     given: GivenForce
@@ -130,10 +104,6 @@ class CorrectedForce(AbstractKernels):
     @property
     def size(self) -> int:
         return self.kernels.size + 1
-
-    @property
-    def gain(self) -> float:
-        return self.kernels.gain
 
     def at(self, x: Float[np.ndarray, " dim"]) -> Local:
         near, given = self.kernels.at(x), self.given.at(x)
@@ -159,7 +129,6 @@ class BeliefPrior:
     """The force of an earlier fit, and how well its data told it.
 
     Attributes:
-        force: as it was fitted.
         places: where there were data [L].
         covariance: of the components of its error there, place by place.
     """
@@ -174,9 +143,6 @@ class BeliefPrior:
         The force is corrected by the kernels of the bank under which it is most
         probable. The filters that know nothing stay in the bank: where the surroundings
         are no longer those of the fit, their evidence will be better.
-
-        Args:
-            belief: belief after one frame.
         """
         densities = [self._log_density(one) for one in belief.filters]
         likely = belief.filters[int(np.argmax(densities))]
@@ -186,11 +152,7 @@ class BeliefPrior:
         return dataclasses.replace(belief, filters=filters, leader=0)
 
     def _log_density(self, before: KernelFilter) -> float:
-        """Log density of the fitted force at the places, by a filter; a constant off.
-
-        Args:
-            before: a filter that knows nothing.
-        """
+        """Log density of the fitted force by a filter; a constant off."""
         root = np.linalg.cholesky(self._variance(self._columns(before)))
         force = self.force.basis(self.places).ravel()
         surprise = solve_triangular(root, force, lower=True)
@@ -206,11 +168,7 @@ class BeliefPrior:
         return columns @ columns.T + self.covariance
 
     def _correct(self, before: KernelFilter) -> KernelFilter:
-        """The filter of the correction of the force.
-
-        Args:
-            before: a filter that knows nothing.
-        """
+        """The filter of the correction of the force."""
         kernels, sd = before.kernels, before.weights.prior_sd
         columns = self._columns(before)
         felt = np.flatnonzero(np.max(np.abs(columns), axis=0) > FELT * sd)

@@ -58,13 +58,7 @@ class WeightPosterior:
 
     @classmethod
     def before_data(cls, size: int, states: int, prior_sd: float) -> "WeightPosterior":
-        """No weight was reached.
-
-        Args:
-            size: number of weights of the grid.
-            states: components of the state.
-            prior_sd: prior standard deviation of every weight.
-        """
+        """No weight was reached."""
         none = np.zeros(0, int)
         return cls(
             prior_sd,
@@ -162,11 +156,8 @@ class KernelFilter:
     """State and force for one kind of kernels and one length scale.
 
     Attributes:
-        kernels: what stands for the force.
-        motion: what is known.
         state: mean.
         spread: covariance $P_{yy}$ of the state.
-        weights: of the kernels.
         log_evidence: logarithm of the density of all positions so far.
     """
 
@@ -178,12 +169,7 @@ class KernelFilter:
     log_evidence: float = 0.0
 
     def predict(self, thrust: Vector, duration: float) -> "KernelFilter":
-        """Moved on by a step.
-
-        Args:
-            thrust: known acceleration, or velocity where there is no inertia.
-            duration: duration of the step [T].
-        """
+        """Moved on by a step."""
         surroundings = ExpectedForce(self.kernels, self.weights)
         move = self.motion.step(self.state, surroundings, thrust, duration)
         local = surroundings.local
@@ -203,12 +189,7 @@ class KernelFilter:
         )
 
     def update(self, position: Vector, sd: float) -> "KernelFilter":
-        """With an observed position.
-
-        Args:
-            position: [L].
-            sd: standard deviation of each coordinate [L].
-        """
+        """With an observed position."""
         dim, weights = len(position), self.weights
         error = position - self.state[:dim]
         observed = self.spread[:dim, :dim] + sd**2 * np.eye(dim)
@@ -282,12 +263,7 @@ class KernelFilter:
     def sample_weights(
         self, count: int, seed: int
     ) -> Float[np.ndarray, "{count} weight"]:
-        """Draws of every weight of the grid.
-
-        Args:
-            count: number of draws.
-            seed: seed of the random numbers.
-        """
+        """Draws of every weight of the grid."""
         random, weights = np.random.default_rng(seed), self.weights
         numbers = random.standard_normal((count, self.kernels.size))
         draws, members = weights.prior_sd * numbers, weights.members

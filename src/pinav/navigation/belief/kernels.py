@@ -44,7 +44,6 @@ class KernelGrid:
     Attributes:
         lower: first centre [L].
         width: b, spacing of the centres and width of the kernels [L].
-        shape: centres along each axis.
     """
 
     lower: Float[np.ndarray, " dim"]
@@ -117,11 +116,7 @@ class KernelGrid:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AbstractKernels(abc.ABC):
-    """A kind of force, as kernels on a grid.
-
-    Attributes:
-        grid: where the kernels stand.
-    """
+    """A kind of force, as kernels on a grid."""
 
     grid: KernelGrid
 
@@ -129,11 +124,6 @@ class AbstractKernels(abc.ABC):
     @abc.abstractmethod
     def size(self) -> int:
         """Number of weights."""
-
-    @property
-    @abc.abstractmethod
-    def gain(self) -> float:
-        """Standard deviation of each component for weights of the deviation one."""
 
     @abc.abstractmethod
     def at(self, x: Float[np.ndarray, " dim"]) -> Local:
@@ -149,12 +139,7 @@ class AbstractKernels(abc.ABC):
         axes: Sequence[Float[np.ndarray, " _"]],
         weights: Float[np.ndarray, "... weight"],
     ) -> Float[np.ndarray, "... dim"]:
-        """Force at the points of a lattice, axis by axis.
-
-        Args:
-            axes: coordinates of the lattice along each axis [L].
-            weights: of one force or of several.
-        """
+        """Force at the points of a lattice, axis by axis."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -167,6 +152,7 @@ class PotentialKernels(AbstractKernels):
 
     @property
     def gain(self) -> float:
+        """Standard deviation of each component for weights of the deviation one."""
         steps = np.arange(-8.0, 9.0)
         plain = np.sum(np.exp(-(steps**2)))
         sloped = np.sum(steps**2 * np.exp(-(steps**2)))
@@ -209,6 +195,7 @@ class FreeKernels(AbstractKernels):
 
     @property
     def gain(self) -> float:
+        """Standard deviation of each component for weights of the deviation one."""
         steps = np.arange(-8.0, 9.0)
         return math.sqrt(np.sum(np.exp(-(steps**2))) ** len(self.grid.shape))
 

@@ -21,7 +21,6 @@ class Transition:
     """A step, linearised.
 
     Attributes:
-        state: after it.
         slope: A, change of it by the state before.
         by_force: change of it by the force at `middle`.
         middle: where the force was asked for [L].

@@ -1,26 +1,36 @@
-"""The controller that a task gets unless another is asked for."""
+r"""The controller of a task, and what wraps it: for delays and noisy sensors.
 
+Each wrapper gives the controller inside a better observation: the state when the
+command will come into force, or the one that explains what was seen.
+"""
+
+import math
 from collections.abc import Sequence
+from typing import Generic, TypeVar
 
-from pinav.navigation.control.compensation import (
-    DelayCompensation,
-    DriftEstimation,
-    Timing,
-)
-from pinav.navigation.control.controller import AbstractController
-from pinav.navigation.control.mppi import GradientMPC, PathIntegral
-from pinav.navigation.control.prediction import (
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+
+from pinav.arguments import Scalar, State
+from pinav.navigation.control.controller import (
+    AbstractController,
     ArrivalCost,
     GradientGuide,
+    Observation,
     TrackingCost,
     TrajectoryPrediction,
 )
-from pinav.navigation.model.predictors import AbstractPredictor, Drifting
-from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
+from pinav.navigation.control.mppi import GradientMPC, PathIntegral
 from pinav.navigation.planning.plan import check_places, time_to_go
-from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.steering import SteeredSwimmer
-from pinav.navigation.task.task import Task
+from pinav.navigation.predictors import (
+    AbstractPredictor,
+    TabulatedModel,
+    tabulate_model,
+)
+from pinav.navigation.task.steering import Command, SteeredSwimmer
+from pinav.navigation.task.task import ReachGoal, Task
 
 
 def controller(
@@ -29,13 +39,12 @@ def controller(
     *,
     samples: Sequence[SteeredSwimmer] = (),
     risk_aversion: float = 4.0,
-    drift: float | None = None,
 ) -> AbstractController:
     """Plan and control a task with a model: the truth of the task is not used.
 
     To reach a place: path integral control towards the plan's time-to-go. To follow a
-    path: shooting. Both inside a filter of drift and sensor noise where the task has a
-    noisy sensor or a `drift` is given, and a compensation of the delay if there is one.
+    path: shooting. Both inside a filter where the task has a noisy sensor, and a
+    compensation of the delay if there is one.
 
     Args:
         task: what is to be done, and within which limits.
@@ -43,55 +52,45 @@ def controller(
         samples: of the model's posterior, none or at least two: where they disagree,
             time costs more.
         risk_aversion: cost of time where their spread is as great as the thrust.
-        drift: standard deviation of a constant rate that the model does not know, and
-            that is estimated on the way [L T⁻¹], or [L T⁻²] with inertia; 0 for none.
-            Unless given, none.
 
     Raises:
         InputError: the task cannot be done with the model: see `time_to_go`.
     """
     check_places(task)
     tables = tabulate_model(task, model, samples=samples, risk_aversion=risk_aversion)
-    filtered = task.sensor_noise > 0 or bool(drift)
     predictor = tables.predictor
-    if filtered:
-        predictor = Drifting(predictor, task.dim)
-    steered = _undelayed_controller(task, model, tables, predictor)
+    steered = _undelayed_controller(task, model, tables)
     timing = Timing(task.step, task.delay)
     # The filter stands outside: it must see observations as they are, not ahead.
     if task.delay > 0:
         steered = DelayCompensation(steered, predictor, timing)
-    if filtered:
-        steered = DriftEstimation(
+    if task.sensor_noise > 0:
+        steered = StateEstimation(
             steered,
             predictor,
             timing,
-            dim=task.dim,
             noise=task.noise,
             sensor_noise=task.sensor_noise,
-            prior=drift or 0.0,
+            dim=task.dim,
         )
     return steered
 
 
 def _undelayed_controller(
-    task: Task,
-    model: SteeredSwimmer,
-    tables: TabulatedModel,
-    predictor: AbstractPredictor,
+    task: Task, model: SteeredSwimmer, tables: TabulatedModel
 ) -> AbstractController:
     """The controller without delay and with a good sensor."""
+
+    def predict(steps: int) -> TrajectoryPrediction:
+        return TrajectoryPrediction(
+            tables.predictor, tables.control_map, task.step, steps
+        )
+
     if isinstance(task.objective, ReachGoal):
         plan = time_to_go(task, model, tables=tables)
-        prediction = TrajectoryPrediction(
-            predictor, tables.control_map, task.step, STEPS
-        )
-        return PathIntegral(prediction, ArrivalCost(plan), GradientGuide(plan))
-    prediction = TrajectoryPrediction(
-        predictor, tables.control_map, task.step, TRACKING_STEPS
-    )
+        return PathIntegral(predict(STEPS), ArrivalCost(plan), GradientGuide(plan))
     cost = TrackingCost(task.objective, tables.time_cost)
-    return GradientMPC(prediction, cost)
+    return GradientMPC(predict(TRACKING_STEPS), cost)
 
 
 STEPS = 20
@@ -99,3 +98,169 @@ STEPS = 20
 
 TRACKING_STEPS = 10
 """Steps that the control of a path looks ahead."""
+
+
+Inner = TypeVar("Inner", bound=PyTree)
+
+
+class Timing(eqx.Module):
+    """Times at which commands come into force.
+
+    Attributes:
+        step: how long a command holds [T].
+        delay: from a command until it is in force [T].
+    """
+
+    step: float = eqx.field(static=True)
+    delay: float = eqx.field(static=True)
+
+    @property
+    def remainder(self) -> float:
+        """Time for which the oldest pending command stays in force [T]."""
+        # Less a little, so that rounding does not add a step to a delay of whole ones.
+        whole = max(math.ceil(self.delay / self.step - 1e-9), 1)
+        return max(self.delay - (whole - 1) * self.step, 0.0)
+
+    @property
+    def rest(self) -> float:
+        """Rest of a control step when the oldest one has passed [T]."""
+        rest = self.step - self.remainder
+        return rest if rest > 1e-9 * self.step else 0.0
+
+    def predict(
+        self, predictor: AbstractPredictor, observation: Observation
+    ) -> Observation:
+        """The observation when the next command comes into force."""
+        pending = observation.pending
+        durations = jnp.full(pending.shape[0], self.step).at[0].set(self.remainder)
+
+        def move(
+            carry: tuple[Scalar, State], inputs: tuple[Command, Scalar]
+        ) -> tuple[tuple[Scalar, State], None]:
+            t, y = carry
+            command, duration = inputs
+            return (t + duration, predictor.step(t, y, command, duration)), None
+
+        time = jnp.asarray(observation.time, observation.state.dtype)
+        begin = (time, observation.state)
+        (t, y), _ = jax.lax.scan(move, begin, (pending, durations))
+        return Observation(t, y, pending[-1:])
+
+
+class DelayCompensation(AbstractController[Inner], Generic[Inner]):
+    """Lets a controller decide for the moment when its command comes into force.
+
+    Until then the swimmer does what was commanded before: a model says where it will
+    be. Without noise, and with a true model, the delay then costs nothing but its first
+    moments.
+    """
+
+    controller: AbstractController[Inner]
+    predictor: AbstractPredictor
+    timing: Timing
+
+    def start(self, observation: Observation) -> Inner:
+        return self.controller.start(self.timing.predict(self.predictor, observation))
+
+    def __call__(
+        self, observation: Observation, memory: Inner, *, key: PRNGKeyArray
+    ) -> tuple[Command, Inner]:
+        ahead = self.timing.predict(self.predictor, observation)
+        return self.controller(ahead, memory, key=key)
+
+
+class FilterState(eqx.Module, Generic[Inner]):
+    """Memory of a filter.
+
+    Attributes:
+        mean: mean of the state after the last observation.
+        command: the one in force when it was observed.
+        time: time of the last observation [T].
+        inner: memory of the controller inside.
+    """
+
+    mean: State
+    covariance: Float[Array, "state state"]
+    command: Command
+    time: Float[Array, ""]
+    inner: Inner
+
+
+class StateEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
+    r"""Estimates the state from noisy observations, by an extended Kalman filter.
+
+    Attributes:
+        noise: strength of the white noise, as in `Task`.
+        sensor_noise: standard deviation of each observed component.
+        dim: components of the velocity, or without inertia of the position.
+
+    References:
+        Jazwinski, Stochastic Processes and Filtering Theory (1970), ch. 8.
+    """
+
+    controller: AbstractController[Inner]
+    predictor: AbstractPredictor
+    timing: Timing
+    noise: float
+    sensor_noise: float
+    dim: int = eqx.field(static=True, default=2)
+
+    def start(self, observation: Observation) -> FilterState[Inner]:
+        mean = observation.state
+        covariance = jnp.diag(jnp.full(len(mean), self.sensor_noise**2, mean.dtype))
+        time = jnp.asarray(observation.time, mean.dtype)
+        inner = self.controller.start(Observation(time, mean, observation.pending))
+        return FilterState(mean, covariance, observation.pending[0], time, inner)
+
+    def __call__(
+        self, observation: Observation, memory: FilterState[Inner], *, key: PRNGKeyArray
+    ) -> tuple[Command, FilterState[Inner]]:
+        mean, covariance = self._update(observation, memory)
+        observed = Observation(observation.time, mean, observation.pending)
+        command, inner = self.controller(observed, memory.inner, key=key)
+        time = jnp.asarray(observation.time, mean.dtype)
+        belief = FilterState(mean, covariance, observation.pending[0], time, inner)
+        return command, belief
+
+    def _update(
+        self, observation: Observation, memory: FilterState[Inner]
+    ) -> tuple[State, Float[Array, "state state"]]:
+        """Mean and covariance after an observation; as they were at the first one."""
+        mean, covariance = self._predict(observation, memory)
+        error = self.sensor_noise**2 + LEAST * jnp.diag(covariance)
+        gain = jnp.linalg.solve(covariance + jnp.diag(error), covariance).T
+        new = mean + gain @ (observation.state - mean)
+        spread = covariance - gain @ covariance
+        # Rounding makes the difference lopsided, and later steps would amplify that.
+        spread = (spread + spread.T) / 2
+        first = observation.time <= memory.time
+        return (
+            jnp.where(first, memory.mean, new),
+            jnp.where(first, memory.covariance, spread),
+        )
+
+    def _predict(
+        self, observation: Observation, memory: FilterState[Inner]
+    ) -> tuple[State, Float[Array, "state state"]]:
+        """Mean and covariance one step on, under the commands that were in force."""
+        first, second = self.timing.remainder, self.timing.rest
+
+        def onward(mean: State) -> tuple[State, State]:
+            t, moved = memory.time, mean
+            if first > 0:
+                moved = self.predictor.step(t, moved, memory.command, first)
+            if second > 0:
+                command = observation.pending[0]
+                moved = self.predictor.step(t + first, moved, command, second)
+            return moved, moved
+
+        # Forward mode, for few inputs; the step itself comes out beside its slope.
+        slope, mean = jax.jacfwd(onward, has_aux=True)(memory.mean)
+        moved = jnp.arange(len(mean)) >= len(mean) - self.dim
+        kicks = jnp.where(moved, self.noise**2 * self.timing.step, 0.0)
+        return mean, slope @ memory.covariance @ slope.T + jnp.diag(kicks)
+
+
+LEAST = 1e-6
+"""Share of its variance that is added to each component, so that matrices can be
+inverted, whatever the units."""

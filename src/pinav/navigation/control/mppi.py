@@ -19,15 +19,13 @@ from pinav.arguments import Scalar, check_positive
 from pinav.errors import InputError
 from pinav.navigation.control.controller import (
     AbstractController,
-    Controls,
-    Observation,
-)
-from pinav.navigation.control.prediction import (
     AbstractCost,
     AbstractGuide,
+    Controls,
+    Observation,
     TrajectoryPrediction,
 )
-from pinav.navigation.model.predictors import within_ball
+from pinav.navigation.predictors import within_ball
 from pinav.navigation.task.steering import Command, direction
 
 
@@ -42,8 +40,6 @@ class PathIntegral(AbstractController[Controls]):
     trap.
 
     Attributes:
-        prediction: what follows from a sequence, and the steps it has.
-        cost: cost of a course.
         guide: proposes a further sequence in each step, or None.
         samples: random sequences in each round, at least 2.
         rounds: of improvement in a step, positive.
@@ -156,7 +152,6 @@ class GradientMPC(AbstractController[Controls]):
     met is the answer. Kept sequences are moved on by one from step to step.
 
     Attributes:
-        prediction: what follows from a sequence, and the steps it has.
         cost: of a course; differentiable almost everywhere.
         guide: proposes a further sequence in each step, or None.
         iterations: steps of descent, positive.

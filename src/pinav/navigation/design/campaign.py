@@ -7,24 +7,32 @@ and the campaign ends when the force along that way is known well enough.
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from pinav.dynamics import (
+    OverdampedSwimmer,
+    Swimmer,
+    drive_by_commands,
+)
 from pinav.errors import InputError
-from pinav.navigation.adaptive.known import with_known
-from pinav.navigation.adaptive.scores import true_force
+from pinav.navigation.adaptive.flight import true_force
 from pinav.navigation.adaptive.steering import AdaptiveController
-from pinav.navigation.adaptive.strategies import MeanForce
+from pinav.navigation.adaptive.strategies import MeanForce, with_known
 from pinav.navigation.belief.belief import Belief, Frame
-from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
-from pinav.navigation.design.choices import AbstractDesign, Stage
-from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.task import Rectangle, Task
+from pinav.navigation.design.candidates import (
+    AbstractDesign,
+    CandidateTrajectories,
+    Experiment,
+    Stage,
+)
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task
 from pinav.navigation.trials.situation import advance_compiled, begin, mean_thrust
+from pinav.trajectories import Trajectories, Trajectory
 
 DRAWS = 100
 """Draws of the force whose errors decide whether a way is known."""
@@ -47,7 +55,6 @@ class Decision:
 
     Attributes:
         way: the planned one [L]; the straight line where no plan arrives.
-        arrives: whether the plan arrives at the goal.
         error: bound of the relative error of the force along the way, which holds with
             a probability of 95 %.
         true_error: the relative error itself, where the truth is known.
@@ -71,7 +78,6 @@ class Campaign:
         accuracy: relative error of the force that was asked for.
         paths: true positions of each trajectory [L].
         decisions: before the first trajectory and after each.
-        belief: belief at the end.
     """
 
     accuracy: float
@@ -120,9 +126,7 @@ def run_campaign(
     if most < 1:
         raise InputError(f"most: expected 1 or more, got {most}")
     task = adaptive.task
-    start = np.asarray(task.start[:2], float)
-    first = Frame(0.0, start, task.position_sd, np.zeros(2))
-    belief = adaptive.believe(first)
+    belief = adaptive.believe(adaptive.first_frame)
     decisions, paths = [decide(adaptive, belief)], []
     for count in range(most):
         choose, noise = jax.random.split(jax.random.fold_in(key, count))
@@ -139,13 +143,7 @@ def run_campaign(
 
 
 def record_positions(task: Task, region: Rectangle, duration: float) -> Experiment:
-    """The experiment of a task whose positions alone are observed.
-
-    Args:
-        task: which states the error of a position.
-        region: region in which swimmers are released.
-        duration: duration of a trajectory [T].
-    """
+    """The experiment of a task whose positions alone are observed."""
     knot = max(duration / KNOTS, task.step)
     noise = np.full(len(task.start), np.inf)
     noise[:2] = task.sensor_noise
@@ -169,12 +167,6 @@ def record(
     key: PRNGKeyArray,
 ) -> tuple[list[Frame], Float[np.ndarray, "time 2"]]:
     """A trajectory of the true swimmer, until it leaves the arena.
-
-    Args:
-        task: the truth, its noise, and what is forbidden.
-        experiment: its recording.
-        candidate: a single one.
-        key: random key of the noise.
 
     Returns:
         Its frames, and the true positions then [L].
@@ -248,10 +240,6 @@ def decide(adaptive: AdaptiveController, belief: Belief) -> Decision:
 
     The error of a draw F of the belief is $|F - \bar F| / |F|$, root sums of squares
     over the way; the bound is its quantile of 95 %.
-
-    Args:
-        adaptive: the task and its planner.
-        belief: belief on the force.
     """
     task = adaptive.task
     tables = MeanForce().tables(belief, adaptive.physics, adaptive.thrust)
@@ -283,3 +271,62 @@ def _equally_spaced(points: Way) -> Float[np.ndarray, "way 2"]:
     along = np.concatenate([[0.0], np.cumsum(steps)])
     asked = np.linspace(0.0, along[-1], WAY_POINTS)
     return np.stack([np.interp(asked, along, axis) for axis in points.T], axis=1)
+
+
+SPEED = 2.0
+"""Standard deviation of the first velocity, over the mean speed of a trajectory."""
+
+
+def believe_data(
+    adaptive: AdaptiveController,
+    swimmer: Swimmer | OverdampedSwimmer,
+    data: Trajectories,
+    position_noise: float,
+) -> Belief:
+    """The belief on the force after recorded trajectories.
+
+    Args:
+        adaptive: the task, and what is known of the swimmer.
+        swimmer: whose propulsion drove the trajectories, by their commands where it
+            takes any.
+        data: the trajectories; their positions alone are used.
+        position_noise: standard deviation of each coordinate [L].
+
+    Raises:
+        InputError: a trajectory has fewer than two observed positions.
+    """
+    belief: Belief | None = None
+    for number, piece in enumerate(data):
+        frames = list(frames_of(swimmer, piece, position_noise))
+        if len(frames) < 2:
+            raise InputError(
+                f"data: trajectory {number} has fewer than two observed positions; "
+                "leave it out"
+            )
+        places = [f.position for f in frames if f.position is not None]
+        moved = np.linalg.norm(np.diff(np.stack(places), axis=0), axis=1)
+        speed = SPEED * float(np.sum(moved)) / (frames[-1].time - frames[0].time)
+        sd = max(speed, adaptive.rest_sd(frames[0]))
+        if belief is None:
+            belief = adaptive.believe(frames[0])
+        belief = learn(adaptive, belief, frames, sd)
+    assert belief is not None
+    return belief
+
+
+def frames_of(
+    swimmer: Swimmer | OverdampedSwimmer, piece: Trajectory, position_noise: float
+) -> Iterator[Frame]:
+    """The observed positions of a trajectory, with the thrust before each."""
+    driven = drive_by_commands(swimmer, piece)
+    seen = np.flatnonzero(piece.observed[:, :2].all(axis=1))
+    last = None
+    for k in seen:
+        time, position = float(piece.times[k]), piece.states[k, :2]
+        thrust = np.zeros(2)
+        if last is not None:
+            middle = jnp.asarray((last + time) / 2)
+            x = jnp.asarray(position)
+            thrust = np.asarray(driven.propulsion(middle, x, jnp.zeros_like(x)), float)
+        yield Frame(time, position, position_noise, thrust)
+        last = time

@@ -8,72 +8,39 @@ are the derivatives of its samples by the parameters, its start eliminated; what
 is the mean of the variances on the diagonal of $G C' G^\top$, with the derivatives $G$
 of the force along the way.
 
+A fit of few trajectories can be sure of more than it may be: its kernels end not far
+from the data, and its evidence may have found that forces fade away from there. Before
+one asks where to go next, such certainty is put aside: to the fitted force is added a
+Gaussian process, with a potential of mean zero, which fills the arena with forces of a
+given strength and is then conditioned on the data.
+
 References:
     MacKay, Neural Computation 4, 590 (1992); Chaloner and Verdinelli, Statistical
     Science 10, 273 (1995).
 """
 
 import math
-from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
 
-from pinav.arguments import Planar
-from pinav.dynamics import FixedStep
+from pinav.arguments import Planar, check_positive
+from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
+from pinav.fitting import Observations, Posterior, ravel_model
 from pinav.fitting.engine.constant_priors import ParametricModel
-from pinav.fitting.engine.multiple_shooting import eliminate, sensitivities
-from pinav.fitting.engine.posterior import Posterior
+from pinav.fitting.engine.multiple_shooting import eliminate, linearise, sensitivities
+from pinav.forces import KernelPotential, SumForce
 from pinav.navigation.design.candidates import (
     CandidateTrajectories,
     CommandedThrust,
     Experiment,
 )
 from pinav.navigation.task.task import Rectangle
-
-ExpectedSd = Callable[[CandidateTrajectories], float]
-"""Standard deviation of the force along a way that is expected after a single
-candidate; infinite where it should enter something forbidden."""
-
-
-def best_candidate(
-    expected_sd: ExpectedSd,
-    experiment: Experiment,
-    first: CandidateTrajectories,
-    *,
-    variations: int,
-    keys: Sequence[PRNGKeyArray],
-) -> tuple[CandidateTrajectories, float]:
-    """The candidate after which the force should be known best, and how well.
-
-    Args:
-        expected_sd: judges a candidate.
-        experiment: recording of the trajectories.
-        first: candidates of the first round.
-        variations: variations of the best one in each later round.
-        keys: random key of each later round.
-    """
-    best, least = _best(expected_sd, first)
-    for key in keys:
-        varied = experiment.vary(best, variations, key=key)
-        other, sd = _best(expected_sd, varied)
-        if sd < least:
-            best, least = other, sd
-    return best, least
-
-
-def _best(
-    expected_sd: ExpectedSd, candidates: CandidateTrajectories
-) -> tuple[CandidateTrajectories, float]:
-    """The candidate of the smallest expected standard deviation, and that."""
-    count = len(candidates.starts)
-    sds = [expected_sd(candidates[k]) for k in range(count)]
-    best = int(np.argmin(sds))
-    return candidates[best], sds[best]
+from pinav.trajectories import Trajectories
 
 
 class PosteriorInformation(eqx.Module):
@@ -81,10 +48,8 @@ class PosteriorInformation(eqx.Module):
 
     Attributes:
         free: swimmer as a function of its parameters; commands replace its propulsion.
-        theta: mean of the parameters.
         root: matrix whose product with its transpose is their covariance.
         way: points along which the force matters [L].
-        experiment: how candidates would be recorded.
         arena: what they should not leave, as far as the model knows.
     """
 
@@ -199,3 +164,106 @@ def _root(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n rank"]:
     values, vectors = np.linalg.eigh(covariance)
     kept = values > 1e-12 * max(values[-1], 0.0)
     return vectors[:, kept] * np.sqrt(values[kept])
+
+
+LENGTHS = 10
+"""Length scales along the longer side of an arena, unless one is given."""
+
+
+class PriorField(eqx.Module):
+    """The prior of forces where nobody was.
+
+    Attributes:
+        arena: where.
+        strength: standard deviation of each component [L T⁻²], positive; forces that
+            matter to a swimmer are about as strong as its thrust.
+        length: length scale of their potential [L]; a tenth of the arena's longer side
+            unless given.
+
+    Raises:
+        InputError: `strength` or `length` is not positive.
+    """
+
+    arena: Rectangle
+    strength: float
+    length: float | None = None
+
+    def __check_init__(self) -> None:
+        check_positive(self, "strength", "length")
+
+    def kernels(self) -> KernelPotential:
+        r"""Kernels whose independent weights make such a process, all zero.
+
+        Weights on a grid of spacing b under kernels of width b make a process of the
+        length scale $\sqrt2\, b$.
+        """
+        lower, upper = np.asarray(self.arena.lower), np.asarray(self.arena.upper)
+        length = self.length or float((upper - lower).max()) / LENGTHS
+        width = length / math.sqrt(2)
+        axes = [
+            np.linspace(a - width, b + width, math.ceil((b - a) / width) + 3)
+            for a, b in zip(lower, upper, strict=True)
+        ]
+        centers = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        return KernelPotential.with_zero_weights(centers, width)
+
+    def amplitude(self, kernels: KernelPotential) -> float:
+        """Standard deviation of the weights that gives the strength."""
+        middle = (self.arena.lower + self.arena.upper) / 2
+
+        def force(weights: Float[Array, " kernel"]) -> Planar:
+            filled = eqx.tree_at(lambda k: k.weights, kernels, weights)
+            return filled(0.0, middle, jnp.zeros_like(middle))
+
+        slopes = np.asarray(jax.jit(jax.jacfwd(force))(kernels.weights))
+        return self.strength / math.sqrt(np.mean(np.sum(slopes**2, axis=1)))
+
+
+def prior_uncertainty(
+    model: Swimmer | OverdampedSwimmer,
+    trajectories: Trajectories,
+    states: ArrayLike,
+    *,
+    noise: float,
+    prior: PriorField,
+    solver: FixedStep | None = None,
+) -> Posterior:
+    r"""Posterior of a force that is added to a fitted model's environment.
+
+    Its mean is zero: the fit is taken for the best guess. The covariance is
+    $(1/a^2 + H/\sigma^2)^{-1}$ with the sum of squares' $H$, starts eliminated.
+
+    Args:
+        model: the fitted swimmer.
+        trajectories: to which it was fitted.
+        states: smoothed states, as of `EvidenceFit.states`.
+        noise: $\sigma$ of the observations, positive.
+        prior: what forces there may be.
+        solver: steps between samples; `FixedStep()` unless given.
+
+    Raises:
+        InputError: `noise` is not positive.
+    """
+    if not noise > 0:
+        raise InputError(f"prior_uncertainty noise: expected > 0, got {noise}")
+    solver = FixedStep() if solver is None else solver
+    with jax.enable_x64(new_val=True):
+        kernels = prior.kernels()
+        environment = SumForce((model.environment, kernels))
+        wider = model.with_environment(environment)
+        free, theta = ravel_model(wider, lambda m: m.environment.terms[1].parameters)
+        observations = Observations.of(trajectories, jnp.float64)
+        linear = linearise(free, theta, jnp.asarray(states), observations, solver)
+        amplitude = prior.amplitude(kernels)
+    return Posterior(
+        free, np.asarray(theta), _weight_covariance(linear.hessian, noise, amplitude)
+    )
+
+
+def _weight_covariance(
+    hessian: Float[Array, "n n"], noise: float, amplitude: float
+) -> Float[np.ndarray, "n n"]:
+    """Covariance of the weights, given the data."""
+    values, vectors = np.linalg.eigh(np.asarray(hessian))
+    precision = amplitude**-2 + np.maximum(values, 0.0) / noise**2
+    return (vectors / precision) @ vectors.T

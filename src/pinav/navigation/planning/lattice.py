@@ -9,9 +9,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from pinav.arguments import Scalar, Vector
-from pinav.navigation.model.predictors import split_rates
-from pinav.navigation.model.tables import FieldTable, Grid
-from pinav.navigation.model.tabulated import TabulatedModel
 from pinav.navigation.planning.value_iteration import (
     CELLS,
     ArrivalTest,
@@ -25,8 +22,9 @@ from pinav.navigation.planning.value_iteration import (
     position_sweep,
     sweep_back,
 )
-from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.task import Rectangle, Task
+from pinav.navigation.predictors import TabulatedModel, split_rates
+from pinav.navigation.tables import FieldTable, Grid
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task
 
 Start = Float[Array, "moment ..."] | None
 """Values of a plan before, from which a steady model is swept on; zeros for None."""
@@ -121,12 +119,6 @@ def settled_values(
     What a search for the best steps does not know yet it learns from the next points
     only. The values of a grid with half as many points along each axis tell it at
     once, so that few searches are left.
-
-    Args:
-        table: of the model.
-        arrival: what the plan is about.
-        grid: the positions.
-        region: that it spans.
     """
     begin = None
     if math.prod(grid.shape) > FEW:

@@ -10,13 +10,6 @@ from jaxtyping import Array, Bool, Float
 
 from pinav.arguments import Scalar, State, Vector
 from pinav.errors import InputError
-from pinav.navigation.model.predictors import (
-    AbstractPredictor,
-    InertialTable,
-    entry_fraction,
-)
-from pinav.navigation.model.tables import Grid, place_words
-from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
 from pinav.navigation.planning.lattice import (
     arrival_test,
     phase_step,
@@ -28,9 +21,16 @@ from pinav.navigation.planning.lattice import (
     top_speed,
 )
 from pinav.navigation.planning.value_iteration import ArrivalTest
-from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.predictors import (
+    AbstractPredictor,
+    InertialTable,
+    TabulatedModel,
+    entry_fraction,
+    tabulate_model,
+)
+from pinav.navigation.tables import Grid, place_words
 from pinav.navigation.task.steering import Command, SteeredSwimmer
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.task import ReachGoal, Task
 
 HEADINGS = {2: 24, 3: 96}
 """Directions of the thrust that are tried at each position, and by the policy, in the
@@ -44,7 +44,6 @@ class Route(eqx.Module):
     """The way along which the time-to-go falls fastest.
 
     Attributes:
-        ts: times [T].
         ys: states; the last one repeats once the goal is reached.
         arrival_time: when the goal is reached [T]; infinite if it is not.
     """
@@ -63,13 +62,9 @@ class TimeToGo(eqx.Module):
 
     Attributes:
         values: U; one time where the model does not change.
-        lower: first point of the lattice.
-        spacing: of the lattice.
         scale: $\tau$ [T].
         step: of the plan [T]: between its times; the policy looks as far ahead.
         horizon: what takes longer counts as out of reach [T].
-        tables: the model, the drive, the walls.
-        goal: middle of the goal [L].
         tolerance: its radius [L].
     """
 
@@ -119,14 +114,7 @@ class TimeToGo(eqx.Module):
     def control(
         self, t: Scalar, y: State, previous: Command, predictor: AbstractPredictor
     ) -> Vector:
-        """Direction of the greatest thrust after which the goal is nearest in time.
-
-        Args:
-            t: now [T].
-            y: the state, as the predictor takes it.
-            previous: the command before.
-            predictor: says what comes of a thrust.
-        """
+        """Direction of the greatest thrust after which the goal is nearest in time."""
         controls = self.tables.control_map.controls(HEADINGS[self.goal.shape[0]])
         step = self.step.astype(y.dtype)
 
@@ -138,12 +126,7 @@ class TimeToGo(eqx.Module):
         return controls[jnp.argmin(jax.vmap(after)(controls))]
 
     def route(self, start: State, step: float = 0.1) -> Route:
-        """The way from a state on the model, without noise and delay.
-
-        Args:
-            start: first state.
-            step: how long a command holds [T].
-        """
+        """The way from a state on the model, without noise and delay."""
         return _route(self, jnp.asarray(start), step, math.ceil(self.horizon / step))
 
 
@@ -313,16 +296,7 @@ def assemble_plan(
     lattice: tuple[State, State],
     step: Scalar,
 ) -> TimeToGo:
-    """The plan whose values stand on a lattice.
-
-    Args:
-        task: task of the episodes.
-        tables: of the model.
-        arrival: what the plan is about.
-        values: of the lattice.
-        lattice: its first point, and its spacing.
-        step: of the plan [T].
-    """
+    """The plan whose values stand on a lattice."""
     return TimeToGo(
         values,
         *lattice,

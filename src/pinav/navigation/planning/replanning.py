@@ -4,9 +4,6 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.navigation.model.predictors import InertialTable
-from pinav.navigation.model.tables import Grid
-from pinav.navigation.model.tabulated import TabulatedModel
 from pinav.navigation.planning.lattice import (
     arrival_test,
     phase_step,
@@ -22,8 +19,9 @@ from pinav.navigation.planning.plan import (
     assemble_plan,
 )
 from pinav.navigation.planning.value_iteration import ArrivalTest
-from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.task import Rectangle, Task
+from pinav.navigation.predictors import InertialTable, TabulatedModel
+from pinav.navigation.tables import Grid
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task
 
 HEADROOM = 1.25
 """Greatest speed of the lattice over that of the thrust against the drag alone."""
@@ -40,8 +38,6 @@ class Replanner(eqx.Module):
 
     Attributes:
         task: what is to be done; its truth is not used.
-        objective: the place to reach.
-        grid: the positions.
         velocities: along either axis, where there is inertia [L T⁻¹]; else None.
     """
 
@@ -61,16 +57,7 @@ class Replanner(eqx.Module):
         speeds: int = 11,
         window: Rectangle,
     ) -> "Replanner":
-        """The lattice of a task.
-
-        Args:
-            task: what is to be done.
-            objective: the place to reach.
-            physics: tables of the model without its environment.
-            points: number of points of the lattice along the longer side.
-            speeds: the same along either axis of the velocity.
-            window: the arena, or a part of it.
-        """
+        """The lattice of a task."""
         grid = Grid.over(window, points)
         if not isinstance(physics.predictor, InertialTable):
             return cls(task, objective, grid, None)

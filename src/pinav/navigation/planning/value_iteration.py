@@ -23,8 +23,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from pinav.arguments import Scalar, Vector
-from pinav.navigation.model.predictors import TimeCost, entry_fraction, split_rates
-from pinav.navigation.model.tables import FieldTable, Grid
+from pinav.navigation.predictors import TimeCost, entry_fraction, split_rates
+from pinav.navigation.tables import FieldTable, Grid
 
 PROBES = 5
 """Places along a step at which walls are looked for, its end included."""
@@ -43,9 +43,6 @@ class ArrivalTest(eqx.Module):
     """The purpose of a plan: a goal, and the steps that may lead there.
 
     Attributes:
-        goal: middle of the goal [L].
-        tolerance: its radius [L].
-        time_cost: walls and costs.
         thrusts: the greatest thrust in every direction that is tried.
         scale: of the transform [T].
     """
@@ -62,12 +59,6 @@ class ArrivalTest(eqx.Module):
         """Discount of a straight step, and whether it ends in the goal.
 
         A step into a wall has the discount zero.
-
-        Args:
-            x: where it begins [L].
-            displacement: [L].
-            h: how long it takes [T].
-            risk: what time costs more on the way.
         """
         fraction = entry_fraction(x, displacement, self.goal, self.tolerance)
         arrives = jnp.isfinite(fraction)
@@ -126,7 +117,6 @@ class Legs(eqx.Module):
     Attributes:
         discount: of what follows; zero through a wall.
         arrives: whether they end in the goal.
-        corners: where they end.
     """
 
     discount: Float[Array, "*heading point"]
@@ -188,12 +178,7 @@ CELLS = 1.5
 
 
 def position_sweep(legs: Legs, shape: tuple[int, ...]) -> Sweep:
-    """A sweep over positions: the best of all steps at each point.
-
-    Args:
-        legs: in every direction.
-        shape: of the grid.
-    """
+    """A sweep over positions: the best of all steps at each point."""
     return lambda values: jnp.max(legs.worth(values), axis=0).reshape(shape)
 
 
@@ -204,12 +189,6 @@ def iterate_policies(
 
     Between two searches for the best steps the last ones are followed many times,
     which costs little: modified policy iteration.
-
-    Args:
-        legs: in every direction, of a model that does not change in time.
-        begin: the first values.
-        most: searches.
-        tolerance: greatest change.
 
     References:
         Puterman and Shin, Management Science 24, 1127 (1978).
@@ -248,14 +227,6 @@ def phase_sweep(
 
     A step is split: the force changes the velocity, the velocity changes the position.
     Both shifts are the same for many points, which is what makes four dimensions quick.
-
-    Args:
-        table: acceleration at rest and drag.
-        arrival: the goal, the walls, the thrust.
-        grid: the positions.
-        t: when the step begins [T].
-        velocities: the lattice along either axis [L T⁻¹].
-        h: how long the step is [T].
     """
     kick, impulse = _kicks(table, grid, t, velocities, h)
     coast = _coast(grid, arrival, t, velocities, h)
@@ -380,14 +351,7 @@ def iterate_sweeps(
     most: int | Int[Array, ""],
     tolerance: float,
 ) -> Values:
-    """Values that a sweep no longer changes by more than `tolerance`.
-
-    Args:
-        sweep: of a model that does not change in time.
-        begin: the first values: zeros, or those of a plan before.
-        most: sweeps.
-        tolerance: greatest change.
-    """
+    """Values that a sweep no longer changes by more than `tolerance`."""
 
     def improve(state: _Iterate) -> _Iterate:
         values, _change, count = state
@@ -418,13 +382,7 @@ def sweep_back(
     times: Float[Array, " moment"],
     shape: tuple[int, ...],
 ) -> Float[Array, "moment ..."]:
-    """Values at each time for a model that changes; after the last there is no goal.
-
-    Args:
-        sweep_at: the sweep whose steps begin at a time [T].
-        times: as far apart as the steps are long [T].
-        shape: of the lattice.
-    """
+    """Values at each time for a model that changes; after the last there is no goal."""
 
     def earlier(values: Values, t: Float[Array, ""]) -> tuple[Values, Values]:
         values = sweep_at(t)(values)

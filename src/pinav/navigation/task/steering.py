@@ -11,17 +11,18 @@ import dataclasses
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.actuation import AbstractActuator as AbstractActuator
-from pinav.actuation import AbstractField, StepOutResponse
 from pinav.actuation import Command as Command
 from pinav.actuation import RollingActuator as RollingActuator
+from pinav.actuation import StepOutResponse
 from pinav.actuation import direction as direction
 from pinav.arguments import Scalar, State, Vector, check_positive
-from pinav.dynamics import RK4, FixedStep, OverdampedSwimmer, Swimmer
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.forces import AbstractForce
 
 
@@ -55,35 +56,6 @@ def all_directions(count: int, dim: int) -> Float[np.ndarray, "{count} {dim}"]:
     angles = np.pi * (3 - np.sqrt(5.0)) * places
     across = np.sqrt(1 - height**2)
     return np.stack([across * np.cos(angles), across * np.sin(angles), height], axis=1)
-
-
-class SteeringField(AbstractField):
-    r"""Field that rotates about a direction, as coils make it.
-
-    $$B(t) = B_0 (\cos(2\pi f t)\, e(\theta, \epsilon) + \sin(2\pi f t)\, n(\theta -
-    \tfrac{\pi}{2})), \qquad e = (-\sin\epsilon\cos\theta, -\sin\epsilon\sin\theta,
-    \cos\epsilon);$$
-
-    $e$ is $\hat z$ where the direction lies in the plane.
-
-    Attributes:
-        amplitude: $B_0$ [B].
-        frequency: $f$ [cycles T⁻¹].
-        heading: $\theta$, of the normal of the plane of rotation [rad].
-        elevation: $\epsilon$ of that normal above the xy plane [rad].
-    """
-
-    amplitude: Scalar
-    frequency: Scalar
-    heading: Scalar
-    elevation: Scalar = 0.0
-
-    def __call__(self, t: Scalar) -> Float[Array, "3"]:
-        phase = 2 * math.pi * self.frequency * jnp.asarray(t)
-        heading, elevation = jnp.asarray(self.heading), jnp.asarray(self.elevation)
-        across = jnp.stack([jnp.sin(heading), -jnp.cos(heading), 0.0 * heading])
-        upright = direction(jnp.stack([heading, elevation + math.pi / 2]))
-        return self.amplitude * (jnp.cos(phase) * upright + jnp.sin(phase) * across)
 
 
 class HelicalActuator(AbstractActuator):
@@ -122,10 +94,6 @@ class HelicalActuator(AbstractActuator):
         torque = jnp.asarray(self.moment * self.amplitude)
         return torque / (2 * math.pi * self.rotational_drag)
 
-    def field(self, command: Command) -> SteeringField:
-        """The field that a command stands for."""
-        return SteeringField(self.amplitude, *command)
-
     def __call__(self, command: Command) -> Vector:
         turning = StepOutResponse(self.step_out)(command[0])
         torque = 2 * math.pi * self.rotational_drag * turning
@@ -133,11 +101,7 @@ class HelicalActuator(AbstractActuator):
 
 
 class HeldThrust(AbstractForce):
-    """A thrust that holds: what a command is until the next one.
-
-    Attributes:
-        thrust: [L T⁻²].
-    """
+    """A thrust that holds: what a command is until the next one."""
 
     thrust: Vector
 
@@ -153,7 +117,6 @@ class SteeredSwimmer(eqx.Module):
     Attributes:
         dynamics: drag or mobility, environment and flow; commands replace its
             propulsion.
-        actuator: what a command does.
     """
 
     dynamics: Swimmer | OverdampedSwimmer
@@ -172,10 +135,13 @@ class SteeredSwimmer(eqx.Module):
         # Not tree_at: the replaced propulsion may hold leaves under several names.
         return dataclasses.replace(self.dynamics, propulsion=thrust)
 
-    def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
-        """State after a command was held for `duration` [T]; one Runge-Kutta step."""
-        swimmer = self.under(command)
-        return FixedStep(RK4).looped_step(swimmer, y, t, t + jnp.asarray(duration))
+
+@eqx.filter_jit
+def thrusts_of(
+    actuator: AbstractActuator, commands: Float[Array, "command dim"]
+) -> Float[Array, "command dim"]:
+    """Thrust of each of some commands [L T⁻²], by a compiled program."""
+    return jax.vmap(actuator)(commands)
 
 
 def greatest_thrust(

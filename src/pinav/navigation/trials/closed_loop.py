@@ -44,7 +44,6 @@ class Episodes(eqx.Module):
     After the end of a run its last state stays.
 
     Attributes:
-        ts: times of the control steps [T].
         states: true states then.
         commands: what was commanded from each of them on, within the limits.
         steps: control steps until it ended.
@@ -112,10 +111,7 @@ class Step(Generic[Memory]):
     """A control step of an episode.
 
     Attributes:
-        before: the situation in which the controller decides.
         memory: of the controller after its decision.
-        command: what was commanded, within the limits.
-        after: the situation at the end of the step.
         seconds: computing time of the decision [s].
     """
 
@@ -127,11 +123,7 @@ class Step(Generic[Memory]):
 
 
 class Compiled(AbstractController[Memory], Generic[Memory]):
-    """A controller whose decisions are compiled.
-
-    Attributes:
-        controller: what decides; it can be traced.
-    """
+    """A controller whose decisions are compiled."""
 
     controller: AbstractController[Memory]
 
@@ -151,14 +143,7 @@ def episode(
     key: PRNGKeyArray,
     truth: SteeredSwimmer | None = None,
 ) -> Iterator[Step[Memory]]:
-    """The control steps of one episode, one after the other.
-
-    Args:
-        task: what is to be done.
-        controller: what decides, as it is; see `Compiled`.
-        key: random key of noise, sensor and controller.
-        truth: another true swimmer than that of the task.
-    """
+    """The control steps of one episode, one after the other."""
     truth = task.truth if truth is None else truth
     now, memory = begin(task), None
     while not _ended(now, task):
@@ -177,13 +162,7 @@ def episode(
 def last_observation(
     task: Task, situation: Situation, key: PRNGKeyArray
 ) -> Observation:
-    """The observation that a controller would be told at the end of an episode.
-
-    Args:
-        task: what was to be done.
-        situation: at the end.
-        key: random key of the episode.
-    """
+    """The observation that a controller would be told at the end of an episode."""
     return observe_compiled(task, situation, _step_keys(key, situation.step)[0])
 
 
@@ -194,14 +173,7 @@ def run(
     key: PRNGKeyArray,
     truth: SteeredSwimmer | None = None,
 ) -> Episodes:
-    """One episode, step by step, with the time that each command takes.
-
-    Args:
-        task: what is to be done.
-        controller: what decides.
-        key: random key of noise, sensor and controller.
-        truth: another true swimmer than that of the task.
-    """
+    """One episode, step by step, with the time that each command takes."""
     steps = list(episode(task, Compiled(controller), key=key, truth=truth))
     paths = np.stack([steps[0].before.state, *(step.after.state for step in steps)])
     controls = np.asarray([step.command for step in steps], float)
@@ -221,12 +193,6 @@ def run_many(
     The noise belongs to its key, whatever the controller: episodes of two controllers
     with the same keys are pairs. On a processor they run one after the other, so that
     early ends cost less; on an accelerator side by side, until the last one ends.
-
-    Args:
-        task: what is to be done.
-        controller: what decides.
-        keys: random keys.
-        truth: another true swimmer than that of the task.
     """
     truth = task.truth if truth is None else truth
     side_by_side = jax.default_backend() != "cpu"

@@ -11,20 +11,13 @@ from jaxtyping import Bool, Float
 from scipy.stats import binom, binomtest
 
 from pinav.errors import InputError
-from pinav.navigation.task.objectives import FollowPath
 from pinav.navigation.task.steering import direction
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.task import FollowPath, Task
 from pinav.navigation.trials.closed_loop import Episodes
 
 
 class Interval(eqx.Module):
-    """A value with its 95 % confidence interval.
-
-    Attributes:
-        value: the estimate.
-        lower: end of the interval.
-        upper: end of the interval.
-    """
+    """A value with its 95 % confidence interval."""
 
     value: float
     lower: float
@@ -51,11 +44,9 @@ class Summary(eqx.Module):
     Quantiles do not interpolate. What nobody achieved is not a number.
 
     Attributes:
-        runs: number of episodes.
         success: fraction that did the task without a violation: reached the goal, or
             followed the path until the time was up.
         violation: fraction that entered a forbidden place.
-        arrival: arrival times of those that arrived [T].
         efficiency: straight distance / length of the way, mean of those that arrived.
         tracking: mean distance from the target, averaged over episodes [L]; of paths.
         tracking_rms: root mean square of that distance [L].
@@ -105,10 +96,6 @@ def summary(episodes: Episodes, task: Task) -> Summary:
 def proportion(successes: int, count: int) -> Interval:
     r"""A proportion with its 95 % score interval.
 
-    Args:
-        successes: how often, at most `count`.
-        count: n, positive.
-
     Raises:
         InputError: the numbers are not those of a proportion.
 
@@ -130,10 +117,6 @@ def regret(learned: Episodes, oracle: Episodes) -> Interval:
     A learned model that does not arrive has an infinite ratio: failures are not left
     out. Pairs in which the oracle does not arrive are. The interval is between order
     statistics, right whatever the distribution.
-
-    Args:
-        learned: episodes with the learned model.
-        oracle: with the true one, of the same keys.
 
     Raises:
         InputError: the numbers of episodes differ, or the oracle never arrived.
@@ -172,13 +155,7 @@ def quantiles(values: Float[np.ndarray, " value"]) -> Quantiles:
 def tracking_errors(
     episodes: Episodes, task: Task, *, power: int = 1
 ) -> Float[np.ndarray, " episode"]:
-    """Mean of the distance from the target [L], to a power, of each episode.
-
-    Args:
-        episodes: of a path that is followed.
-        task: task of the episodes.
-        power: power of the distance.
-    """
+    """Mean of the distance from the target [L], to a power, of each episode."""
     targets = np.asarray(jax.vmap(task.objective.target)(jnp.asarray(episodes.ts)))
     distances = np.linalg.norm(
         episodes.states[..., : task.dim] - targets[None], axis=-1

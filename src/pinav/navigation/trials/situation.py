@@ -29,10 +29,7 @@ class Situation(eqx.Module):
     """The state of an episode.
 
     Attributes:
-        step: control steps taken.
-        state: the true state.
         pending: as in `Observation`.
-        reached: whether the task is done.
         violated: whether a forbidden place was entered, or the state is lost.
         arrival_time: when it was done [T]; infinite until then.
         clearance: least distance from forbidden places so far [L].
@@ -54,12 +51,7 @@ class Situation(eqx.Module):
 def mean_thrust(
     task: Task, queue: Float[Array, "command dim"]
 ) -> Float[np.ndarray, " dim"]:
-    """Mean thrust of a control step, by the commands that were in force.
-
-    Args:
-        task: whose delay counts.
-        queue: commands that were pending at its beginning, and later ones.
-    """
+    """Mean thrust of a control step, by the commands that were in force."""
     whole = math.floor(task.delay / task.step + 1e-9)
     part = max(task.delay / task.step - whole, 0.0)
     first, second = (queue[k] for k in ((0, 1) if part > 1e-9 or not whole else (0, 0)))
@@ -105,13 +97,6 @@ def advance(
     key: PRNGKeyArray,
 ) -> tuple[Situation, Command]:
     """One control step of the true swimmer.
-
-    Args:
-        task: what is to be done.
-        truth: the true swimmer.
-        situation: before the step.
-        command: what the controller wants, within the limits or not.
-        key: random key of the white noise.
 
     Returns:
         The situation after it, and the command within the limits.

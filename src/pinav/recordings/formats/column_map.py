@@ -199,11 +199,7 @@ USUAL = (1e-4, 1.0)
 
 
 def check_one_unit(units_of: Mapping[str, str]) -> None:
-    """Refuse x and y in different units.
-
-    Raises:
-        InputError: they differ, and `units` does not settle both.
-    """
+    """Refuse x and y in different units."""
     several = {name: units_of[name] for name in "xy" if name in units_of}
     if len({units.length(unit) for unit in several.values()}) > 1:
         stated = " and ".join(f"{name} in {unit}" for name, unit in several.items())

@@ -136,11 +136,7 @@ def _table(
 
 
 def _column_named(table: Table, *names: str) -> str:
-    """The first column of these names, whatever unit follows in brackets.
-
-    Raises:
-        InputError: there is none of them.
-    """
+    """The first column of these names, whatever unit follows in brackets."""
     bare = {_UNIT.sub("", column): column for column in table.columns}
     for name in names:
         if name in bare:

@@ -187,11 +187,7 @@ _WORDS = ("UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "STRING", "BINSTRING")
 
 
 def _obey(name: str, argument: Any, stack: list[Any], memo: dict[int, Any]) -> None:
-    """One instruction that makes words, tuples or lists.
-
-    Raises:
-        ValueError: it is another.
-    """
+    """One instruction that makes words, tuples or lists."""
     if name in _WORDS:
         stack.append(argument)
     elif name in ("MARK", "EMPTY_LIST"):

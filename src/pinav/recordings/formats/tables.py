@@ -1,7 +1,7 @@
 """Tables and lines of text that are known by the names of their columns."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import final
 
 import numpy as np
@@ -334,11 +334,12 @@ class MTrackJ(AbstractFormat):
         if not points:
             raise InputError("no line begins with Point; save the tracks again")
         names = ("particle", "x", "y", "z", "frame")
-        cells = dict(zip(names, zip(*points, strict=True), strict=True))
+        columns = zip(*points, strict=True)
+        cells: dict[str, Sequence[str]] = dict(zip(names, columns, strict=True))
         table = Table(cells, np.array(rows), faults=source.faults)
         z = varying(table.numbers("z"))
-        columns = {name: name for name in ("x", "y", "frame", "particle")}
-        return Tracks.of_table(table, columns, z=z, length_unit="?")
+        headings = {name: name for name in names}
+        return Tracks.of_table(table, headings, z=z, length_unit="?")
 
 
 DESCRIBED = (TREX_TABLE, IMARIS, CELLPROFILER, NAPARI, NAPARI_PLANE, IDTRACKER, TRACKPY)

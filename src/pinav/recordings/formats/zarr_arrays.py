@@ -42,11 +42,7 @@ class Group:
         return [Group(p) for p in sorted(self.path.iterdir()) if p.is_dir()]
 
     def array(self, name: str) -> np.ndarray | None:
-        """The array of a path such as `nodes/ids`; None where there is none.
-
-        Raises:
-            InputError: it is damaged, or stored in a way that is not read.
-        """
+        """The array of a path such as `nodes/ids`; None where there is none."""
         folder = self.path / name
         for file, description in (("zarr.json", _third), (".zarray", _second)):
             if not (folder / file).is_file():
@@ -220,11 +216,7 @@ def _unread(what: str) -> InputError:
 
 @contextmanager
 def open_group(content: bytes) -> Iterator[Any]:
-    """The root group of an HDF5 file in memory.
-
-    Raises:
-        InputError: the file is damaged, also where that shows while it is read.
-    """
+    """The root group of an HDF5 file in memory."""
     import h5py
 
     try:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.navigation.steering_worlds import SwimmerPredictor
 
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
@@ -25,8 +26,13 @@ from pinav.forces import (
     ZeroForce,
 )
 from pinav.navigation import task
-from pinav.navigation.model.predictors import ControlMap, InertialTable, OverdampedTable
-from pinav.navigation.model.tables import (
+from pinav.navigation.predictors import (
+    ControlMap,
+    InertialTable,
+    OverdampedTable,
+    tabulate_model,
+)
+from pinav.navigation.tables import (
     FieldTable,
     Grid,
     force_spread,
@@ -34,7 +40,6 @@ from pinav.navigation.model.tables import (
     tabulate,
     tabulate_over_time,
 )
-from pinav.navigation.model.tabulated import tabulate_model
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
@@ -167,7 +172,7 @@ def test_a_step_on_the_table_is_of_second_order(make, kind, y):
     predictor, command = kind(table, ROLLING), jnp.array([0.6, 0.9])
 
     def error(h):
-        exact = model.step(0.0, y, command, h)
+        exact = SwimmerPredictor(model).step(0.0, y, command, h)
         return jnp.max(jnp.abs(predictor.step(0.0, y, command, h) - exact))
 
     assert error(0.4) < 6e-3

@@ -15,16 +15,8 @@ from pinav.forces import (
     SumForce,
     WallTerm,
 )
-from pinav.forces.profile_laws import (
-    NEAR_GAUSSIAN,
-    ChannelLaw,
-    HillLaw,
-    PlateauLaw,
-    RingLaw,
-    StepLaw,
-    WaveLaw,
-    falling,
-)
+from pinav.forces.fitted_laws import FittedLaw
+from pinav.forces.formulas import NEAR_GAUSSIAN, falling
 from pinav.forces.structures import ROUNDING
 
 HEIGHT, CENTER, NO_PLACES = 2.5, jnp.array([4.0, 5.5]), jnp.zeros(0)
@@ -63,32 +55,35 @@ def stripes():
 
 SAME = {
     "Gaussian": (
-        central(HillLaw(np.log(1.5), form(0.0))),
+        central(FittedLaw("hill", (np.log(1.5), form(0.0)))),
         GaussianBarrier(HEIGHT, CENTER, 1.5),
     ),
     "plateau of steepness one": (
-        central(PlateauLaw(np.log(1.5), 0.0)),
+        central(FittedLaw("plateau", (np.log(1.5), 0.0))),
         GaussianBarrier(HEIGHT, CENTER, 1.5),
     ),
     "Lorentzian": (
-        central(HillLaw(np.log(1.5), form(1.0))),
+        central(FittedLaw("hill", (np.log(1.5), form(1.0)))),
         PowerHill(HEIGHT, CENTER, 1.5 * np.sqrt(2), 1.0),
     ),
     "screened": (
-        central(HillLaw(np.log(1.5), form(2.0))),
+        central(FittedLaw("hill", (np.log(1.5), form(2.0)))),
         PowerHill(HEIGHT, CENTER, 1.5, 0.5),
     ),
     "compact": (
-        central(HillLaw(np.log(1.5), form(-1 / 3))),
+        central(FittedLaw("hill", (np.log(1.5), form(-1 / 3)))),
         CompactHill(HEIGHT, CENTER, 1.5 * np.sqrt(6)),
     ),
     "ring": (
-        central(RingLaw(3.0, np.log(0.8), form(0.0))),
+        central(FittedLaw("ring", (3.0, np.log(0.8), form(0.0)))),
         RingBarrier(HEIGHT, CENTER, 3.0, 0.8),
     ),
-    "step": (wall(StepLaw(6.0, np.log(0.9))), SoftWall(HEIGHT, 0.7, 6.0, 0.9)),
-    "channel": (wall(ChannelLaw(5.0, 3.0, np.log(0.8))), steps()),
-    "wave": (wall(WaveLaw(0.5, np.log(0.7))), stripes()),
+    "step": (
+        wall(FittedLaw("step", (6.0, np.log(0.9)))),
+        SoftWall(HEIGHT, 0.7, 6.0, 0.9),
+    ),
+    "channel": (wall(FittedLaw("channel", (5.0, 3.0, np.log(0.8)))), steps()),
+    "wave": (wall(FittedLaw("wave", (0.5, np.log(0.7)))), stripes()),
 }
 
 
@@ -119,8 +114,8 @@ def test_a_hill_whose_distance_is_rounded_is_a_hill():
     place = CENTER + jnp.array([0.4, -0.3])
     for tail, size, rounding in ((0.2, 0.3, 0.5), (1.7, 3.0, 0.01), (3.0, 0.8, 0.2)):
         wider = 1 + 0.5 * tail * (rounding / size) ** 2
-        law = HillLaw(jnp.log(size), form(tail))
-        other = HillLaw(jnp.log(size * np.sqrt(wider)), form(tail))
+        law = FittedLaw("hill", (jnp.log(size), form(tail)))
+        other = FittedLaw("hill", (jnp.log(size * np.sqrt(wider)), form(tail)))
         made = central(law, rounding=rounding)(TIME, place, STILL)
         true = central(other, HEIGHT * wider ** (-1 / tail))(TIME, place, STILL)
         np.testing.assert_allclose(made, true, rtol=1e-4)
@@ -137,14 +132,14 @@ def test_the_series_about_the_gaussian_joins_the_power(sign):
 def test_a_plateau_falls_to_a_share_that_its_steepness_does_not_change():
     """At a distance of the square root of two sizes the exponent is one."""
     for steepness in (-0.7, 0.0, 1.5):
-        law = PlateauLaw(np.log(1.5), steepness)
+        law = FittedLaw("plateau", (np.log(1.5), steepness))
         edge = law.potential(jnp.asarray(1.5 * np.sqrt(2)))
         np.testing.assert_allclose(edge, np.exp(-1), rtol=1e-6)
         np.testing.assert_allclose(law.potential(jnp.asarray(1e-9)), 1.0, atol=1e-3)
 
 
 def test_kernels_beside_a_law_add_to_it():
-    law, places = HillLaw(np.log(1.5), form(0.5)), jnp.arange(0.5, 4.0, 0.5)
+    law, places = FittedLaw("hill", (np.log(1.5), form(0.5))), jnp.arange(0.5, 4.0, 0.5)
     weights = jnp.linspace(0.2, -0.1, len(places))
     both = CentralTerm(
         jnp.append(jnp.array([HEIGHT]), weights), CENTER, places, 0.5, law=law
@@ -159,7 +154,7 @@ def test_kernels_beside_a_law_add_to_it():
 
 
 def test_the_numbers_of_a_law_are_part_of_the_geometry():
-    term = central(HillLaw(jnp.asarray(0.3), form(1.0)))
+    term = central(FittedLaw("hill", (jnp.asarray(0.3), form(1.0))))
     assert len(term.geometry) == len(term.geometry_scales) == 3
     constants = term.law.constants()
     np.testing.assert_allclose(constants["size"], np.exp(0.3))
@@ -169,19 +164,32 @@ def test_the_numbers_of_a_law_are_part_of_the_geometry():
 def test_places_of_a_wall_are_told_from_the_origin_of_space():
     origin = jnp.array([3.0, 1.0])
     term = WallTerm(
-        jnp.ones(1), 0.0, origin, NO_PLACES, 0.5, law=StepLaw(2.0, jnp.asarray(0.0))
+        jnp.ones(1),
+        0.0,
+        origin,
+        NO_PLACES,
+        0.5,
+        law=FittedLaw("step", (2.0, jnp.asarray(0.0))),
     )
     np.testing.assert_allclose(term.law.constants(term.offset)["place"], 5.0)
-    middle = ChannelLaw(2.0, 1.0, jnp.asarray(0.0)).constants(term.offset)["middle"]
-    radius = RingLaw(2.0, jnp.asarray(0.0), form(0.0)).constants(term.offset)["radius"]
+    middle = FittedLaw("channel", (2.0, 1.0, jnp.asarray(0.0))).constants(term.offset)[
+        "middle"
+    ]
+    radius = FittedLaw("ring", (2.0, jnp.asarray(0.0), form(0.0))).constants(
+        term.offset
+    )["radius"]
     np.testing.assert_allclose([middle, radius], 5.0)
-    assert central(StepLaw(2.0, jnp.asarray(0.0))).offset == 0.0
+    assert central(FittedLaw("step", (2.0, jnp.asarray(0.0)))).offset == 0.0
 
 
 def test_the_prior_of_kernels_beside_a_law_keeps_them_the_smaller_part():
     places = jnp.arange(0.5, 4.0, 0.5)
     term = CentralTerm(
-        jnp.zeros(8), CENTER, places, 0.5, law=HillLaw(jnp.asarray(0.0), form(0.0))
+        jnp.zeros(8),
+        CENTER,
+        places,
+        0.5,
+        law=FittedLaw("hill", (jnp.asarray(0.0), form(0.0))),
     )
     prior = term.prior()
     assert prior.covariance(prior.start).shape == (8, 8)

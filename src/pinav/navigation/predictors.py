@@ -1,7 +1,9 @@
-r"""Predictors of controllers, and the cost of time at a place."""
+r"""A model as tables and as a predictor: what plans and controllers work with."""
 
 import abc
+import dataclasses
 import math
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -10,8 +12,17 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, State, Vector, on_device
+from pinav.dynamics import Swimmer
 from pinav.errors import InputError
-from pinav.navigation.model.tables import FieldTable
+from pinav.navigation.tables import (
+    FieldTable,
+    Grid,
+    at_rest,
+    force_spread,
+    sample_times,
+    tabulate,
+    tabulate_over_time,
+)
 from pinav.navigation.task.steering import (
     AbstractActuator,
     Command,
@@ -20,7 +31,7 @@ from pinav.navigation.task.steering import (
     all_directions,
     direction_angles,
 )
-from pinav.navigation.task.task import AbstractZone, Rectangle, clearance
+from pinav.navigation.task.task import AbstractZone, Rectangle, Task, clearance
 
 
 class AbstractPredictor(eqx.Module):
@@ -29,19 +40,6 @@ class AbstractPredictor(eqx.Module):
     @abc.abstractmethod
     def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
         """State after a command was held for `duration` [T] from time `t` [T]."""
-
-
-class SwimmerPredictor(AbstractPredictor):
-    """A model itself, by a Runge-Kutta step.
-
-    Attributes:
-        swimmer: the model.
-    """
-
-    swimmer: SteeredSwimmer
-
-    def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
-        return self.swimmer.step(t, y, command, duration)
 
 
 class InertialTable(AbstractPredictor):
@@ -53,7 +51,6 @@ class InertialTable(AbstractPredictor):
 
     Attributes:
         table: acceleration at rest [L T⁻²] and drag [T⁻¹], of `tabulate`.
-        actuator: what a command does.
     """
 
     table: FieldTable
@@ -78,7 +75,6 @@ class OverdampedTable(AbstractPredictor):
 
     Attributes:
         table: velocity without thrust [L T⁻¹] and mobility, of `tabulate`.
-        actuator: what a command does.
     """
 
     table: FieldTable
@@ -97,30 +93,6 @@ class OverdampedTable(AbstractPredictor):
         return y + duration * velocity(self.table(t + duration / 2, middle))
 
 
-class Drifting(AbstractPredictor):
-    r"""Another predictor, and a constant rate that it does not know.
-
-    The rate b comes last in the state: (x, b) or (x, v, b). It adds to the
-    velocity [L T⁻¹], or to the acceleration [L T⁻²] where there is one: half of it
-    before the step of the other predictor and half after, which is of second order.
-
-    Attributes:
-        predictor: what is known.
-        dim: components of the rate.
-    """
-
-    predictor: AbstractPredictor
-    dim: int = eqx.field(static=True, default=2)
-
-    def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
-        dim = self.dim
-        state, drift = y[:-dim], y[-dim:]
-        half = jnp.asarray(duration, y.dtype) / 2 * drift
-        state = state.at[-dim:].add(half)
-        state = self.predictor.step(t, state, command, duration).at[-dim:].add(half)
-        return jnp.concatenate([state, drift])
-
-
 class ControlMap(eqx.Module):
     r"""Commands as controls: vectors in the unit ball, in units of the greatest thrust.
 
@@ -129,8 +101,6 @@ class ControlMap(eqx.Module):
 
     Attributes:
         frequency: $f_b$ [cycles T⁻¹].
-        limits: what may be commanded.
-        actuator: what a command does.
         dim: components of a control.
     """
 
@@ -223,8 +193,6 @@ class TimeCost(eqx.Module):
     that the greatest thrust gives.
 
     Attributes:
-        keep_out: what must not be entered.
-        arena: what must not be left.
         margin: m, from a wall, over which time costs more [L], positive.
         steepness: k.
         spread: s / u, dimensionless; zeros where the model is taken for true.
@@ -259,14 +227,7 @@ class TimeCost(eqx.Module):
 def entry_fraction(
     x: Vector, displacement: Vector, goal: Vector, tolerance: Scalar
 ) -> Float[Array, ""]:
-    """Fraction of a straight step after which it enters a ball; infinite if never.
-
-    Args:
-        x: where the step begins [L].
-        displacement: the whole step [L].
-        goal: middle of the ball [L].
-        tolerance: its radius [L].
-    """
+    """Fraction of a straight step after which it enters a ball; infinite if never."""
     offset = x - goal
     beyond = offset @ offset - jnp.asarray(tolerance, x.dtype) ** 2
     square = displacement @ displacement
@@ -277,3 +238,93 @@ def entry_fraction(
     fraction = (approach - root) / jnp.where(meets, square, 1.0)
     fraction = jnp.where(meets & (fraction <= 1), fraction, jnp.inf)
     return jnp.where(beyond <= 0, 0.0, fraction)
+
+
+HEADINGS = 24
+"""Directions in which the greatest thrust is looked for."""
+
+
+class TabulatedModel(eqx.Module):
+    """A model of the swimmer on a task's arena, as tables."""
+
+    table: FieldTable
+    predictor: InertialTable | OverdampedTable
+    control_map: ControlMap
+    time_cost: TimeCost
+
+
+def tabulate_model(
+    task: Task,
+    model: SteeredSwimmer,
+    *,
+    samples: Sequence[SteeredSwimmer] = (),
+    risk_aversion: float = 4.0,
+    margin: float | None = None,
+    points: int | None = None,
+    times: int = 41,
+) -> TabulatedModel:
+    r"""Tables of a model on a task's arena.
+
+    Args:
+        task: the arena, the walls, the limits; its truth is not used.
+        model: what is believed.
+        samples: of the posterior of the model, none or at least two: their spread makes
+            uncertain regions cost more.
+        risk_aversion: cost of time where that spread is as great as the thrust.
+        margin: from walls, over which time costs more [L]; half the tolerance or what
+            the noise asks for unless given.
+        points: of the tables, along the longer side; 81 in the plane and 41 in space
+            unless given.
+        times: of the tables of a model that changes in time.
+
+    Raises:
+        InputError: the model is not finite on the arena; fewer than two samples.
+    """
+    usual = 81 if task.dim == 2 else 41
+    grid = Grid.over(task.arena, usual if points is None else points, margin=2)
+    table = tabulate_over_time(model, grid, task.time_limit, times)
+    inertial = isinstance(model.dynamics, Swimmer)
+    predictor = (InertialTable if inertial else OverdampedTable)(table, model.actuator)
+    drive = ControlMap.of(model.actuator, task.limits, task.dim)
+    at_times = sample_times(at_rest((*samples, model)[0]), grid, task.time_limit, times)
+    if samples:
+        spread = force_spread([tabulate(one, grid, at_times) for one in samples])
+        thrust = greatest_rate(table, drive, inertial=inertial)
+        spread = eqx.tree_at(lambda s: s.values, spread, spread.values / thrust)
+    else:
+        # Zeros instead of none, at as many times as samples would have: one compiled
+        # program serves all models.
+        nothing = jnp.zeros_like(table.values[: len(at_times), ..., :1])
+        spread = dataclasses.replace(table, values=nothing, lasting=None)
+    time_cost = TimeCost(
+        task.keep_out,
+        task.arena,
+        noise_margin(task) if margin is None else margin,
+        4.0,
+        spread,
+        risk_aversion,
+    )
+    return TabulatedModel(table, predictor, drive, time_cost)
+
+
+def noise_margin(task: Task) -> float:
+    """Distance from walls that the noise of a task asks for [L].
+
+    Three standard deviations of where it takes a swimmer during one time unit or, where
+    the position itself is noisy, five control steps; of the sensor; and a little more,
+    by the size of the arena.
+    """
+    reaction = 5 * task.step + task.delay
+    noise = math.sqrt(reaction**3 / 3 if task.inertial else reaction)
+    return 3 * math.hypot(task.noise * noise, task.sensor_noise) + task.extent / 140
+
+
+def greatest_rate(
+    table: FieldTable, drive: ControlMap, *, inertial: bool
+) -> Float[Array, ""]:
+    """Greatest acceleration, or velocity, that thrust gives."""
+    thrusts = drive.thrusts(HEADINGS)
+    if not inertial:
+        _, mobility = split_rates(table.first)
+        thrusts = jnp.einsum("...ab,hb->...ha", mobility, thrusts)
+    return jnp.max(jnp.linalg.norm(thrusts, axis=-1))

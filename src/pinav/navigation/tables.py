@@ -92,8 +92,6 @@ class FieldTable(eqx.Module):
     but one it continues as a constant, and so before its first and after its last time.
 
     Attributes:
-        grid: where the values stand in space.
-        values: at the points.
         start: first time [T].
         interval: between times [T], positive.
         lasting: further channels, which do not change in time, or None; looked up once
@@ -264,14 +262,7 @@ def _check_finite(values: Float[np.ndarray, "time point channel"], grid: Grid) -
 def sample_times(
     model: SteeredSwimmer, grid: Grid, time_limit: float, count: int
 ) -> Float[np.ndarray, " time"]:
-    """Times for a table: `count` of them, or one if the model does not change in time.
-
-    Args:
-        model: of whom it is asked.
-        grid: where it is looked at.
-        time_limit: until when [T].
-        count: of times for a model that changes.
-    """
+    """Times for a table: `count`, or one if the model does not change in time."""
     probes = np.array([0.0, 0.31, 0.73]) * time_limit
     coarse = Grid(grid.lower, grid.spacing * 4, tuple(n // 4 + 1 for n in grid.shape))
     values = tabulate(model, coarse, probes).values
@@ -286,12 +277,6 @@ def tabulate_over_time(
 
     Where nothing changes but the flow that carries a swimmer, the flow is all that is
     evaluated at each time: kernels are many, and their force stays the same.
-
-    Args:
-        model: whose propulsion commands replace.
-        grid: where.
-        until: the last time [T].
-        count: of times.
 
     Raises:
         InputError: a value is not finite.
@@ -330,9 +315,6 @@ def _flow(model: SteeredSwimmer) -> SteeredSwimmer:
 
 def force_spread(tables: Sequence[FieldTable]) -> FieldTable:
     """Standard deviation of the rate without thrust over tables of sampled models.
-
-    Args:
-        tables: two or more, on one grid.
 
     Raises:
         InputError: there are fewer than two.

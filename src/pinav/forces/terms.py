@@ -1,14 +1,19 @@
-"""Terms that fill space: lattices, linear fields, hills and wells."""
+"""Terms of a structured force: lattices, linear fields, hills, profiles of distances.
 
-from typing import Any, ClassVar
+`weights` of a term with a profile are the height of its law, if any, then those of the
+kernels of the profile [L T⁻²]; `places` and `width` of the kernels [L] are fixed.
+"""
+
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector
+from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.priors import (
     AbstractPrior,
     IsotropicPrior,
@@ -16,7 +21,14 @@ from pinav.forces.priors import (
     MixturePrior,
     Shape,
 )
-from pinav.forces.structures import AbstractTerm, exponential_of_shear, quarter_turn
+from pinav.forces.structures import (
+    ROUNDING,
+    AbstractProfileTerm,
+    AbstractTerm,
+    Places,
+    distance,
+    exponential_of_shear,
+)
 
 
 class LatticePrior(AbstractPrior):
@@ -63,7 +75,6 @@ class LatticeTerm(AbstractTerm):
         weights: $a_m$, then $b_m$ [L² T⁻²].
         wave_vectors: $k_1$ and $k_2$ [rad L⁻¹].
         origin: $x_0$ [L]; fixed.
-        rotational: whether the series is a stream function.
     """
 
     weights: Float[Array, " weight"]
@@ -71,17 +82,9 @@ class LatticeTerm(AbstractTerm):
     origin: Float[Array, "2"]
     rotational: bool = eqx.field(static=True, default=False)
 
-    @property
-    def kind(self) -> str:
-        return "lattice"
-
-    @property
-    def latex(self) -> str:
-        return r"-\nabla U(k_1 \cdot x, k_2 \cdot x)"
-
-    @property
-    def geometry(self) -> PyTree:
-        return (self.wave_vectors,)
+    kinds = ("lattice",)
+    formulas = (r"-\nabla U(k_1 \cdot x, k_2 \cdot x)",)
+    shaped_by = ("wave_vectors",)
 
     @property
     def geometry_scales(self) -> tuple[float, ...]:
@@ -98,10 +101,6 @@ class LatticeTerm(AbstractTerm):
         phases = jnp.asarray(HARMONICS, float) @ (self.wave_vectors @ (x - self.origin))
         return jnp.concatenate([jnp.cos(phases), jnp.sin(phases)]) @ self.weights
 
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        force = -jax.grad(self.potential, argnums=1)(t, x)
-        return quarter_turn(force) if self.rotational else force
-
 
 HARMONICS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
 """Orders of the harmonics of a lattice."""
@@ -117,7 +116,6 @@ class LinearTerm(AbstractTerm):
         weights: $g$, then the upper half of $S$, row by row; or $\omega$ [L² T⁻²].
         origin: $x_0$ [L]; fixed.
         scale: $s$ [L]; fixed.
-        rotational: a rigid rotation.
     """
 
     weights: Float[Array, " weight"]
@@ -125,17 +123,8 @@ class LinearTerm(AbstractTerm):
     scale: Scalar
     rotational: bool = eqx.field(static=True, default=False)
 
-    @property
-    def kind(self) -> str:
-        return "rotation" if self.rotational else "linear"
-
-    @property
-    def latex(self) -> str:
-        return r"\omega\,(x - x_0)^\perp" if self.rotational else r"g + S (x - x_0)"
-
-    @property
-    def geometry(self) -> PyTree:
-        return ()
+    kinds = ("linear", "rotation")
+    formulas = (r"g + S (x - x_0)", r"\omega\,(x - x_0)^\perp")
 
     @property
     def geometry_scales(self) -> tuple[float, ...]:
@@ -159,10 +148,6 @@ class LinearTerm(AbstractTerm):
         upper = jnp.outer(place, place)[jnp.triu_indices(place.shape[0])]
         return -self.weights @ jnp.concatenate([place, 0.5 * upper])
 
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        force = -jax.grad(self.potential, argnums=1)(t, x)
-        return quarter_turn(force) if self.rotational else force
-
 
 WIDTHS = (0.6, 1.0, 1.7)
 """Widths of the Gaussians that make a hill, relative to its size: a steeper summit, or
@@ -176,9 +161,6 @@ class HillsPrior(AbstractPrior):
 
     Its shape is the logarithm of the deviation for each other width, relative to that
     for the middle one: where they are low, hills are Gaussian.
-
-    Attributes:
-        count: of the hills.
     """
 
     count: int
@@ -215,7 +197,6 @@ class HillsTerm(AbstractTerm):
         weights: $a_{km}$, the Gaussians of a hill one after the other [L² T⁻²].
         centers: $c_k$ [L].
         shapes: $s_k$, the logarithm of a length [L], then $p_k$ and $q_k$.
-        rotational: swirls in place of hills.
     """
 
     weights: Float[Array, " weight"]
@@ -223,19 +204,9 @@ class HillsTerm(AbstractTerm):
     shapes: Float[Array, "hill 3"]
     rotational: bool = eqx.field(static=True, default=False)
 
-    KIND: ClassVar[str] = "hills and wells"
-
-    @property
-    def kind(self) -> str:
-        return self.KIND
-
-    @property
-    def latex(self) -> str:
-        return r"-\nabla \sum_k U_k(|A_k (x - c_k)|)"
-
-    @property
-    def geometry(self) -> PyTree:
-        return self.centers, self.shapes
+    kinds = ("hills and wells",)
+    formulas = (r"-\nabla \sum_k U_k(|A_k (x - c_k)|)",)
+    shaped_by = ("centers", "shapes")
 
     @property
     def geometry_scales(self) -> tuple[float, ...]:
@@ -276,10 +247,6 @@ class HillsTerm(AbstractTerm):
         exponents = -0.5 * squares[:, None] / jnp.asarray(WIDTHS)[None] ** 2
         return jnp.ravel(jnp.exp(exponents)) @ self.weights
 
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        force = -jax.grad(self.potential, argnums=1)(t, x)
-        return quarter_turn(force) if self.rotational else force
-
 
 def _squared_distance(
     x: Vector, center: Float[Array, "2"], shape: Float[Array, "3"]
@@ -288,3 +255,146 @@ def _squared_distance(
     metric = exponential_of_shear(2 * p, 2 * q)  # |e^S d|^2 = d e^{2S} d
     offset = x - center
     return jnp.exp(-2 * size) * (offset @ metric @ offset)
+
+
+class CentralTerm(AbstractProfileTerm):
+    r"""A force about a centre, $f(r)\,\hat r$ with $r = |x - c|$, or a swirl about it.
+
+    Attributes:
+        center: $c$ [L].
+    """
+
+    weights: Float[Array, " weight"]
+    center: Vector
+    places: Places
+    width: Scalar
+    rotational: bool = eqx.field(static=True, default=False)
+    law: FittedLaw | None = None
+
+    kinds = ("central", "central swirl")
+    formulas = (r"f(|x - c|)\,\hat r", r"f(|x - c|)\,\hat\varphi")
+    shaped_by = ("center",)
+
+    def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
+        return distance(x - self.center, ROUNDING * self.width)[None]
+
+
+class EllipticTerm(AbstractProfileTerm):
+    r"""A force whose potential has similar ellipses for contours.
+
+    $z = \sqrt{(x - c)^\top e^{2S} (x - c)}$ with a traceless symmetric $S$ of the
+    entries $(p, q)$: $e^{2|S|}$ is the ratio of the axes.
+
+    Attributes:
+        center: $c$ [L].
+        shear: $p$ and $q$.
+    """
+
+    weights: Float[Array, " weight"]
+    center: Float[Array, "2"]
+    shear: Float[Array, "2"]
+    places: Places
+    width: Scalar
+    rotational: bool = eqx.field(static=True, default=False)
+    law: FittedLaw | None = None
+
+    kinds = ("elliptic",)
+    formulas = (r"f(z)\,\nabla z,\ z^2 = (x - c)^\top e^{2S} (x - c)",)
+    shaped_by = ("center", "shear")
+
+    @property
+    def placement_scales(self) -> tuple[float, ...]:
+        return self.reach, 1.0
+
+    def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
+        root = exponential_of_shear(self.shear[0], self.shear[1])
+        return distance(root @ (x - self.center), ROUNDING * self.width)[None]
+
+
+class WallTerm(AbstractProfileTerm):
+    r"""A force along one direction that depends on the place along it, $f(z)\,n$.
+
+    $z = n \cdot (x - x_0)$ with $n = (\cos\phi, \sin\phi)$: a wall, a layer, a channel,
+    or, turned, a shear flow.
+
+    Attributes:
+        angle: $\phi$ of the normal to the x axis [rad].
+        origin: $x_0$ [L]; fixed.
+    """
+
+    weights: Float[Array, " weight"]
+    angle: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    origin: Float[Array, "2"]
+    places: Places
+    width: Scalar
+    rotational: bool = eqx.field(static=True, default=False)
+    law: FittedLaw | None = None
+
+    kinds = ("wall", "shear layer")
+    formulas = (r"f(n \cdot x)\,n", r"f(n \cdot x)\,n^\perp")
+    shaped_by = ("angle",)
+    is_odd = False
+
+    @property
+    def placement_scales(self) -> tuple[float, ...]:
+        return (1.0,)
+
+    @property
+    def offset(self) -> Scalar:
+        return self._normal @ self.origin
+
+    def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
+        return (self._normal @ (x - self.origin))[None]
+
+    @property
+    def _normal(self) -> Float[Array, "2"]:
+        return jnp.stack([jnp.cos(self.angle), jnp.sin(self.angle)])
+
+
+class SegmentTerm(AbstractProfileTerm):
+    r"""A force away from a segment, a fibre with round ends; or a swirl about it.
+
+    Attributes:
+        ends: of the segment [L].
+    """
+
+    weights: Float[Array, " weight"]
+    ends: Float[Array, "2 2"]
+    places: Places
+    width: Scalar
+    rotational: bool = eqx.field(static=True, default=False)
+    law: FittedLaw | None = None
+
+    kinds = ("segment",)
+    formulas = (r"f(z)\,\nabla z,\ z = \mathrm{dist}(x, \overline{ab})",)
+    shaped_by = ("ends",)
+
+    def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
+        along = self.ends[1] - self.ends[0]
+        length = along @ along + (ROUNDING * self.width) ** 2
+        fraction = jnp.clip((x - self.ends[0]) @ along / length, 0.0, 1.0)
+        offset = x - self.ends[0] - fraction * along
+        return distance(offset, ROUNDING * self.width)[None]
+
+
+class ObstaclesTerm(AbstractProfileTerm):
+    r"""Obstacles of one kind: central forces about several centres, one profile.
+
+    Attributes:
+        centers: $c_k$ [L].
+    """
+
+    weights: Float[Array, " weight"]
+    centers: Float[Array, "center dim"]
+    places: Places
+    width: Scalar
+    rotational: bool = eqx.field(static=True, default=False)
+    law: FittedLaw | None = None
+
+    kinds = ("obstacles",)
+    formulas = (r"\sum_k f(|x - c_k|)\,\hat r_k",)
+    shaped_by = ("centers",)
+
+    def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
+        rounding = ROUNDING * self.width
+        return jax.vmap(lambda c: distance(x - c, rounding))(self.centers)

@@ -1,0 +1,165 @@
+"""Laws that the profiles of a fit may follow, with numbers that are fitted."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from pinav.arguments import Scalar
+from pinav.forces.formulas import NUMERIC
+from pinav.forces.profiles import (
+    AbstractProfile,
+    Channel,
+    Hill,
+    Step,
+    SuperGaussian,
+    Wave,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class LawFamily:
+    """A profile that a term of a fit may follow.
+
+    Attributes:
+        numbers: its constants, as tables name them: the place along the coordinate
+            first where it has one, then those of the profile.
+        latex: its formula; SymPy, which could print it, takes a second to import.
+        is_placed: whether it has a place; else it stands at zero.
+        of_distances: whether terms of a distance may follow it.
+        of_lines: whether terms along a line may.
+        reach: deviation of the prior of a place, in sizes.
+    """
+
+    profile: AbstractProfile
+    numbers: tuple[str, ...]
+    latex: str
+    is_placed: bool = True
+    of_distances: bool = True
+    of_lines: bool = True
+    reach: float = 2.0
+
+
+FITTED: dict[str, LawFamily] = {
+    "hill": LawFamily(
+        Hill(),
+        ("size", "tail"),
+        r"(1 + \kappa z^2 / 2 s^2)^{-1/\kappa}",
+        is_placed=False,
+        of_lines=False,
+    ),
+    "plateau": LawFamily(
+        SuperGaussian(),
+        ("size", "steepness"),
+        r"e^{-(z^2 / 2 s^2)^m}",
+        is_placed=False,
+        of_lines=False,
+    ),
+    "ring": LawFamily(
+        Hill(),
+        ("radius", "size", "tail"),
+        r"(1 + \kappa (z - \rho)^2 / 2 s^2)^{-1/\kappa}",
+        reach=1.0,
+    ),
+    "step": LawFamily(Step(), ("place", "size"), r"1 / (1 + e^{-(z - b) / w})"),
+    "channel": LawFamily(
+        Channel(),
+        ("middle", "half width", "size"),
+        r"1 / (1 + e^{(a + b - z) / w}) + 1 / (1 + e^{(a - b + z) / w})",
+        of_distances=False,
+    ),
+    "wave": LawFamily(
+        Wave(), ("place", "period"), r"\cos((z - b) / s)", of_distances=False
+    ),
+}
+"""Laws of the terms of a fit by the words for them in tables."""
+
+
+class FittedLaw(eqx.Module):
+    r"""A law of a term: a profile with numbers of its own, which are fitted.
+
+    A profile of kernels knows nothing where no swimmer went. Many fields follow a
+    formula of a size and a form, which the data on one flank of a hill tell of the
+    other flank. Beside the formula the kernels of the profile stay: they carry what it
+    cannot.
+
+    Attributes:
+        name: in `FITTED`.
+        numbers: of each constant a number without bounds: places and the half width of
+            a channel [L] as they are, of a size or a steepness the logarithm, of a tail
+            $\log (1 + 2\kappa)$, so that $\kappa > -1/2$ and forces are smooth.
+    """
+
+    name: str = eqx.field(static=True)
+    numbers: tuple[Scalar, ...]
+
+    @property
+    def family(self) -> LawFamily:
+        """The profile and what its numbers are."""
+        return FITTED[self.name]
+
+    @property
+    def latex(self) -> str:
+        """Its formula for unit height."""
+        return self.family.latex
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Prior standard deviation of each number: one of logarithms and forms."""
+        far = self.family.reach * float(self.size)
+        return tuple(far if n in PLACES else 1.0 for n in self.family.numbers)
+
+    @property
+    def size(self) -> Scalar:
+        """Distance over which it falls [L]."""
+        names = self.family.numbers
+        index = names.index("period" if "period" in names else "size")
+        return jnp.exp(self.numbers[index])
+
+    def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
+        """The numbers as tables name them.
+
+        Args:
+            offset: of the coordinate, by which places are shifted [L].
+        """
+        names, values = self.family.numbers, list(self._values)
+        if self.family.is_placed:
+            values[0] = values[0] + offset
+        if names[-1] == "period":
+            values[-1] = 2 * jnp.pi * values[-1]
+        return dict(zip(names, values, strict=True))
+
+    def potential(self, z: Scalar) -> Float[Array, ""]:
+        """The potential at a place along the coordinate, relative to its height."""
+        place, shapes = 0.0, self._values
+        if self.family.is_placed:
+            place, *shapes = shapes
+        return self.family.profile.value(shapes, z - place, NUMERIC)
+
+    def force(self, z: Scalar) -> Float[Array, ""]:
+        """The force along the coordinate, for unit height [L⁻¹]."""
+        return -jax.grad(self.potential)(z)
+
+    @property
+    def _values(self) -> tuple[Scalar, ...]:
+        """The constants: the place, if any, and those of the profile."""
+        names = self.family.numbers
+        return tuple(map(_constant, names, self.numbers))
+
+
+def _constant(name: str, number: Scalar) -> Scalar:
+    """The constant of a number without bounds."""
+    if name in PLACES:
+        return number
+    return tail(number) if name == "tail" else jnp.exp(number)
+
+
+PLACES = ("place", "middle", "half width", "radius")
+"""Constants whose numbers are lengths as they are."""
+
+
+def tail(form: Scalar) -> Scalar:
+    r"""$\kappa$ of a form."""
+    return 0.5 * jnp.expm1(form)

@@ -1,1 +1,0 @@
-"""Models of the surroundings that planning and control evaluate."""
