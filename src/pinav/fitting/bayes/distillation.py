@@ -117,7 +117,7 @@ def distil(network: Any, targets: DistillationTargets, *, closely: bool = False)
     free, theta = ravel_model(network, lambda force: force.parameters)
     damping, left = jnp.asarray(NETWORK_DAMPING), [np.inf]
     while len(left) <= (FULL_STEPS if closely else STEPS):
-        theta, damping, off = _step(free, theta, damping, targets, closely)
+        theta, damping, off = _step(free, theta, damping, targets, closely=closely)
         left.append(float(off))
         is_slow = len(left) > PATIENCE and left[-1] > SLOW * left[-PATIENCE]
         if closely and (left[-1] <= CLOSE or is_slow):
@@ -139,7 +139,8 @@ def _step(
     theta: Float[Array, " parameter"],
     damping: Float[Array, ""],
     targets: DistillationTargets,
-    closely: bool,  # noqa: FBT001
+    *,
+    closely: bool,
 ) -> tuple[Float[Array, " parameter"], Float[Array, ""], Float[Array, ""]]:
     """The best of several damped steps, its damping, and what it leaves.
 
