@@ -9,8 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, State, check_positive
-from pinav.dynamics.adaptive import TERM
-from pinav.dynamics.solvers import AbstractSolver, Path, Times, VectorField
+from pinav.dynamics.solvers import TERM, AbstractSolver, Path, Times, VectorField
 
 
 class InterpolatingAdjoint(AbstractSolver):

@@ -2,6 +2,7 @@
 
 import gc
 import importlib.util
+import itertools
 import os
 import shutil
 import tempfile
@@ -165,3 +166,27 @@ def fitted_run(fitted_runs, tmp_path_factory):
 def tiny_fit(fitted_runs, tmp_path_factory):
     """The run `network` and its data, to be read alone."""
     return fitted_runs.copy("network", tmp_path_factory.mktemp("fit"))
+
+
+@pytest.fixture
+def refused(capsys):
+    """Check that a command is refused with one line that holds some words.
+
+    It writes no folder that was not there before.
+    """
+
+    def check(argv, words):
+        from pinav import cli
+
+        argv = [*map(str, argv)]
+        outs = [Path(out) for word, out in itertools.pairwise(argv) if word == "--out"]
+        before = [out.exists() for out in outs]
+        capsys.readouterr()
+        with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+            assert cli.run(argv) == cli.USAGE_ERROR
+        *_, line = capsys.readouterr().err.splitlines()
+        assert line.startswith("pinav: ")
+        assert words in line
+        assert [out.exists() for out in outs] == before
+
+    return check

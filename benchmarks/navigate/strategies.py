@@ -22,7 +22,7 @@ from pinav.navigation.adaptive.strategies import (
     ExplorationBonus,
     MeanForce,
 )
-from pinav.report.text import as_text
+from pinav.report import as_text
 from pinav.runs import RunFolder
 
 TASKS = ("barrier-weak", "keep-out", "many-barriers", "fibres", "vortex", "shear")

@@ -5,8 +5,7 @@ from typing import Any
 from pinav.codec import decode
 from pinav.commands.navigate.sections import controller_table
 from pinav.navigation import Interval, Summary
-from pinav.report import Table, number
-from pinav.report.text import as_text
+from pinav.report import Table, as_text, number
 
 
 def text(name: str, result: dict[str, Any]) -> str:

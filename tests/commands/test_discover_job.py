@@ -29,7 +29,7 @@ from pinav.commands.results import sections_of
 from pinav.figures.images import Figures
 from pinav.fitting import Outcome
 from pinav.forces.profiles import Yukawa
-from pinav.report.text import sections_text
+from pinav.report import sections_text
 from pinav.runs import RunFolder
 
 
@@ -152,15 +152,14 @@ def test_report_section_holds_figure_and_tables(folder):
         assert (folder.path / "figures" / f"{name}.svg").is_file()
 
 
-def test_messages(tmp_path, capsys):
+def test_messages(tmp_path, refused):
     RunFolder.create(tmp_path / "run", {"run": {"command": "fit"}}, overwrite=False)
     for argv, words in (
         ([str(tmp_path / "run")], "holds no fitted"),
         ([str(tmp_path)], "holds no run"),
         ([str(tmp_path / "run"), "--refits", "0"], "--refits: expected 1 or more"),
     ):
-        assert cli.run(["discover", *argv]) == cli.USAGE_ERROR
-        assert words in capsys.readouterr().err
+        refused(["discover", *argv], words)
 
 
 @pytest.mark.parametrize(
@@ -206,7 +205,6 @@ def test_the_law_of_a_swimmer_without_inertia_is_a_force(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_law_of_stochastic_paths_is_refused(fitted_run, capsys):
+def test_a_law_of_stochastic_paths_is_refused(fitted_run, refused):
     run, _ = fitted_run("langevin")
-    assert cli.run(["discover", str(run)]) == cli.USAGE_ERROR
-    assert "expected a swimmer without thermal noise" in capsys.readouterr().err
+    refused(["discover", str(run)], "expected a swimmer without thermal noise")

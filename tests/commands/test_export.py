@@ -159,12 +159,11 @@ def test_arviz_reads_the_file_and_summarises_the_posterior(kernel_run, tmp_path)
     ],
 )
 def test_what_cannot_be_exported_is_said_in_a_line(
-    kernel_run, tmp_path, capsys, more, message
+    kernel_run, tmp_path, refused, more, message
 ):
     out = tmp_path / "there.csv"
     out.write_text("mine")
-    assert export(kernel_run, "napari", out, *more) == 2
-    assert message in capsys.readouterr().err
+    refused(["export", kernel_run, "--to", "napari", "--out", out, *more], message)
     assert out.read_text() == "mine"
 
 
@@ -176,9 +175,9 @@ def test_a_model_without_a_force_is_refused(kernel_run):
 
 
 def test_a_package_that_is_not_installed_is_named(
-    kernel_run, tmp_path, capsys, monkeypatch
+    kernel_run, tmp_path, refused, monkeypatch
 ):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert export(kernel_run, "netcdf", tmp_path / "run.nc") == 2
     message = "h5netcdf is not installed; install it by pip install 'pinav[exchange]'"
-    assert message in capsys.readouterr().err
+    words = ["export", kernel_run, "--to", "netcdf", "--out", tmp_path / "run.nc"]
+    refused(words, message)

@@ -1,6 +1,5 @@
 import json
 
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from pinav.learning.learned import Learned
 from pinav.learning.plan import plan_fit
 from pinav.learning.recipes import Bayes
 from pinav.scenarios import barrier_crossings, scenario
-from pinav.trajectories import Trajectories, load, save, simulate
+from pinav.trajectories import Trajectories, load, save
 
 
 def test_fit_learns_and_reports_what_was_asked(tiny_fit):
@@ -40,7 +39,7 @@ def test_evaluate_scores_the_stored_model(tiny_fit, capsys):
     assert heading.split()[:5] == ["RMSE,", "training", "error", "x", "y"]
 
 
-def test_resume_refuses_other_data(tiny_fit, tmp_path, capsys):
+def test_resume_refuses_other_data(tiny_fit, tmp_path, refused):
     run, data = tiny_fit
     other, pieces = tmp_path / "other.npz", load(data)
     shorter = Trajectories.from_arrays(
@@ -52,68 +51,37 @@ def test_resume_refuses_other_data(tiny_fit, tmp_path, capsys):
     save(shorter, other)
     config = ["--config", str(run / "config.toml")]
     argv = ["fit", str(other), "--out", str(run), *config, "--resume"]
-    assert cli.run(argv) == cli.USAGE_ERROR
-    assert "holds a run with data = " in capsys.readouterr().err
+    refused(argv, "holds a run with data = ")
 
 
-def test_data_without_a_scenario_need_physics(tmp_path, capsys):
+def test_data_without_a_scenario_need_physics(tmp_path, refused):
     path = tmp_path / "plain.csv"
     path.write_text("t,x,y,vx,vy\n0,0,0,1,1\n1,1,1,1,1\n2,2,2,1,1\n")
     argv = ["fit", str(path), "--out", str(tmp_path / "run")]
-    assert cli.run(argv) == cli.USAGE_ERROR
-    assert (
-        "--system: the data do not say which system they come from"
-        in capsys.readouterr().err
-    )
+    refused(argv, "--system: the data do not say which system they come from")
     path.write_text("t,x,y\n0,0,0\n1,1,1\n2,2,2\n")
     argv += ["--system", "paper", "--recipe", "curriculum"]
-    assert cli.run(argv) == cli.USAGE_ERROR
-    assert "expected the channels x, y, vx, vy" in capsys.readouterr().err
+    refused(argv, "expected the channels x, y, vx, vy")
     path.write_text("t,x,y,vx,vy\n0,0,0,,\n1,1,1,1,1\n2,2,2,1,1\n")
-    assert cli.run(argv) == cli.USAGE_ERROR
-    assert "or choose --recipe bayes" in capsys.readouterr().err
+    refused(argv, "or choose --recipe bayes")
     assert not (tmp_path / "run").exists()
 
 
-def test_a_model_file_of_something_else_is_refused(tiny_fit, tmp_path, capsys):
+def test_a_model_file_of_something_else_is_refused(tiny_fit, tmp_path, refused):
     run, data = tiny_fit
     copy = tmp_path / "run"
     copy.mkdir()
     (copy / "config.toml").write_bytes((run / "config.toml").read_bytes())
-    assert cli.run(["evaluate", str(copy), str(data)]) == cli.USAGE_ERROR
-    assert "holds no fitted model; give" in capsys.readouterr().err
+    refused(["evaluate", str(copy), str(data)], "holds no fitted model; give")
     (copy / "system.toml").write_bytes((run / "system.toml").read_bytes())
     (copy / "model.eqx").write_text('{"kind": "fit"}\n')
-    assert cli.run(["evaluate", str(copy), str(data)]) == cli.USAGE_ERROR
-    assert "Object missing required field" in capsys.readouterr().err
+    refused(["evaluate", str(copy), str(data)], "Object missing required field")
 
 
 @pytest.fixture(scope="module")
-def noisy_positions(tmp_path_factory):
-    """Short crossings as a tracker gives them: positions alone, some frames lost."""
-    path = tmp_path_factory.mktemp("noisy") / "tracks.csv"
-    crossings = eqx.tree_at(
-        lambda s: (s.starts, s.times),
-        barrier_crossings(),
-        replace_fn=lambda a: a[:4] if a.ndim == 2 else a[:61],
-    )
-    data = simulate(crossings, key=jax.random.key(3))
-    tracks = Trajectories.from_arrays(
-        [np.delete(t, 7) for t in data.times],
-        [np.delete(s[:, :2], 7, axis=0) for s in data.states],
-        channels=("x", "y"),
-        units={"x": "1", "y": "1", "t": "1"},
-    )
-    save(tracks, path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def inferred(noisy_positions):
-    run = noisy_positions.parent / "run"
-    argv = ["fit", str(noisy_positions), "--system", "barrier-crossings"]
-    assert cli.run([*argv, "--out", str(run), "--train", "damping"]) == 0
-    return run
+def inferred(fitted_runs, tmp_path_factory):
+    """Short crossings as a tracker gives them: positions alone, a frame lost."""
+    return fitted_runs.copy("positions", tmp_path_factory.mktemp("noisy"))[0]
 
 
 @pytest.mark.slow
@@ -148,7 +116,7 @@ def test_the_stored_posterior_is_that_of_the_fit(inferred):
 
 def test_an_inferred_run_is_resumed_without_fitting_again(inferred, capsys):
     config = ["--config", str(inferred / "config.toml"), "--resume"]
-    data = inferred.parent / "tracks.csv"
+    data = inferred.parent / "data.npz"
     before = (inferred / "metrics.json").read_bytes()
     (inferred / "metrics.json").unlink()
     assert cli.run(["fit", str(data), "--out", str(inferred), *config]) == 0

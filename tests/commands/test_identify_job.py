@@ -23,7 +23,7 @@ from pinav.identification import (
 from pinav.identification.identify import pooled_coverage
 from pinav.identification.parameters import ESTIMATED
 from pinav.identification.selection import RESIDUALS
-from pinav.report.text import sections_text
+from pinav.report import sections_text
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories, is_trajectories, save
 

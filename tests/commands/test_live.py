@@ -30,7 +30,7 @@ def said(capsys):
     return rows, captured.err
 
 
-def test_a_followed_file_and_its_replay_say_the_same(lines, tmp_path, capsys):
+def test_a_followed_file_and_its_replay_say_the_same(lines, tmp_path, capsys, refused):
     out = ("--out", str(tmp_path / "run"))
     assert cli.run(["live", str(lines), *out]) == 0
     live, summary = said(capsys)
@@ -44,8 +44,7 @@ def test_a_followed_file_and_its_replay_say_the_same(lines, tmp_path, capsys):
         r for r in replayed if r["type"] != "event"
     ]
     assert {"refused", "bye"} <= {r["kind"] for r in live if r["type"] == "event"}
-    assert cli.run(["live", str(lines), *out]) == 2
-    assert "go on with --resume, or choose another folder" in capsys.readouterr().err
+    refused(["live", str(lines), *out], "go on with --resume, or choose another folder")
     assert cli.run(["live", str(lines), *out, "--resume"]) == 0
     resumed, _ = said(capsys)
     (ready,) = [row for row in resumed if row["type"] == "ready"]
@@ -74,7 +73,7 @@ def circle(path, start, session="a"):
     return path
 
 
-def test_an_earlier_session_tells_the_drive_of_the_next(tmp_path, capsys):
+def test_an_earlier_session_tells_the_drive_of_the_next(tmp_path, capsys, refused):
     monday, tuesday = tmp_path / "monday", tmp_path / "tuesday.jsonl"
     first = circle(tmp_path / "monday.jsonl", (0.0, 0.0))
     assert cli.run(["live", str(first), "--out", str(monday)]) == 0
@@ -90,8 +89,7 @@ def test_an_earlier_session_tells_the_drive_of_the_next(tmp_path, capsys):
     state = next(row for row in rows if row["type"] == "state")
     assert state["gain"] == pytest.approx(gain, rel=0.01)
     assert (state["x"], state["y"]) == pytest.approx((50.0, 20.0), abs=0.1)
-    assert cli.run([*words, "--prior", str(tmp_path / "nobody")]) == 2
-    assert "session.npz cannot be read" in capsys.readouterr().err
+    refused([*words, "--prior", str(tmp_path / "nobody")], "session.npz cannot be read")
 
 
 def test_commands_go_to_a_file_and_stop_with_watch(lines, tmp_path, capsys):
@@ -117,19 +115,16 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("words", "message"), REFUSED.values(), ids=REFUSED)
-def test_mistakes_are_one_line(words, message, tmp_path, capsys):
-    assert cli.run(["live", str(tmp_path / "nothing"), *words]) == 2
-    assert message in capsys.readouterr().err
+def test_mistakes_are_one_line(words, message, tmp_path, refused):
+    refused(["live", str(tmp_path / "nothing"), *words], message)
 
 
-def test_a_short_secret_is_refused(tmp_path, capsys):
+def test_a_short_secret_is_refused(tmp_path, refused):
     token = tmp_path / "token"
     token.write_text("short")
     words = ["live", "tcp://10.0.0.1:5000", "--token", str(token)]
-    assert cli.run(words) == 2
-    assert "expected a secret of 8 to 200 characters" in capsys.readouterr().err
-    assert cli.run(words[:2]) == 2
-    assert "needs a shared secret" in capsys.readouterr().err
+    refused(words, "expected a secret of 8 to 200 characters")
+    refused(words[:2], "needs a shared secret")
 
 
 def test_watching_has_no_goal():

@@ -37,24 +37,21 @@ def test_numbers_are_named_by_the_words_on_the_way():
     ],
 )
 @pytest.mark.parametrize("command", ["fit", "identify"])
-def test_mistakes_get_one_line(command, words, message, tmp_path, capsys):
-    out = tmp_path / "run"
-    argv = [command, *words, "--out", str(out)]
-    assert cli.run(argv) == cli.USAGE_ERROR
-    assert message in capsys.readouterr().err
-    assert not out.exists()
+def test_mistakes_get_one_line(command, words, message, tmp_path, refused):
+    refused([command, *words, "--out", tmp_path / "run"], message)
 
 
-def test_a_file_that_is_given_twice_is_refused(tmp_path, capsys):
+def test_a_file_that_is_given_twice_is_refused(tmp_path, refused):
     data = tmp_path / "data.csv"
     data.write_text("t,x,y\n")
     argv = ["fit", str(data), str(data), "--out", str(tmp_path / "run")]
-    assert cli.run(argv) == cli.USAGE_ERROR
-    assert "is given twice; drop one" in capsys.readouterr().err
+    refused(argv, "is given twice; drop one")
 
 
 @pytest.mark.slow
-def test_several_files_get_a_run_each_and_one_table(fitted_run, tmp_path, capsys):
+def test_several_files_get_a_run_each_and_one_table(
+    fitted_run, tmp_path, capsys, refused
+):
     _, data = fitted_run("kernel")
     shutil.copy(data, tmp_path / f"good{data.suffix}")
     (tmp_path / "bad.csv").write_text("t,x\n0,oh\n")
@@ -77,5 +74,4 @@ def test_several_files_get_a_run_each_and_one_table(fitted_run, tmp_path, capsys
     assert cli.run([*argv, "--resume", "--workers", "2"]) == 0
     assert (out / "runs.csv").read_bytes() == table
     capsys.readouterr()
-    assert cli.run(["report", str(out)]) == cli.USAGE_ERROR
-    assert "holds the runs of several files; report one" in capsys.readouterr().err
+    refused(["report", str(out)], "holds the runs of several files; report one")

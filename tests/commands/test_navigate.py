@@ -48,7 +48,7 @@ from pinav.navigation import (
     navigate,
 )
 from pinav.navigation.comparison import ComputingTimes, PlannedWay
-from pinav.report.text import as_text
+from pinav.report import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories
@@ -183,10 +183,9 @@ def test_a_run_from_a_fit_to_report(tmp_path, capsys, fitted_run):
     assert "start: expected a free place" in capsys.readouterr().err
 
 
-def test_a_folder_without_a_fit_is_refused(tmp_path, capsys):
+def test_a_folder_without_a_fit_is_refused(tmp_path, refused):
     words = ["--from", "0,0", "--to", "1,1", "--out", str(tmp_path / "out")]
-    assert cli.run(["navigate", str(tmp_path), *words]) == cli.USAGE_ERROR
-    assert "holds no run" in capsys.readouterr().err
+    refused(["navigate", str(tmp_path), *words], "holds no run")
 
 
 def rolling_run(tmp_path, **propulsion):

@@ -96,9 +96,8 @@ def test_a_finished_run_is_not_done_again(run, capsys):
     assert "paper" in capsys.readouterr().out
 
 
-def test_a_run_is_not_overwritten_by_accident(run, capsys):
-    assert cli.run(words(run.path)) == cli.USAGE_ERROR
-    assert "already holds a run" in capsys.readouterr().err
+def test_a_run_is_not_overwritten_by_accident(run, refused):
+    refused(words(run.path), "already holds a run")
 
 
 @pytest.fixture

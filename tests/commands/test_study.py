@@ -154,11 +154,8 @@ def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
         (["noise", "--cell-timeout", "0"], "--cell-timeout: expected > 0"),
     ],
 )
-def test_mistakes_get_one_line_and_no_folder(words, message, tmp_path, capsys):
-    out = tmp_path / "run"
-    assert cli.run(["study", *words, "--out", str(out)]) == cli.USAGE_ERROR
-    assert message in capsys.readouterr().err
-    assert not out.exists()
+def test_mistakes_get_one_line_and_no_folder(words, message, tmp_path, refused):
+    refused(["study", *words, "--out", tmp_path / "run"], message)
 
 
 def test_no_noise_stands_left_of_all_noise():

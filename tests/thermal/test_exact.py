@@ -20,7 +20,7 @@ from validation.heat.exact.controls import (
 )
 from validation.heat.verification import CASES
 
-from pinav.report.text import as_text
+from pinav.report import as_text
 
 BARE = Medium(SET_S.conductivity, SET_S.capacity)
 TUMOUR = Medium(0.55, 1045.0 * 3600.0, 8.33e-4 * 4.18e6)

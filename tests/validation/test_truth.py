@@ -24,7 +24,7 @@ from validation.truth.wall_fields import WallFields
 
 from pinav.errors import InputError
 from pinav.forces import parallel_mobility
-from pinav.report.text import as_text
+from pinav.report import as_text
 
 TRAP = """kind = "trap"
 file = "bead.csv"

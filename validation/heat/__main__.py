@@ -6,7 +6,7 @@ import jax
 from validation.heat.checks import table
 from validation.heat.verification import verify
 
-from pinav.report.text import as_text
+from pinav.report import as_text
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", val=True)

@@ -15,8 +15,7 @@ from pinav.commands.settings import ResumableOptions, RunOptions
 from pinav.errors import InputError
 from pinav.figures.images import Figures
 from pinav.reading import Reading
-from pinav.report import Code, Image, Section, Table, render
-from pinav.report.text import sections_text
+from pinav.report import Code, Image, Section, Table, render, sections_text
 from pinav.runs import RunFolder
 from pinav.sweeps.store import FOLDER as CELLS
 from pinav.trajectories import Trajectories

@@ -15,8 +15,7 @@ from pinav.commands.results import TABLE, start_run, write_report
 from pinav.commands.settings import FilesOptions, RunOptions, WorkerSettings
 from pinav.errors import InputError
 from pinav.reading import Content
-from pinav.report import Table
-from pinav.report.text import as_text
+from pinav.report import Table, as_text
 from pinav.runs import METRICS_FILE, RunFolder
 from pinav.sweeps import (
     Cell,

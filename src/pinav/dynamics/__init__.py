@@ -1,7 +1,5 @@
 """Equations of motion of swimmers, and their solvers."""
 
-from pinav.dynamics.adaptive import Adaptive as Adaptive
-from pinav.dynamics.adaptive import ForwardOnly as ForwardOnly
 from pinav.dynamics.brownian import BOLTZMANN as BOLTZMANN
 from pinav.dynamics.brownian import BrownianSwimmer as BrownianSwimmer
 from pinav.dynamics.brownian import sample_path as sample_path
@@ -15,6 +13,8 @@ from pinav.dynamics.rollout import Outcome as Outcome
 from pinav.dynamics.rollout import Rollout as Rollout
 from pinav.dynamics.rollout import rollout as rollout
 from pinav.dynamics.solvers import AbstractSolver as AbstractSolver
+from pinav.dynamics.solvers import Adaptive as Adaptive
+from pinav.dynamics.solvers import ForwardOnly as ForwardOnly
 from pinav.dynamics.solvers import VectorField as VectorField
 from pinav.dynamics.swimmers import AbstractDynamics as AbstractDynamics
 from pinav.dynamics.swimmers import Model as Model

@@ -6,8 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from pinav.dynamics.adaptive import Adaptive
-from pinav.dynamics.solvers import AbstractSolver
+from pinav.dynamics.solvers import AbstractSolver, Adaptive
 from pinav.dynamics.swimmers import AbstractDynamics
 from pinav.errors import InputError
 

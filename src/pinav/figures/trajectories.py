@@ -17,15 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from pinav.evaluation import Decomposition
-from pinav.figures.palette import (
-    BLACK,
-    FAINT,
-    GREY,
-    GUIDE,
-    PAPER,
-    SHADE,
-    TRUTH,
-)
+from pinav.figures.palette import BLACK, FAINT, GREY, GUIDE, PAPER, SHADE, TRUTH
 from pinav.figures.style import (
     DIMENSIONLESS,
     SMALL,

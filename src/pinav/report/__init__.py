@@ -9,6 +9,7 @@ from pinav.report.page import Link as Link
 from pinav.report.page import Paragraph as Paragraph
 from pinav.report.page import Section as Section
 from pinav.report.page import Table as Table
+from pinav.report.page import as_text as as_text
 from pinav.report.page import capitalise as capitalise
 from pinav.report.page import heading as heading
 from pinav.report.page import measured as measured
@@ -16,3 +17,4 @@ from pinav.report.page import number as number
 from pinav.report.page import percent as percent
 from pinav.report.page import quantity as quantity
 from pinav.report.page import render as render
+from pinav.report.page import sections_text as sections_text

@@ -1,6 +1,7 @@
-"""One self-contained HTML page: opens offline and refers to nothing outside itself.
+"""Blocks of a report, as one self-contained HTML page and as plain text.
 
-Whatever comes from data is escaped; images are embedded.
+The page opens offline and refers to nothing outside itself: whatever comes from data is
+escaped, images are embedded.
 """
 
 import abc
@@ -209,8 +210,8 @@ class Table(AbstractBlock):
         )
 
 
-def _cell_text(cell: Cell) -> str:
-    return cell if isinstance(cell, str) else number(cell)
+def _cell_text(cell: Cell, digits: int = 4) -> str:
+    return cell if isinstance(cell, str) else number(cell, digits)
 
 
 def _looks_numeric(text: str) -> bool:
@@ -325,3 +326,53 @@ def _section(index: int, section: Section) -> str:
 def _source(name: str) -> str:
     """A file that stands beside this module."""
     return files("pinav.report").joinpath(name).read_text(encoding="utf-8")
+
+
+DIGITS, MOST_ROWS = 3, 25
+"""Significant digits on a terminal, and the rows of a table that it shows."""
+
+
+def as_text(table: Table) -> str:
+    """The table with aligned columns, its caption below."""
+    cells = [[_cell_text(cell, DIGITS) for cell in row] for row in table.rows]
+    rows = [list(table.header), *cells]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        "  ".join(
+            cell.ljust(width) if index == 0 else cell.rjust(width)
+            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+    return "\n".join([*lines, *([f"({table.caption})"] if table.caption else [])])
+
+
+def sections_text(sections: Sequence[Section]) -> str:
+    """What a terminal shows of a report: paragraphs, tables and code, no pictures.
+
+    A section of pictures alone is left out. A long table loses its last rows, and says
+    so.
+    """
+    return "\n\n".join(
+        f"{section.heading}\n{'-' * len(section.heading)}\n{text}"
+        for section in sections
+        if (text := _section_text(section))
+    )
+
+
+def _section_text(section: Section) -> str:
+    parts: list[str] = []
+    for block in section.blocks:
+        if isinstance(block, Paragraph | Code):
+            parts.append(block.text)
+        elif isinstance(block, Table):
+            parts.append(f"\n{as_text(_beginning(block))}\n")
+    return "\n".join(parts).strip().replace("\n\n\n", "\n\n")
+
+
+def _beginning(table: Table) -> Table:
+    left_out = len(table.rows) - MOST_ROWS
+    if left_out <= 0:
+        return table
+    note = f"{left_out} more rows stand in the report. {table.caption}"
+    return Table(table.header, table.rows[:MOST_ROWS], note)

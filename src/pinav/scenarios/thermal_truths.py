@@ -130,7 +130,7 @@ def brownian() -> System:
         name="brownian",
         swimmer=swimmer,
         dim=2,
-        environment=GaussianBarrier(20 * heat, [0.0, 0.0], 2.0),
+        environment=GaussianBarrier(height=20 * heat, center=[0.0, 0.0], width=2.0),
         thermal_energy=heat,
         rule=UniformStarts(lower=(-6.0, -8.0), upper=(6.0, 2.0), count=32),
         times=jnp.linspace(0.0, 10.0, 241),

@@ -203,7 +203,7 @@ def box() -> System:
             out_and_back(30.0, 1.0, 2.0),
             ZeroForce(),
             1.0,
-            known_force=HarmonicTrap(0.1, [5.0, 5.0, 5.0]),
+            known_force=HarmonicTrap(stiffness=0.1, center=[5.0, 5.0, 5.0]),
         ),
         dim=3,
         environment=field,

@@ -17,8 +17,7 @@ from tests.commands.test_heat_voxels import write as write_voxels
 from pinav import cli
 from pinav.commands.explore.document import document
 from pinav.commands.explore.job import explorer
-from pinav.commands.explore.payload import payload_of
-from pinav.commands.explore.plan import LEVELS
+from pinav.commands.explore.payload import LEVELS, payload_of
 from pinav.commands.explore.printing import pack_array
 from pinav.commands.explore.warmth import heat_payload
 from pinav.evaluation import square

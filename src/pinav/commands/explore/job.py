@@ -12,8 +12,7 @@ import jax
 from pinav.commands.command import CommandResult
 from pinav.commands.explore import ExploreOptions
 from pinav.commands.explore.document import PAGE, document
-from pinav.commands.explore.payload import payload_of
-from pinav.commands.explore.plan import fit_of_plan, is_plan, plan_of
+from pinav.commands.explore.payload import fit_of_plan, is_plan, payload_of, plan_of
 from pinav.commands.explore.printing import Tree
 from pinav.commands.explore.warmth import heat_payload, is_heated
 from pinav.errors import InputError

@@ -1,15 +1,15 @@
 """What the explorer's page knows of a run, as JSON."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from pinav.commands.explore.force_table import TableBox
-from pinav.commands.explore.posterior import directions
 from pinav.commands.explore.printing import Tree, pack_array
 from pinav.commands.explore.programs import Controls, Programs
 from pinav.dynamics import (
@@ -21,8 +21,11 @@ from pinav.dynamics import (
 from pinav.dynamics.swimmers import unbound
 from pinav.errors import InputError
 from pinav.evaluation import extent, square
+from pinav.fitting import Posterior
 from pinav.forces import ZeroForce, as_learned_force
 from pinav.learning.learned import Learned
+from pinav.navigation import AbstractNavigation, Navigation
+from pinav.runs import RunFolder
 from pinav.scenarios import source_system
 from pinav.systems import System
 from pinav.trajectories import Trajectories, Trajectory
@@ -273,3 +276,128 @@ def _changes(piece: Trajectory) -> np.ndarray:
     changed = np.any(values[:, 1:] != values[:, :-1], axis=0)
     kept = np.concatenate([[0], np.flatnonzero(changed) + 1])
     return kept[:: math.ceil(len(kept) / (SAMPLES // 4))]
+
+
+NUMBERS = 130_000
+"""Numbers of the factor at most: 0.7 MB of a page of at most 1.5 MB."""
+
+FEW = 64
+"""Directions that are all kept, without asking which of them matter."""
+
+NEGLIGIBLE = 1e-7
+"""Share of the variance below which a direction is left out."""
+
+GRID = 25
+"""Points along each side on which directions are weighed."""
+
+
+def directions(
+    posterior: Posterior,
+    box: tuple[float, float, float, float],
+    times: tuple[float, ...] = (0.0,),
+) -> tuple[Float[np.ndarray, "parameter direction"], float]:
+    r"""A factor $L$ of the covariance, $\Sigma \approx L L^\top$, and what it keeps.
+
+    Most of the variance of weights has no effect. Kept are the directions that matter
+    most for the force on a grid, the leading right singular vectors of
+    $D^{-1} J \Sigma^{1/2}$ with the Jacobian $J$ of the force. $D$ holds the standard
+    deviations of the force, so that places where it is well known count as much as
+    those where it is not; each constant that does not enter the force counts as one
+    place.
+
+    Args:
+        posterior: of the model.
+        box: where the force is weighed, x from and to, y from and to [L].
+        times: at which it is weighed [T].
+
+    Returns:
+        The factor, with at most `NUMBERS` numbers, and the share of the relative
+        variance on the grid that it keeps.
+    """
+    values, vectors = np.linalg.eigh(posterior.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    if len(root) <= FEW:
+        return root, 1.0
+    x, y = np.linspace(*box[:2], GRID), np.linspace(*box[2:], GRID)
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    rows = np.concatenate(
+        [posterior.force_jacobians(points, t).reshape(-1, len(root)) for t in times]
+    )
+    silent = np.abs(rows).max(axis=0) == 0
+    relative = np.concatenate([rows @ root, root[silent]])
+    spread = np.linalg.norm(relative, axis=1, keepdims=True)
+    relative = relative / np.where(spread > 0, spread, 1.0)
+    variances, right = np.linalg.eigh(relative.T @ relative)
+    variances, right = np.maximum(variances[::-1], 0.0), right[:, ::-1]
+    matter = int(np.sum(variances > NEGLIGIBLE * variances.sum()))
+    keep = min(max(NUMBERS // len(root), 1), matter)
+    kept = float(variances[:keep].sum() / variances.sum())
+    return root @ right[:, :keep], kept
+
+
+RESULT = "metrics"
+"""Files of the result of a navigation, without ending."""
+
+LEVELS = 65535
+"""Steps of a value of the plan."""
+
+
+def fit_of_plan(folder: RunFolder, stated: Path | None) -> Path:
+    """The run of the model that a plan was made with.
+
+    Args:
+        folder: of the plan.
+        stated: where that run is; the one of its name beside the plan unless given.
+
+    Raises:
+        InputError: it is not there.
+    """
+    name = folder.identity().get("fitted", "")
+    beside = folder.path.resolve().parent / name
+    fit = beside if stated is None else stated
+    if not RunFolder(fit).exists():
+        raise InputError(
+            f"{folder.path}: expected the run {name!r} that it was planned with beside "
+            "it; name that folder with --fit"
+        )
+    return fit
+
+
+def plan_of(folder: RunFolder) -> Tree:
+    """The plan of a run as the page takes it.
+
+    Raises:
+        InputError: the run has none, such as one in space.
+    """
+    result: AbstractNavigation = folder.load(RESULT, AbstractNavigation)
+    if not isinstance(result, Navigation) or result.plan.lattice is None:
+        raise InputError(
+            f"{folder.path}: its results hold no plan that can be evaluated; expected "
+            "one in the plane, of a learned model"
+        )
+    course, lattice = result.course, result.plan.lattice
+    plan: Tree = {
+        "arena": course.arena.tolist(),
+        "start": course.start.tolist(),
+        "goal": course.goal.tolist(),
+        "tolerance": course.tolerance,
+        "discs": course.discs.tolist(),
+        "step": result.step,
+        "lower": lattice.lower.tolist(),
+        "spacing": lattice.spacing.tolist(),
+        "scale": lattice.scale,
+        "ahead": lattice.ahead,
+        "horizon": lattice.horizon,
+        "thrusts": lattice.thrusts.tolist(),
+    }
+    # Between zero and one: sixteen bits are finer than the lattice is right.
+    levels = np.round(np.clip(lattice.values, 0.0, 1.0) * LEVELS)
+    plan["values"] = pack_array(levels, "u2")
+    if result.suggestion is not None and result.suggestion.path is not None:
+        plan["suggestion"] = result.suggestion.path.tolist()
+    return plan
+
+
+def is_plan(folder: RunFolder) -> bool:
+    """Whether the run has a plan on the model of another run, and no model itself."""
+    return not folder.models() and bool(folder.identity().get("fitted"))

@@ -1,15 +1,16 @@
 """A run of bioheat as the page takes it."""
 
 import dataclasses
+import math
 
 import numpy as np
+from jaxtyping import Float
 
-from pinav.commands.explore.plan import RESULT
+from pinav.commands.explore.payload import RESULT
 from pinav.commands.explore.printing import Tree, pack_array
-from pinav.commands.explore.sections import RESULTS, section_payload
 from pinav.errors import InputError
 from pinav.runs import RunFolder
-from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun, RadialBalance
+from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun, Plane, RadialBalance
 from pinav.thermal.planned_run import PlannedRun
 
 
@@ -63,3 +64,98 @@ def _radial_payload(run: HeatedRun, balance: RadialBalance) -> Tree:
         "field": pack_array(run.profiles[:: max(len(run.times) // 60, 1)]),
         "dose": pack_array(run.doses["D90"]),
     }
+
+
+RESULTS = "results.npz"
+
+NUMBERS = 300_000
+"""Temperatures that the page holds at most, of two bytes each."""
+
+SIDE = 160
+"""Cells along a side of a section at most; of finer ones each second is taken."""
+
+LEVELS = 65534
+"""Steps between the least and the greatest number; one more stands for none."""
+
+LEAST_DOSE = 1e-3
+"""Dose [CEM43 min] below which the map of its logarithm says no less."""
+
+
+def section_payload(run: HeatedRun) -> Tree:
+    """The planes of a run in a box, and its curves, as the page takes them."""
+    moments = run.moments
+    assert moments is not None
+    cells = sum(thin(plane.temperatures[0]).size for plane in run.planes)
+    kept = _kept(len(moments), max(NUMBERS // cells, 2))
+    fields = {one.axis: thin(one.temperatures[kept]) for one in run.planes}
+    limits = _limits(*fields.values())
+    doses = {f"dose/{name}": curve for name, curve in run.doses.items()}
+    curves = {name: pack_array(c) for name, c in (run.temperatures | doses).items()}
+    probes = [] if run.probes is None else run.probes.T
+    return {
+        "kind": "sections",
+        "limits": limits,
+        "moments": pack_array(moments[kept], "f8"),
+        "sections": [
+            {
+                **_place(plane, run),
+                "temperature": _levels(fields[plane.axis], limits),
+                "dose": _dose(_cut(run.dose, plane)),
+                "target": pack_array(thin(_cut(run.target, plane))),
+            }
+            for plane in run.planes
+        ],
+        "points": run.points.tolist(),
+        "curves": curves,
+        "probes": [pack_array(line) for line in probes],
+    }
+
+
+def thin(plane: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """Sections with at most `SIDE` cells along each side, the last two axes."""
+    every = math.ceil(max(plane.shape[-2:]) / SIDE)
+    return plane[..., ::every, ::every]
+
+
+def _kept(count: int, most: int) -> np.ndarray:
+    """Indices of at most so many of `count` moments, evenly, both ends among them."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
+
+
+def _place(plane: Plane, run: HeatedRun) -> Tree:
+    """Where a section lies: the axes along it, its sides and its height [m]."""
+    axis = "xyz".index(plane.axis)
+    spacing, shape = run.spacing, run.target.shape
+    along = [a for a in range(len(shape)) if a != axis]
+    return {
+        "normal": plane.axis,
+        "axes": ["xyz"[a] for a in along],
+        "sides": [float(spacing[a] * shape[a]) for a in along],
+        "at": None if plane.index is None else spacing[axis] * (plane.index + 0.5),
+    }
+
+
+def _cut(field: np.ndarray, plane: Plane) -> np.ndarray:
+    if plane.index is None:
+        return field
+    return np.take(field, plane.index, axis="xyz".index(plane.axis))
+
+
+def _limits(*fields: np.ndarray) -> tuple[float, float]:
+    low = min(float(np.nanmin(field)) for field in fields)
+    high = max(float(np.nanmax(field)) for field in fields)
+    return low, high if high > low else low + 1.0
+
+
+def _levels(field: np.ndarray, limits: tuple[float, float]) -> Tree:
+    """A field in steps of a 65 534th of its range."""
+    low, high = limits
+    steps = np.round((field - low) / (high - low) * LEVELS)
+    return pack_array(np.where(np.isnan(steps), LEVELS + 1, steps), "u2")
+
+
+def _dose(dose: np.ndarray) -> Tree:
+    """The logarithm of a dose, and the range of its steps."""
+    logarithm = np.log10(np.maximum(thin(dose), LEAST_DOSE))
+    limits = _limits(logarithm)
+    return {"limits": limits, "levels": _levels(logarithm, limits)}

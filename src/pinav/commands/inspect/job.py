@@ -23,8 +23,16 @@ from pinav.reading import Reading
 from pinav.recordings.conventions import in_words
 from pinav.recordings.drive import Drive
 from pinav.recordings.quality import Quality, Run, Track, quality
-from pinav.report import Cell, Code, Paragraph, Section, Table, number, render
-from pinav.report.text import sections_text
+from pinav.report import (
+    Cell,
+    Code,
+    Paragraph,
+    Section,
+    Table,
+    number,
+    render,
+    sections_text,
+)
 from pinav.trajectories import Trajectories
 
 JSON_FILE, PAGE_FILE = "inspection.json", "inspection.html"
@@ -53,12 +61,12 @@ def inspect(
     recording = _with_labels(read_data(path, settings, doubtful=True), path)
     report = _with_verdict(quality(recording), recording)
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(encode(report).document, indent=2, allow_nan=False)
+        html = page(recording, report, out, image)  # makes the folder
         content = tomli_w.dumps(_elsewhere(settings).content())
         write_text(out / READING_FILE, content, overwrite=True)
-        text = json.dumps(encode(report).document, indent=2, allow_nan=False)
         write_text(out / JSON_FILE, text, overwrite=True)
-        write_text(out / PAGE_FILE, page(recording, report, out, image), overwrite=True)
+        write_text(out / PAGE_FILE, html, overwrite=True)
     return report
 
 

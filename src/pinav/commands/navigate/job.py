@@ -23,6 +23,7 @@ def run(options: NavigateOptions) -> CommandResult:
     settings, run = options.settings, options.run
     if run is None or options.online.learn_online is not None:
         return _learn_online(options)
+    settings.places()  # before the run is read, which takes seconds
     problem = navigation_problem(settings, Learned.open(run))
     compare = partial(compare_models, problem, seeds=settings.seeds, seed=settings.seed)
     if options.workers == ALONE:
