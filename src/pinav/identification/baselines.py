@@ -97,7 +97,7 @@ LEAST_STEPS = 30
 
 
 class RestoringForce(eqx.Module):
-    r"""A linear force that a track shows, which is not driven.
+    r"""A linear force on an undriven track.
 
     Positions every 0.5 s follow
     $x_{i+1} - x_i = a + \Phi (x_i - x_{i-1}) + B x_i + \epsilon$, in which $\Phi$ is

@@ -300,7 +300,7 @@ def groups(
 def image_positions(
     recording: Trajectories, positions: Float[np.ndarray, "*batch 2"]
 ) -> Float[np.ndarray, "*batch 2"]:
-    """Positions [L] in pixels of the recording's images, y down.
+    """Observed or predicted positions [L] in pixels of the images, y down.
 
     Raises:
         InputError: the recording was not read from pixels.

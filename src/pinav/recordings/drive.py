@@ -42,16 +42,16 @@ class Drive:
     r"""Coverage of the commands of one run.
 
     Attributes:
-        frequency: least and greatest [Hz].
+        frequency: least and greatest frequency [Hz].
         levels: distinct frequencies, rounded to 0.01 Hz.
-        off: share of the time with the frequency 0.
+        off: share of the time at frequency 0.
         sectors: number of the 12 sectors of headings that occurred while driven.
         condition: condition number of the columns $c_x$, $c_y$ and 1, each of unit
             length: the mutual loss of certainty of gains and drift.
-        raw_condition: the same of the columns as they are.
+        raw_condition: condition number of the unscaled columns.
         aligned: greatest share of the driven time within 10 degrees of one axis.
         delay: share of the change of $c$ within 0.2 s that no other gain matrix and
-            drift bring about; where it is small, delay and heading offset are
+            drift can produce; where it is small, delay and heading offset are
             confounded.
     """
 

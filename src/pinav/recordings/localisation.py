@@ -42,7 +42,7 @@ class Localisation:
     Attributes:
         scatter: standard deviation of a coordinate from all causes, an upper bound of
             the error [L].
-        deviation: $\sigma$ of each coordinate, averaged over both [L].
+        deviation: $\sigma$ of a coordinate, averaged over both [L].
         diffusion: $D$ [L² T⁻¹].
         error: standard error of `deviation`, from tenths of the samples [L].
     """

@@ -20,9 +20,9 @@ class Particle:
         rows: indices in the tracks, in order of time.
         positions: in the file's unit and orientation.
         commands: commands in action, with offset and delay applied.
-        repeats: rows that were left out, because their time was that of the one before.
-        silent: rows for which the log has no command; the last one is held.
-        faults: rows that were left out because they contradict others, in words.
+        repeats: rows left out because they repeat the time of the row before.
+        silent: rows without a command in the log; the last one is held.
+        faults: sentences on rows left out because they contradict others.
     """
 
     rows: Int64[np.ndarray, " row"]

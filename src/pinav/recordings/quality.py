@@ -69,7 +69,7 @@ class Run:
 
     Attributes:
         duration: from the first time to the last [T].
-        scatter: median over particles of that of a row, from all causes [L].
+        scatter: median over particles of the scatter of a row, from all causes [L].
         deviation: median over particles of the localisation error [L].
         drive: coverage of the commands; None where there are none.
         warnings: limits of a fit to this run.

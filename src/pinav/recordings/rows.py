@@ -37,7 +37,7 @@ class Tracks:
         place: names the place of a row for messages, such as "line 7".
         particle: name of the particle of each row; one particle if not given.
         segment: number of the stretch between jumps.
-        commands: by the names of `COMMAND_UNITS`; NaN where the log has none.
+        commands: commands by the names of `COMMAND_UNITS`; NaN where the log has none.
         y_down: y grows downwards, as in images.
         columns: the file's names of "frame" and "time".
         facts: further entries of the provenance; JSON values.
@@ -79,7 +79,7 @@ class Tracks:
         """The rows of a table.
 
         Args:
-            headings: its column of x, y and of each other quantity that it has.
+            headings: columns of x, y and of each other quantity.
             others: fields that are known from elsewhere.
 
         Raises:

@@ -61,7 +61,7 @@ class LogNormal(AbstractNumberPrior):
     r"""Log-normal distribution of a positive number.
 
     Attributes:
-        median: half of the probability lies below it; positive.
+        median: median of the number; positive.
         deviation: standard deviation of $\log x$, positive; 0.1 is about 10 %.
 
     Raises:

@@ -19,14 +19,15 @@ class KnownTable(AbstractFormat):
     """A table that is known by its columns, one value for each program; y down.
 
     Attributes:
-        columns: headings of each quantity, parted by strokes; a star stands for the
-            particles where each has columns of its own.
+        columns: headings of each quantity, separated by strokes; a star stands for the
+            number of a particle with columns of its own.
         optional: quantities that the table may lack.
-        behind: pattern of what may follow a heading.
-        signs: columns that tell the program where the one of particles is missing.
+        behind: pattern of permitted text after a heading.
+        signs: columns that identify the program when the column of particles is
+            missing.
         length_unit: unit of the positions, where no column states it.
         unit_column: heading of a column that states the unit of length.
-        untracked: label of rows that belong to no track.
+        untracked: label of rows without a track.
         remedy: advice on the program's export where a column is missing.
     """
 
