@@ -29,14 +29,11 @@ from pinav.forces.profiles import (
 class AbstractCentralForce(AbstractPotentialForce):
     r"""Force $-\nabla U$ of a profile of the distance from a centre.
 
-    Its fields are the amplitude, the centre, and constants that are all positive: those
-    of the profile, unless `shapes` says otherwise.
-
-    Attributes:
-        center: $c$ [L].
+    Its fields are the amplitude, the centre [L], and constants that are all positive:
+    those of the profile, unless `shapes` says otherwise.
     """
 
-    center: eqx.AbstractVar[Vector]
+    # The centre is no `AbstractVar`: type checkers would take it for the first field.
 
     def __check_init__(self) -> None:
         _, _, *positive = dataclasses.fields(self)
@@ -54,9 +51,9 @@ class AbstractCentralForce(AbstractPotentialForce):
         return shapes
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        offset = x - self.center
-        height = self.profile.of_square(self.shapes, offset @ offset, NUMERIC)
-        return self._values[0] * height
+        amplitude, center, *_ = self._values
+        offset = x - center
+        return amplitude * self.profile.of_square(self.shapes, offset @ offset, NUMERIC)
 
     @property
     def _values(self) -> list[Any]:
