@@ -18,11 +18,11 @@ from pinav.fitting import (
     EvidenceFit,
     KernelDiffusion,
     LangevinChecks,
-    LangevinFit,
     LearnedObservation,
     Observation,
     ReferencePath,
     SlowReference,
+    ThermalResult,
     fit_langevin,
     judge_increments,
     profile_environment,
@@ -249,7 +249,7 @@ class ThermalFindings:
 
     @classmethod
     def of(
-        cls, fit: LangevinFit, chosen: ThermalChoice, data: Trajectories
+        cls, fit: ThermalResult, chosen: ThermalChoice, data: Trajectories
     ) -> "ThermalFindings | None":
         """The findings of a fit; None where nothing was checked."""
         if fit.checks is None:
@@ -274,7 +274,7 @@ class ThermalFindings:
 
 
 def observed_diffusion(
-    fit: LangevinFit, data: Trajectories
+    fit: ThermalResult, data: Trajectories
 ) -> tuple[ObservedDiffusion, ...]:
     """Diffusion and camera along each group of channels."""
     places = diffusion_places(fit, data)
@@ -313,7 +313,7 @@ MOST_PLACES = 1000
 
 
 def diffusion_places(
-    fit: LangevinFit, data: Trajectories
+    fit: ThermalResult, data: Trajectories
 ) -> Float[np.ndarray, "place dim"]:
     """Observed positions, from the reference where it drifts; some of many."""
     parts = []
@@ -349,10 +349,10 @@ def fit_thermal(
     the fit is that of a step in unit time.
     """
     if chosen.is_plain:
-        return fit_langevin(model, data).regression, None
+        return fit_langevin(model, data), None
     if chosen.einstein:
         model = system.with_noise_of(model)
-    thermal = fit_langevin(
+    fit = fit_langevin(
         model,
         data,
         diffusion=chosen.diffusion,
@@ -360,18 +360,14 @@ def fit_thermal(
         einstein=chosen.einstein,
         reference=chosen.reference,
     )
-    findings = ThermalFindings.of(thermal, chosen, data)
+    findings = ThermalFindings.of(fit.thermal, chosen, data)
     assert findings is not None  # made wherever positions are not exact
-    regression = thermal.regression
     mean = _mean_diffusion(findings)
     numbers = dataclasses.replace(
-        regression.hyperparameters, noise=float(np.sqrt(2 * mean.value))
+        fit.hyperparameters, noise=float(np.sqrt(2 * mean.value))
     )
-    fit = dataclasses.replace(
-        regression,
-        hyperparameters=numbers,
-        constants=regression.constants | {"diffusion": mean},
-    )
+    constants = fit.constants | {"diffusion": mean}
+    fit = dataclasses.replace(fit, hyperparameters=numbers, constants=constants)
     return fit, findings
 
 
@@ -384,7 +380,7 @@ def _mean_diffusion(findings: ThermalFindings) -> Estimate:
 
 
 def _diffusion_lines(
-    fit: LangevinFit, chosen: ThermalChoice, data: Trajectories
+    fit: ThermalResult, chosen: ThermalChoice, data: Trajectories
 ) -> dict[str, DiffusionLine]:
     if not isinstance(fit.diffusion, DiffusionField):
         return {}
