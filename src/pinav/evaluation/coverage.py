@@ -106,7 +106,8 @@ def _transitions(
     rates[:, :dim, :dim] = jacobians
     rates[:, :dim, dim : 2 * dim] = strength[:, None, None] * unit
     rates[:, :dim, 2 * dim :] = wandering.slow * unit
-    decays = np.repeat([1 / wandering.memory, 1 / wandering.slow_memory], dim)
+    memories = np.asarray([wandering.memory, wandering.slow_memory])
+    decays = np.repeat(1 / memories, dim)
     rates[:, dim:, dim:] = -np.diag(decays)
     source = np.diag(np.concatenate([np.zeros(dim), 2 * decays]))
     scale = np.abs(rates * intervals[:, None, None]).sum(axis=2).max(initial=SHORT)

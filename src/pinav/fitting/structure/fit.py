@@ -122,9 +122,9 @@ def _fit_student(
         return StructuredFit(learning(), np.nan)
     kernels, weigh_rotation = kernels_of_teacher(specification)
     pupil = eqx.tree_at(lambda m: m.environment, model, kernels)
-    options = learning.keywords | {"throw": False, "weigh_rotation": weigh_rotation}
+    teach = functools.partial(fit_structured, pupil, data, **learning.keywords)
     try:
-        taught = fit_structured(pupil, data, **options)
+        taught = teach(throw=False, weigh_rotation=weigh_rotation)
     except FitError:  # as of a potential, where the force turns
         return StructuredFit(learning(), np.nan)
     if taught.fit.outcome is Outcome.DIVERGED:
