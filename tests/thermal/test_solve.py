@@ -59,9 +59,9 @@ def test_heat_in_is_heat_out_or_stored(make, side):
     assert float(energy.perfused) > 0
 
 
-@pytest.fixture(scope="module")
-def short_run():
-    """Log dose, probe and T90 of a short run, as functions of a few numbers."""
+@pytest.mark.slow
+def test_reverse_mode_is_forward_mode_is_central_differences():
+    """Log dose, probe and T90 by solver, perfusion, dose and protocol."""
     model = heated_tumour(RadialGrid.sphere(0.03, 30), Dirichlet(37.0))
     edges = (0.0, 130.0, 300.0)
     schedule = plan_steps(Piecewise.constant(edges, [1.0, 1.0], 1e5), 10.0)
@@ -100,13 +100,7 @@ def short_run():
             ]
         )
 
-    return outcome, jnp.array([1.0, 1.0, 1.0, 1.0, 0.8])
-
-
-@pytest.mark.slow
-def test_reverse_mode_is_forward_mode_is_central_differences(short_run):
-    """Through solver, perfusion, dose and protocol."""
-    outcome, at = short_run
+    at = jnp.array([1.0, 1.0, 1.0, 1.0, 0.8])
     forward = np.asarray(jax.jit(jax.jacfwd(outcome))(at))
     reverse = np.asarray(jax.jit(jax.jacrev(outcome))(at))
     scale = np.abs(forward).max(axis=1, keepdims=True)

@@ -141,10 +141,15 @@ def _two_media() -> Iterator[Check]:
         yield Check(name, value, true, 2e-2, "K")
 
 
-def two_shells(count: int) -> tuple[Bioheat, tuple[Any, ...]]:
-    """A perfused tumour in perfused muscle, with sources of their own; how exact."""
+def two_shells(count: int, *, cut: bool = True) -> tuple[Bioheat, tuple[Any, ...]]:
+    """A perfused tumour in perfused muscle with sources, and its exact solution's case.
+
+    Args:
+        count: of cells.
+        cut: a cell has its share of the tumour; otherwise it is in or out as a whole.
+    """
     grid = RadialGrid.sphere(0.05, count)
-    fraction = grid.ball(0.01)
+    fraction = grid.ball(0.01) if cut else jnp.round(grid.ball(0.01))
     model = Bioheat(
         grid,
         mix(fraction, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
