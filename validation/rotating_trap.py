@@ -37,7 +37,7 @@ def judge_trap(seed, turning):
     force = KernelForce.with_zero_weights(GRID[np.linalg.norm(GRID, axis=1) < 5.2], 1.0)
     swimmer = OverdampedSwimmer(ZeroForce(), force, 1.0)
     fit = fit_langevin(swimmer, data, refine=None)
-    places, diffusion = xs[::EVERY], fit.diffusion
+    places, diffusion = xs[::EVERY], fit.thermal.diffusion
     assert isinstance(diffusion, Estimate)
     field = np.full(places.shape, diffusion.value)
     return entropy_production(

@@ -108,13 +108,15 @@ def judge_ring(seed):
     fit = fit_langevin(swimmer, data, observation=LearnedObservation(), einstein=False)
     places = np.linspace(0, PERIOD, 90, endpoint=False)
     drift, sd = forces_at(fit, places[:, None])
-    assert isinstance(fit.diffusion, Estimate)
+    assert isinstance(fit.thermal.diffusion, Estimate)
     error = float(np.sqrt(np.mean((drift[:, 0] - ring_drift(places)) ** 2)))
     return {
         "drift": (drift[:, 0] - ring_drift(places)) / sd[:, 0],
-        "D": np.array([(fit.diffusion.value - RING_D) / fit.diffusion.sd]),
+        "D": np.array(
+            [(fit.thermal.diffusion.value - RING_D) / fit.thermal.diffusion.sd]
+        ),
         "error": error / float(np.sqrt(np.mean(ring_drift(places) ** 2))),
-        "D relative": fit.diffusion.value / RING_D - 1,
+        "D relative": fit.thermal.diffusion.value / RING_D - 1,
     }
 
 
@@ -183,8 +185,11 @@ def _wall_misses(fit, heights):
     gaps = np.quantile(heights, np.linspace(0.02, 0.98, 40))
     points = np.stack([0 * gaps, 0 * gaps, gaps], axis=1)
     normal, along, force = wall_law(gaps)
-    assert isinstance(fit.diffusion, DiffusionField)
-    learned, log_sd = fit.diffusion(points), fit.diffusion.log_sd(points)
+    assert isinstance(fit.thermal.diffusion, DiffusionField)
+    learned, log_sd = (
+        fit.thermal.diffusion(points),
+        fit.thermal.diffusion.log_sd(points),
+    )
     values, sd = forces_at(fit, points)
     return {
         "D normal": np.log(learned[:, 2] / normal) / log_sd[:, 2],
@@ -219,7 +224,7 @@ def judge_drifting_walls(seed, draws, frames=30_000):
         drift = drift_of_wall(random, frames)
         seen = track + np.stack([0 * drift, 0 * drift, drift], axis=1)
         fit = fit_wall(Recording(times, seen, None), RADIUS, HEAT)
-        path = fit.reference
+        path = fit.thermal.reference
         assert path is not None
         misses = path.values - np.interp(path.times, times, drift)
         yield {

@@ -1,8 +1,10 @@
 """Small tracks for the tests of importers, and what reading them must give back."""
 
+import io
 from typing import NamedTuple
 
 import numpy as np
+import openpyxl
 from hypothesis import strategies as st
 
 from pinav.recordings import labels
@@ -54,3 +56,25 @@ def rows_of(truth):
     for track in truth:
         for row in zip(track.frames, track.xs, track.ys, strict=True):
             yield (track.name, *row)
+
+
+def packed(write, *args, **named):
+    """The bytes that a function writes into the file that is its first argument."""
+    file = io.BytesIO()
+    write(file, *args, **named)
+    return file.getvalue()
+
+
+def npy(values):
+    return packed(np.save, values)
+
+
+def workbook(content):
+    """A workbook with these rows in its sheets."""
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for name, rows in content.items():
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append(row)
+    return packed(book.save)

@@ -41,6 +41,7 @@ OPTIONS = {
     "units": {"x": "um", "t": "s"},
     "y": "up",
 }
+FRAMES = {**OPTIONS, "fps": 10.0, "columns": {n: n for n in ("frame", "x", "y")}}
 
 
 def test_the_offset_of_the_clocks_is_found_with_its_interval(files):
@@ -60,8 +61,7 @@ def test_the_offset_of_the_clocks_is_found_with_its_interval(files):
 
 def test_frames_are_joined_as_they_are(files):
     tracks, log = files(0.0, header="frame,alpha [rad],freq [Hz]")
-    frames = {**OPTIONS, "columns": {"frame": "frame", "x": "x", "y": "y"}}
-    data = read_recording(tracks, Reading(commands=log, fps=10.0, **frames))
+    data = read_recording(tracks, Reading(commands=log, **FRAMES))
     _, heading, frequency, _ = course()
     np.testing.assert_allclose(data.commands["frequency"][0], frequency, atol=1e-4)
     np.testing.assert_allclose(data.commands["heading"][0], heading, atol=1e-4)
@@ -69,10 +69,8 @@ def test_frames_are_joined_as_they_are(files):
 
 def test_delay_and_offset_of_the_heading_apply_to_a_log(files):
     tracks, log = files(0.0, header="frame,alpha [rad],freq [Hz]")
-    frames = {**OPTIONS, "columns": {"frame": "frame", "x": "x", "y": "y"}}
-    data = read_recording(
-        tracks, Reading(commands=log, fps=10.0, delay=0.2, heading_offset=1.0, **frames)
-    )
+    more = {"delay": 0.2, "heading_offset": 1.0}
+    data = read_recording(tracks, Reading(commands=log, **more, **FRAMES))
     _, heading, frequency, _ = course()
     np.testing.assert_allclose(
         data.commands["frequency"][0, 2:], frequency[:-2], atol=1e-4
@@ -88,7 +86,7 @@ WRONG = {
     "frames without a rate": ("frame,freq\n0,1\n9,1\n", {}, r"counts frames; give fps"),
     "long ago": (
         "frame,freq\n10000,1\n10009,1\n",
-        {"fps": 10.0, "columns": {"frame": "frame", "x": "x", "y": "y"}},
+        FRAMES,
         r"the log, 1000 to 1000.9, and the recording, 0 to 39.9, never meet",
     ),
 }

@@ -1,17 +1,15 @@
 """Tables as spreadsheets, loggers and other programs leave them."""
 
 import datetime
-import io
 import pickle
 
 import numpy as np
-import openpyxl
 import pandas as pd
 import pytest
+from tests.recordings.synthetic import npy, workbook
 
-from pinav.commands.data_file import read_data
 from pinav.errors import InputError
-from pinav.recordings import Reading, read_recording
+from pinav.recordings import Reading
 from pinav.recordings.table import example_of_columns
 
 TXY = {"t": "t", "x": "x", "y": "y"}
@@ -71,13 +69,10 @@ def test_two_whole_numbers_are_no_minutes_and_seconds(read):
         read("t,x,y\n1:30,1,2\n1:31,2,3\n", columns=TXY, **UM)
 
 
-def test_durations_of_a_workbook_are_times(tmp_path):
-    book = openpyxl.Workbook()
-    book.active.append(["t", "x", "y"])
-    for i in range(3):
-        book.active.append([datetime.timedelta(seconds=i / 2), 1.0 + i, 2.0 + i])
-    book.save(tmp_path / "a.xlsx")
-    data = read_recording(tmp_path / "a.xlsx", Reading(columns=TXY, **UM))
+def test_durations_of_a_workbook_are_times(read):
+    half = datetime.timedelta(seconds=0.5)
+    rows = [["t", "x", "y"], *([i * half, 1.0 + i, 2.0 + i] for i in range(3))]
+    data = read(workbook({"a": rows}), name="a.xlsx", columns=TXY, **UM)
     np.testing.assert_allclose(data.trajectory(0).times, [0, 0.5, 1])
 
 
@@ -97,10 +92,9 @@ def test_units_behind_an_underscore_are_read(read):
 
 
 def test_a_map_may_name_the_column_first(read):
-    file = io.BytesIO()
-    np.save(file, np.array([[0.5, 1, 2], [0.5, 2, 3], [0.5, 3, 4]]))
+    intervals = npy(np.array([[0.5, 1, 2], [0.5, 2, 3], [0.5, 3, 4]]))
     reversed_map = {"0": "dt", "1": "x", "2": "y"}
-    data = read(file.getvalue(), name="a.npy", columns=reversed_map, **UM)
+    data = read(intervals, name="a.npy", columns=reversed_map, **UM)
     np.testing.assert_allclose(data.trajectory(0).times, [0, 0.5, 1])
 
 
@@ -117,10 +111,9 @@ def test_a_layout_in_json_is_refused_as_such(read):
         read('{"tracks": []}', name="a.json")
 
 
-def test_a_table_that_pinav_did_not_write_is_offered_as_a_recording(tmp_path):
-    (tmp_path / "a.csv").write_text("t (s),x (um),y (um)\n0,1,2\n0.5,-,-\n1,2,3\n")
+def test_a_table_that_pinav_did_not_write_is_offered_as_a_recording(checked):
     with pytest.raises(InputError, match=r"; or read it as .*--columns 't=t \(s\)'"):
-        read_data(tmp_path / "a.csv", Reading())
+        checked("t (s),x (um),y (um)\n0,1,2\n0.5,-,-\n1,2,3\n", Reading())
 
 
 def test_the_line_to_start_from_names_the_particles():
@@ -129,9 +122,7 @@ def test_the_line_to_start_from_names_the_particles():
 
 
 def object_array(value):
-    file = io.BytesIO()
-    np.save(file, np.array(value, dtype=object), allow_pickle=True)
-    return file.getvalue()
+    return npy(np.array(value, dtype=object))
 
 
 PATHS = np.array([[[1, 2], [5, 6]], [[2, 3], [np.nan, np.nan]], [[3, 4], [7, 8.0]]])

@@ -4,7 +4,6 @@ import functools
 import gzip
 import hashlib
 import http.server
-import io
 import json
 import threading
 import urllib.error
@@ -12,6 +11,7 @@ import urllib.error
 import numpy as np
 import pytest
 from scipy.io import savemat
+from tests.recordings.synthetic import packed
 from validation.truth.cases import BUILT_IN, read_recording
 
 from pinav import cli
@@ -19,34 +19,26 @@ from pinav.errors import InputError
 from pinav.recordings import public
 from pinav.recordings.public import PUBLIC, fetch_recording, public_recording
 
-
-def text(rows):
-    file = io.StringIO()
-    np.savetxt(file, rows)
-    return file.getvalue().encode()
-
-
-def matlab():
-    file = io.BytesIO()
-    savemat(file, {name: np.array([[1.0, 2.5]]) for name in "xyz"})
-    return file.getvalue()
-
-
 CONTENT = {
-    "ring_driven_bead": text(np.arange(80.0).reshape(2, 40)),
-    "dragged_trap": text([[1, 2, 0], [1.5, 2.25, 0.0069]]),
-    "trap_at_rest": b"\n" + text([[2e-8, 0], [-1e-8, 0.0069]]),
-    "wall_bead_60hz": matlab(),
+    "ring_driven_bead": packed(np.savetxt, np.arange(80.0).reshape(2, 40)),
+    "dragged_trap": packed(np.savetxt, [[1, 2, 0], [1.5, 2.25, 0.0069]]),
+    "trap_at_rest": b"\n" + packed(np.savetxt, [[2e-8, 0], [-1e-8, 0.0069]]),
+    "wall_bead_60hz": packed(savemat, {name: np.array([[1.0, 2.5]]) for name in "xyz"}),
 }
+
+
+def expect(name, monkeypatch):
+    """The checksum of the small file is the one that is expected."""
+    digest = hashlib.sha256(CONTENT[name]).hexdigest()
+    faked = tuple(one._replace(sha256=digest) for one in PUBLIC)
+    monkeypatch.setattr(public, "PUBLIC", faked)
 
 
 @pytest.mark.parametrize("name", CONTENT)
 def test_the_authors_file_becomes_the_table_that_truth_reads(
     name, tmp_path, monkeypatch
 ):
-    digest = hashlib.sha256(CONTENT[name]).hexdigest()
-    faked = tuple(one._replace(sha256=digest) for one in PUBLIC)
-    monkeypatch.setattr(public, "PUBLIC", faked)
+    expect(name, monkeypatch)
     source = tmp_path / "original"
     source.write_bytes(CONTENT[name])
     path = fetch_recording(name, tmp_path / "truth", source)
@@ -105,9 +97,7 @@ def test_a_recording_is_fetched_and_its_checksum_verified(
     words = ["data", "fetch", name, "--out", str(tmp_path / "truth")]
     refused(words, "expected the checksum 80da7843a802e782")
     assert not (tmp_path / "truth").exists()
-    digest = hashlib.sha256(CONTENT[name]).hexdigest()
-    faked = tuple(one._replace(sha256=digest) for one in PUBLIC)
-    monkeypatch.setattr(public, "PUBLIC", faked)
+    expect(name, monkeypatch)
     assert cli.run(words) == 0
     path = tmp_path / "truth" / name / "recording.csv.gz"
     assert str(path) in capsys.readouterr().out

@@ -1,12 +1,11 @@
 """Tables: trackpy, ImageJ, StochasticForceInference, and any by a column map."""
 
-import io
-
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings
-from tests.recordings.synthetic import EXAMPLE, check, rows_of, tracks
+from tests.defects import defects
+from tests.recordings.synthetic import EXAMPLE, check, packed, rows_of, tracks
 
 from pinav.errors import InputError
 from pinav.recordings import Reading, labels, read_recording
@@ -21,12 +20,6 @@ def trackpy_frame(truth):
     return frame
 
 
-def parquet(frame):
-    file = io.BytesIO()
-    frame.to_parquet(file)
-    return file.getvalue()
-
-
 @settings(max_examples=25)
 @given(tracks())
 def test_trackpy_comes_back_whole(tmp_path_factory, truth):
@@ -34,7 +27,7 @@ def test_trackpy_comes_back_whole(tmp_path_factory, truth):
     folder = tmp_path_factory.mktemp("trackpy")
     shuffled = frame.sample(frac=1.0, random_state=1).sort_values("particle")
     (folder / "a.csv").write_text(shuffled.to_csv())
-    (folder / "a.parquet").write_bytes(parquet(frame))
+    (folder / "a.parquet").write_bytes(packed(frame.to_parquet))
     for source in (folder / "a.csv", folder / "a.parquet", shuffled):
         check(
             read_recording(source, Reading(fps=20.0, mpp=0.345)),
@@ -52,39 +45,44 @@ def test_without_rate_and_scale_units_are_frames_and_pixels():
     assert data.provenance["source"] == "DataFrame"
 
 
-def damaged_frames():
-    frame = trackpy_frame(EXAMPLE)
-    xs = ["a", *map(str, frame["x"][1:])]
-    yield "no rows", frame.iloc[:0], r"the table has no rows"
-    yield "unlinked", frame.drop(columns="particle"), r"link the features first"
-    yield "no x", frame.drop(columns="x"), r"format is not known"
-    yield "word", frame.assign(x=xs), r"row 0, column 'x': .* got 'a'"
-    yield "infinite", frame.replace({"y": {0.5: np.inf}}), r"row 1, column 'y': .*'inf'"
-    huge = frame.replace({"y": {0.5: 1e200}})
-    yield (
-        "huge",
-        huge,
+FRAME = trackpy_frame(EXAMPLE)
+BAD_FRAMES = [
+    (FRAME.iloc[:0], r"the table has no rows"),
+    (FRAME.drop(columns="particle"), r"link the features first"),
+    (FRAME.drop(columns="x"), r"format is not known"),
+    (
+        FRAME.assign(x=["a", *map(str, FRAME["x"][1:])]),
+        r"row 0, column 'x': .* got 'a'",
+    ),
+    (FRAME.replace({"y": {0.5: np.inf}}), r"row 1, column 'y': .*'inf'"),
+    (
+        FRAME.replace({"y": {0.5: 1e200}}),
         r"row 1, column 'y': expected a number below 1e\+100, got '1e\+200'",
-    )
-    for name, old, new, message in (
-        ("half", 4, 3.5, r"row 3, column 'frame': .* got 3.5"),
-        ("twice", 4, 2, r"row 3, column 'frame': .* stands in row 2 already"),
-        ("negative", 0, -1, r"row 0, column 'frame': .* >= 0, got -1"),
-        ("NaN", 4, np.nan, r"row 3, column 'frame': expected a finite number"),
-    ):
-        yield name, frame.replace({"frame": {old: new}}), message
-    whose = frame.replace({"particle": {0: np.nan}})
-    yield "whose", whose, r"row 0, column 'particle': .* an empty cell"
+    ),
+    (FRAME.replace({"frame": {4: 3.5}}), r"row 3, column 'frame': .* got 3.5"),
+    (
+        FRAME.replace({"frame": {4: 2}}),
+        r"row 3, column 'frame': .* stands in row 2 already",
+    ),
+    (FRAME.replace({"frame": {0: -1}}), r"row 0, column 'frame': .* >= 0, got -1"),
+    (
+        FRAME.replace({"frame": {4: np.nan}}),
+        r"row 3, column 'frame': expected a finite number",
+    ),
+    (
+        FRAME.replace({"particle": {0: np.nan}}),
+        r"row 0, column 'particle': .* an empty cell",
+    ),
+]
 
 
-@pytest.mark.parametrize(
-    ("frame", "message"),
-    [case[1:] for case in damaged_frames()],
-    ids=[case[0] for case in damaged_frames()],
-)
+@defects("frame, message", BAD_FRAMES)
 @pytest.mark.parametrize("kind", ["DataFrame", "parquet"])
 def test_damaged_frame_is_named_with_its_place(read, kind, frame, message):
-    make = {"DataFrame": read_recording, "parquet": lambda f: read(parquet(f))}
+    make = {
+        "DataFrame": read_recording,
+        "parquet": lambda f: read(packed(f.to_parquet)),
+    }
     with pytest.raises(InputError, match=message):
         make[kind](frame)
 
@@ -92,7 +90,7 @@ def test_damaged_frame_is_named_with_its_place(read, kind, frame, message):
 @pytest.mark.parametrize("end", [8, 100, -1])
 def test_parquet_cut_short_is_refused(read, end):
     with pytest.raises(InputError, match=r"a\.parquet: damaged parquet file"):
-        read(parquet(trackpy_frame(EXAMPLE))[:end], name="a.parquet")
+        read(packed(trackpy_frame(EXAMPLE).to_parquet)[:end], name="a.parquet")
 
 
 @settings(max_examples=25)
@@ -185,25 +183,23 @@ def test_any_table_by_its_columns_and_units(read):
     assert read(MAPPED, columns=MAP, y="up").states[0, 0].tolist() == [1, 2]
 
 
-BAD_MAPS = {
-    "unknown quantity": ({"speed": "v"}, {}, r"columns: 'speed' is no quantity; exp"),
-    "no position": ({"t": "T"}, {}, r"columns: x, y not named; expected columns such"),
-    "no time": ({"x": "X", "y": "Y"}, {}, r"columns: t or frame not named"),
-    "absent column": (
+BAD_MAPS = [
+    ({"speed": "v"}, {}, r"columns: 'speed' is no quantity; exp"),
+    ({"t": "T"}, {}, r"columns: x, y not named; expected columns such"),
+    ({"x": "X", "y": "Y"}, {}, r"columns: t or frame not named"),
+    (
         {"t": "T", "x": "X", "y": "Y"},
         {},
         r"header: column 'T' is missing; got a; add it, or name another",
     ),
-    "unit of nothing": (MAP, {"speed": "m"}, r"units: 'speed' is no quantity"),
-    "unit of length": (MAP, {"x": "ms"}, r"units: expected x in one of um, .*got 'ms'"),
-    "unit of time": (MAP, {"t": "px"}, r"units: expected t in one of s, .*got 'px'"),
-    "unit of angle": (MAP, {"heading": "Hz"}, r"units: expected heading in one of rad"),
-}
+    (MAP, {"speed": "m"}, r"units: 'speed' is no quantity"),
+    (MAP, {"x": "ms"}, r"units: expected x in one of um, .*got 'ms'"),
+    (MAP, {"t": "px"}, r"units: expected t in one of s, .*got 'px'"),
+    (MAP, {"heading": "Hz"}, r"units: expected heading in one of rad"),
+]
 
 
-@pytest.mark.parametrize(
-    ("columns", "units", "message"), BAD_MAPS.values(), ids=list(BAD_MAPS)
-)
+@defects("columns, units, message", BAD_MAPS)
 def test_wrong_map_is_named(read, columns, units, message):
     text = MAPPED if columns is MAP else "a\n1\n2\n"
     with pytest.raises(InputError, match=message):

@@ -64,15 +64,22 @@ def test_an_exposure_averages_before_the_noise():
     )
 
 
+def drifter(**parts):
+    """A swimmer of mobility 1 without any force."""
+    return System(
+        name="drifter",
+        swimmer=OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0),
+        dim=2,
+        environment=ZeroForce(),
+        **parts,
+    )
+
+
 @pytest.mark.slow
 def test_increments_of_a_blurred_brownian_path_have_the_law_of_blur():
     """Variance 2 D (t - T / 3), covariance D T / 3, and nothing two steps apart."""
     interval, exposure, diffusion = 0.1, 0.08, 0.5
-    system = System(
-        name="free",
-        swimmer=OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0),
-        dim=2,
-        environment=ZeroForce(),
+    system = drifter(
         thermal_energy=diffusion,
         observation=Observation(exposure=exposure),
         starts=jnp.zeros((40, 2)),
@@ -90,11 +97,7 @@ def test_increments_of_a_blurred_brownian_path_have_the_law_of_blur():
 @pytest.mark.slow
 def test_a_wandering_velocity_spreads_as_its_process_does():
     still = WanderingVelocity(still=0.7, driven=0.0, memory=0.5)
-    system = System(
-        name="drifter",
-        swimmer=OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0),
-        dim=2,
-        environment=ZeroForce(),
+    system = drifter(
         wandering=still,
         starts=jnp.zeros((600, 2)),
         times=jnp.linspace(0.0, 4.0, 21),

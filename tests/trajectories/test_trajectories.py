@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.defects import defects
 
 from pinav import __version__
 from pinav.errors import InputError
@@ -172,139 +173,121 @@ def test_simulation_refuses_noise_without_a_key_and_float32():
         simulate(coarse)
 
 
-BAD_ARRAYS = {
-    "one axis of states": (
+BAD_ARRAYS = [
+    (
         lambda: one(states=[1.0, 2.0, 3.0]),
         r"states: expected an array with 2 axes, or one for each .* got 1 axes",
     ),
-    "no trajectory": (lambda: one([], []), r"states: expected an array with 2 axes"),
-    "too few vectors of times": (
+    (lambda: one([], []), r"states: expected an array with 2 axes"),
+    (
         lambda: Trajectories.from_arrays(
             [[0.0, 1.0]], [table(2), table(2)], channels=XY
         ),
         r"times: expected one array for each of the 2 trajectories, got 1",
     ),
-    "row cut short": (
+    (
         lambda: one(states=[[1.0, 2.0], [3.0], [4.0, 5.0]]),
         r"states: expected rows of equal length",
     ),
-    "text": (
-        lambda: one(states=[["a", "b"]] * 3),
-        r"states: expected numbers, got <U1",
-    ),
-    "None": (lambda: one(states=[[None, 1.0]] * 3), r"expected numbers, got object"),
-    "more states than times": (
+    (lambda: one(states=[["a", "b"]] * 3), r"states: expected numbers, got <U1"),
+    (lambda: one(states=[[None, 1.0]] * 3), r"expected numbers, got object"),
+    (
         lambda: one(states=table(4)),
         r"states of trajectory 0: expected shape \(3, 2\) for 3 times .*\(4, 2\)",
     ),
-    "more columns than channels": (
+    (
         lambda: one(channels=("x",)),
         r"expected shape \(3, 1\) .* channels x; got \(3, 2\)",
     ),
-    "mask of another shape": (
+    (
         lambda: one(observed=[[True, False]]),
         r"observed of trajectory 0: expected shape \(3, 2\) .* got \(1, 2\)",
     ),
-    "mask of numbers": (
+    (
         lambda: one(observed=np.ones((3, 2))),
         r"observed: expected booleans, got float64",
     ),
-    "command of another length": (
+    (
         lambda: one(commands={"heading": [1.0, 2.0]}),
         r"command 'heading' of trajectory 0: expected shape \(3,\)",
     ),
-    "NaN": (
+    (
         lambda: Trajectories.from_arrays(
             [[0.0, 1.0]] * 2, [table(2), [[0.0, 1.0], [2.0, NAN]]], channels=XY
         ),
         r"states of trajectory 1, column 1 \(y\), row 1: .*got nan; .*observed=",
     ),
-    "infinite command": (
+    (
         lambda: one(commands={"heading": [1.0, 2.0, float("inf")]}),
         r"command 'heading' of trajectory 0, row 2: .* got inf",
     ),
-    "time that is no number": (
+    (
         lambda: one((0.0, NAN, 1.0)),
         r"times of trajectory 0, row 1: expected a finite number, got nan",
     ),
-    "repeated time": (
+    (
         lambda: one((0.0, 1.0, 1.0)),
         r"times of trajectory 0, row 2: time 1.0 after 1.0 is repeated; .* drop",
     ),
-    "unsorted time": (
+    (
         lambda: one((0.0, 1.0, 0.5)),
         r"times of trajectory 0, row 2: time 0.5 after 1.0 is out of order; .*sort",
     ),
-    "one sample": (
-        lambda: one((0.0,)),
-        r"trajectory 0: expected two or more samples, got 1",
-    ),
-    "no channels": (lambda: one(channels=()), r"channels: expected names such as"),
-    "text for channels": (lambda: one(channels="xy"), r"channels: .* got 'xy'"),
-    "channel twice": (lambda: one(channels=("x", "x")), r"'x': stands twice"),
-    "command named as a channel": (
-        lambda: one(commands={"x": [0.0] * 3}),
-        r"channel 'x': stands twice",
-    ),
-    "reserved name": (lambda: one(channels=("t", "y")), r"'t': .*; rename it"),
-    "name with spaces": (lambda: one(channels=(" x", "y")), r"expected no space or #"),
-    "name with a line end": (lambda: one(channels=("x\n", "y")), r"printable names"),
-    "unit of nothing": (
+    (lambda: one((0.0,)), r"trajectory 0: expected two or more samples, got 1"),
+    (lambda: one(channels=()), r"channels: expected names such as"),
+    (lambda: one(channels="xy"), r"channels: .* got 'xy'"),
+    (lambda: one(channels=("x", "x")), r"'x': stands twice"),
+    (lambda: one(commands={"x": [0.0] * 3}), r"channel 'x': stands twice"),
+    (lambda: one(channels=("t", "y")), r"'t': .*; rename it"),
+    (lambda: one(channels=(" x", "y")), r"expected no space or #"),
+    (lambda: one(channels=("x\n", "y")), r"printable names"),
+    (
         lambda: one(units={"z": "m"}),
         r"units: 'z' is no channel; expected some of x, y, t",
     ),
-    "provenance that is no JSON": (
+    (
         lambda: one(provenance={"array": np.ones(2)}),
         r"provenance: expected JSON values",
     ),
-    "provenance with NaN": (
-        lambda: one(provenance={"noise": NAN}),
-        r"provenance: expected JSON values",
-    ),
-}
+    (lambda: one(provenance={"noise": NAN}), r"provenance: expected JSON values"),
+]
 
 
-@pytest.mark.parametrize(("make", "message"), BAD_ARRAYS.values(), ids=list(BAD_ARRAYS))
+@defects("make, message", BAD_ARRAYS)
 def test_bad_arrays_are_named(make, message):
     with pytest.raises(InputError, match=message):
         make()
 
 
-BAD_CALLS = {
-    "no index": (lambda: ragged().select([]), r"expected one or more whole numbers"),
-    "mask as index": (
+BAD_CALLS = [
+    (lambda: ragged().select([]), r"expected one or more whole numbers"),
+    (
         lambda: ragged().select([True, False, True]),
         r"expected one or more whole numbers, got \[True",
     ),
-    "index too large": (
-        lambda: ragged().trajectory(3),
-        r"trajectory 3: there are 3, counted from 0",
-    ),
-    "negative fraction": (
+    (lambda: ragged().trajectory(3), r"trajectory 3: there are 3, counted from 0"),
+    (
         lambda: split(ragged(), -0.5, key=jax.random.key(0)),
         r"split fraction: expected between 0 and 1, got -0.5",
     ),
-    "split of one": (
+    (
         lambda: split(ragged(1), 0.5, key=jax.random.key(0)),
         r"split: expected two or more trajectories, got 1",
     ),
-    "nothing to join": (lambda: concatenate([]), r"concatenate: expected one or more"),
-    "other channels": (
+    (lambda: concatenate([]), r"concatenate: expected one or more"),
+    (
         lambda: concatenate([one(), one(channels=("x", "z"))]),
         r"concatenate: channels differ, \('x', 'y'\) and \('x', 'z'\)",
     ),
-    "other units": (
-        lambda: concatenate([one(), one(units={"x": "m"})]),
-        r"concatenate: units differ",
-    ),
-    "other commands": (
+    (lambda: concatenate([one(), one(units={"x": "m"})]), r"concatenate: units differ"),
+    (
         lambda: concatenate([one(), one(commands={"heading": [0.0] * 3})]),
         r"concatenate: units differ",
     ),
-}
+]
 
 
-@pytest.mark.parametrize(("call", "message"), BAD_CALLS.values(), ids=list(BAD_CALLS))
+@defects("call, message", BAD_CALLS)
 def test_bad_calls_are_named(call, message):
     with pytest.raises(InputError, match=message):
         call()

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from tests.defects import defects
 
 from pinav.errors import InputError
 from pinav.trajectories import Trajectories, is_trajectories, load, save
@@ -96,14 +97,15 @@ def test_csv_can_be_read_by_eye(data, tmp_path):
     ]
 
 
+def write(tmp_path, content, name="data.csv"):
+    path = tmp_path / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
 @pytest.fixture
 def load_csv(tmp_path):
-    def write_and_load(content):
-        path = tmp_path / "bad.csv"
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return load(path)
-
-    return write_and_load
+    return lambda content: load(write(tmp_path, content, "bad.csv"))
 
 
 def test_plain_csv_needs_only_its_header(load_csv):
@@ -126,57 +128,51 @@ def test_csv_by_hand_may_state_units_and_commands_and_mix_trajectories(load_csv)
     assert read.units == {"x": "µm", "t": "?", "f": "?"}
 
 
-BAD_CSV = {
-    "empty": ("", r"line 1: expected the columns t, x, y, ..., got nothing"),
-    "header alone": ("t,x,y\n", r"no rows below the header"),
-    "no header": ("0,1,2\n1,2,3\n", r"columns t, x, .* got 0, 1, 2; the first line"),
-    "no time": ("x,y\n0,1\n1,2\n", r"line 1: expected the columns t, .* got x, y"),
-    "no channel": ("t\n0\n1\n", r"line 1: expected the columns .* got t;"),
-    "column twice": ("t,x,x\n0,1,2\n1,2,3\n", r"line 1: column 'x' stands twice"),
-    "columns of other metadata": (
+BAD_CSV = [
+    ("", r"line 1: expected the columns t, x, y, ..., got nothing"),
+    ("t,x,y\n", r"no rows below the header"),
+    ("0,1,2\n1,2,3\n", r"columns t, x, .* got 0, 1, 2; the first line"),
+    ("x,y\n0,1\n1,2\n", r"line 1: expected the columns t, .* got x, y"),
+    ("t\n0\n1\n", r"line 1: expected the columns .* got t;"),
+    ("t,x,x\n0,1,2\n1,2,3\n", r"line 1: column 'x' stands twice"),
+    (
         '# pinav: {"channels": ["x", "y"]}\nt,x,z\n0,1,2\n1,2,3\n',
         r"line 2: expected the columns t, x, y, got t, x, z",
     ),
-    "word": ("t,x\n0,1\n1,wall\n", r"line 3, column x: .* got 'wall'; leave the cell"),
-    "decimal comma": ("t,x\n0,1\n1,2,5\n", r"line 3: expected 2 cells \(t, x\), got 3"),
-    "digits with underscores": ("t,x\n0,1_0\n1,2\n", r"line 2, column x: .* '1_0'"),
-    "nan": (
+    ("t,x\n0,1\n1,wall\n", r"line 3, column x: .* got 'wall'; leave the cell"),
+    ("t,x\n0,1\n1,2,5\n", r"line 3: expected 2 cells \(t, x\), got 3"),
+    ("t,x\n0,1_0\n1,2\n", r"line 2, column x: .* '1_0'"),
+    (
         "# a\nt,x,y\n0,1,2\n\n1,2,nan\n",
         r"line 5, column y: expected a finite number, got 'nan'; leave the cell empty "
         "to mark a missing observation",
     ),
-    "inf": ("t,x\n0,1\n1,-inf\n", r"line 3, column x: .* got '-inf'"),
-    "time missing": ("t,x\n0,1\n,2\n", r"line 3, column t: .* got ''; give its value"),
-    "command missing": (
+    ("t,x\n0,1\n1,-inf\n", r"line 3, column x: .* got '-inf'"),
+    ("t,x\n0,1\n,2\n", r"line 3, column t: .* got ''; give its value"),
+    (
         '# pinav: {"commands": ["f"]}\nt,x,f\n0,1,2\n1,2,\n',
         r"line 4, column f: .* got ''; give its value",
     ),
-    "row cut short": ("t,x,y\n0,1,2\n1,2\n", r"line 3: expected 3 cells .* got 2"),
-    "unsorted": (
-        "t,x\n0,1\n2,1\n1,1\n",
-        r"line 4, column t: time 1.0 after 2.0 is out of order",
-    ),
-    "repeated in one of two": (
+    ("t,x,y\n0,1,2\n1,2\n", r"line 3: expected 3 cells .* got 2"),
+    ("t,x\n0,1\n2,1\n1,1\n", r"line 4, column t: time 1.0 after 2.0 is out of order"),
+    (
         "trajectory,t,x\n0,0,1\n1,0,1\n0,1,1\n1,0,1\n",
         r"line 5, column t: time 0.0 after 0.0 is repeated",
     ),
-    "one sample": ("t,x\n0,1\n", r"trajectory 0: expected two or more samples, got 1"),
-    "other encoding": ("t,µ\n0,1\n1,2\n".encode("latin-1"), r"expected UTF-8 text"),
-    "open quote": ('t,x\n0,"1\n1,2\n', r"not a CSV file: unexpected end of data"),
-    "broken metadata": ("# pinav: {\nt,x\n", r"line 1: not the metadata of pinav"),
-    "metadata that is a list": ("# pinav: []\nt,x\n", r"line 1: .*Expected `object`"),
-    "misspelt metadata": (
-        '# pinav: {"unit": {}}\nt,x\n',
-        r"line 1: .* unknown field `unit`",
-    ),
-    "newer format": (
+    ("t,x\n0,1\n", r"trajectory 0: expected two or more samples, got 1"),
+    ("t,µ\n0,1\n1,2\n".encode("latin-1"), r"expected UTF-8 text"),
+    ('t,x\n0,"1\n1,2\n', r"not a CSV file: unexpected end of data"),
+    ("# pinav: {\nt,x\n", r"line 1: not the metadata of pinav"),
+    ("# pinav: []\nt,x\n", r"line 1: .*Expected `object`"),
+    ('# pinav: {"unit": {}}\nt,x\n', r"line 1: .* unknown field `unit`"),
+    (
         '# pinav: {"format": 2, "new": 0}\nt,x\n',
         r"line 1: format 2 is not known, expected 1; read it with the version",
     ),
-}
+]
 
 
-@pytest.mark.parametrize(("content", "message"), BAD_CSV.values(), ids=list(BAD_CSV))
+@defects("content, message", BAD_CSV)
 def test_bad_csv_is_named_with_its_place(load_csv, content, message):
     with pytest.raises(InputError, match=r"bad\.csv: .*" + message):
         load_csv(content)
@@ -190,25 +186,25 @@ def put(name, value):
     return lambda arrays: arrays.__setitem__(name, np.asarray(value))
 
 
-BAD_NPZ = {
-    "array missing": (without("observed"), r"'observed' is missing; expected metadata"),
-    "metadata missing": (without("metadata"), r"'metadata' is missing; .* got times"),
-    "newer format": (put("metadata", '{"format": 9}'), r"format 9 is not known"),
-    "metadata of bytes": (put("metadata", b"\xff"), r"not the metadata of pinav"),
-    "axes": (put("states", np.ones(5)), r"'states': expected 2 axes, got shape \(5,\)"),
-    "lengths": (put("lengths", [2, 2]), r"add up to the 5 times, got \[2, 2\]"),
-    "lengths that are no integers": (put("lengths", [2.0, 3.0]), r"whole numbers"),
-    "samples": (put("states", np.ones((4, 2))), r"'states': expected 5 samples, got 4"),
-    "commands": (
+BAD_NPZ = [
+    (without("observed"), r"'observed' is missing; expected metadata"),
+    (without("metadata"), r"'metadata' is missing; .* got times"),
+    (put("metadata", '{"format": 9}'), r"format 9 is not known"),
+    (put("metadata", b"\xff"), r"not the metadata of pinav"),
+    (put("states", np.ones(5)), r"'states': expected 2 axes, got shape \(5,\)"),
+    (put("lengths", [2, 2]), r"add up to the 5 times, got \[2, 2\]"),
+    (put("lengths", [2.0, 3.0]), r"whole numbers"),
+    (put("states", np.ones((4, 2))), r"'states': expected 5 samples, got 4"),
+    (
         put("commands", np.ones((2, 5))),
         r"'commands': expected 1 rows \(heading\), got 2",
     ),
-    "NaN": (put("states", np.full((5, 2), np.nan)), r"trajectory 0, column 0 \(x\)"),
-    "text": (put("times", ["a"] * 5), r"times of trajectory 0: expected numbers"),
-}
+    (put("states", np.full((5, 2), np.nan)), r"trajectory 0, column 0 \(x\)"),
+    (put("times", ["a"] * 5), r"times of trajectory 0: expected numbers"),
+]
 
 
-@pytest.mark.parametrize(("change", "message"), BAD_NPZ.values(), ids=list(BAD_NPZ))
+@defects("change, message", BAD_NPZ)
 def test_bad_npz_is_named(data, tmp_path, change, message):
     path = tmp_path / "bad.npz"
     save(data, path)
@@ -229,10 +225,8 @@ def test_npz_never_unpickles(data, tmp_path):
 
 @pytest.mark.parametrize("content", [b"", b"PK", b"hello", b"\x93NUMPY"])
 def test_npz_that_is_no_zip_is_refused(tmp_path, content):
-    path = tmp_path / "bad.npz"
-    path.write_bytes(content)
     with pytest.raises(InputError, match=r"bad\.npz: not an npz file, or one cut sh"):
-        load(path)
+        load(write(tmp_path, content, "bad.npz"))
 
 
 @pytest.mark.parametrize("start", range(30, 1900, 110))
@@ -282,12 +276,6 @@ def test_full_disk_keeps_the_old_file(data, tmp_path, monkeypatch, name):
     assert [entry.name for entry in tmp_path.iterdir()] == [name]
     save(data.select([0]), path, overwrite=True)
     assert len(load(path)) == 1
-
-
-def write(tmp_path, content, name="data.csv"):
-    path = tmp_path / name
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return path
 
 
 SPREADSHEETS = {

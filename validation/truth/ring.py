@@ -24,7 +24,7 @@ from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.fitting import (
     Estimate,
-    LangevinFit,
+    EvidenceFit,
     LearnedObservation,
     fit_langevin,
     profile_environment,
@@ -104,7 +104,7 @@ def judge_ring(case: Case, recording: Recording, *, peer: bool) -> Judgement:
     return Judgement(rows, (_curve(truth, learned, ring),), _notes(fit), seconds)
 
 
-def fit_ring(recording: Recording, period: float) -> LangevinFit:
+def fit_ring(recording: Recording, period: float) -> EvidenceFit:
     """A free drift and one diffusion, with blur and error learned.
 
     Args:
@@ -123,19 +123,19 @@ def fit_ring(recording: Recording, period: float) -> LangevinFit:
     return fit_langevin(swimmer, data, observation=LearnedObservation(), einstein=False)
 
 
-def drift_on_ring(fit: LangevinFit, places: Float[np.ndarray, " place"]) -> DriftOnRing:
+def drift_on_ring(fit: EvidenceFit, places: Float[np.ndarray, " place"]) -> DriftOnRing:
     """The learned drift at some places.
 
     Raises:
         InputError: diffusion is a field.
     """
-    if not isinstance(fit.diffusion, Estimate):
+    if not isinstance(fit.thermal.diffusion, Estimate):
         raise InputError("drift_on_ring: expected a fit with one diffusion")
     points = jnp.asarray(places)[:, None]
     environment = fit.model.environment
     drift = jax.vmap(lambda x: environment(0.0, x, jnp.zeros_like(x)))(points)
     sd = fit.posterior.force_sd(np.asarray(points))
-    return DriftOnRing(np.asarray(drift)[:, 0], sd[:, 0], fit.diffusion)
+    return DriftOnRing(np.asarray(drift)[:, 0], sd[:, 0], fit.thermal.diffusion)
 
 
 def _ring_of(case: Case) -> Ring:
@@ -189,18 +189,18 @@ def _drift_row(
     )
 
 
-def _spread_row(fit: LangevinFit, recording: Recording, ring: Ring) -> TruthRow:
+def _spread_row(fit: EvidenceFit, recording: Recording, ring: Ring) -> TruthRow:
     """D of all frames, of every second and third, and with 40 % of them lost."""
-    assert isinstance(fit.diffusion, Estimate)
-    assert fit.checks is not None
-    ratios = [1.0, *(one.ratio.value for one in fit.checks.thinned)]
+    assert isinstance(fit.thermal.diffusion, Estimate)
+    assert fit.thermal.checks is not None
+    ratios = [1.0, *(one.ratio.value for one in fit.thermal.checks.thinned)]
     positions = recording.positions.copy()
     random = np.random.default_rng(0)
     positions[random.random(positions.shape) < LOST] = np.nan
     positions[[0, -1]] = recording.positions[[0, -1]]
     again = fit_ring(Recording(recording.times, positions, None), ring.period)
-    assert isinstance(again.diffusion, Estimate)
-    ratios.append(again.diffusion.value / fit.diffusion.value)
+    assert isinstance(again.thermal.diffusion, Estimate)
+    ratios.append(again.thermal.diffusion.value / fit.thermal.diffusion.value)
     spread = max(ratios) - min(ratios)
     return error_row("spread of D: all, 2nd, 3rd frame, 40 % lost", spread, SPREAD)
 
@@ -268,14 +268,14 @@ def _curve(truth: RingTruth, learned: DriftOnRing, ring: Ring) -> Curve:
     )
 
 
-def _notes(fit: LangevinFit) -> tuple[str, ...]:
-    observed = fit.observation[0]
+def _notes(fit: EvidenceFit) -> tuple[str, ...]:
+    observed = fit.thermal.observation[0]
     fraction = observed.exposure.value / observed.interval
     notes = [
         f"Effective exposure {fraction:.2f} frames, localisation error "
         f"{observed.error.value:.2g} in the unit of the positions; where D is constant "
         "the two trade off, and D does not depend on it."
     ]
-    if fit.checks is not None:
-        notes.append(fit.checks.statement)
+    if fit.thermal.checks is not None:
+        notes.append(fit.thermal.checks.statement)
     return tuple(notes)

@@ -27,7 +27,7 @@ from validation.truth.wall_fields import (
     wall_fields,
 )
 
-from pinav.fitting import Estimate, LangevinFit
+from pinav.fitting import Estimate, EvidenceFit
 from pinav.forces import Weight, stokes_drag
 
 ALONG, ACROSS = (0.015, 0.025), (0.03, 0.05)
@@ -64,8 +64,8 @@ def judge_wall(case: Case, recording: Recording, *, peer: bool) -> Judgement:
     assert radius is not None  # checked with the description
     assert heat is not None
     fit = fit_wall(recording, radius, heat)
-    assert fit.reference is not None
-    heights = recording.positions[:, 2] - fit.reference(recording.times)
+    assert fit.thermal.reference is not None
+    heights = recording.positions[:, 2] - fit.thermal.reference(recording.times)
     fields = wall_fields(fit, heights)
     free = [_score(fields, radius, normal=n) for n in (False, True)]
     contact = free[1].contact
@@ -176,7 +176,7 @@ def mobility_rows(
 
 
 def _force_rows(
-    fit: LangevinFit,
+    fit: EvidenceFit,
     gaps: Float[np.ndarray, " frame"],
     contact: float,
     constants: Constants,
@@ -236,7 +236,7 @@ def _small(
 
 
 def _mean_force(
-    fit: LangevinFit, far: Float[np.ndarray, " far"], contact: float
+    fit: EvidenceFit, far: Float[np.ndarray, " far"], contact: float
 ) -> Estimate:
     """Force over the gaps that were visited far from the wall, with its error."""
     places = np.quantile(far, np.linspace(0.01, 0.99, 50))
@@ -260,22 +260,22 @@ def _far(gaps: Float[np.ndarray, " frame"]) -> Float[np.ndarray, " far"]:
     return gaps[(gaps > FORCE_FROM) & (gaps < most)]
 
 
-def _notes(fit: LangevinFit, free: list[WallScore]) -> tuple[str, ...]:
-    assert fit.reference is not None
+def _notes(fit: EvidenceFit, free: list[WallScore]) -> tuple[str, ...]:
+    path = fit.thermal.reference
+    assert path is not None
     notes = [
-        f"The wall wanders by {1e3 * fit.reference.values.std():.0f} nm (sd over "
-        f"{len(fit.reference.values)} knots; mean own sd "
-        f"{1e3 * fit.reference.sd.mean():.0f} nm).",
+        f"The wall wanders by {1e3 * path.values.std():.0f} nm (sd over "
+        f"{len(path.values)} knots; mean own sd {1e3 * path.sd.mean():.0f} nm).",
         f"D0 along the wall {free[0].bulk:.4f}, normal to it {free[1].bulk:.4f} um²/s.",
         *(
             f"Exposure along axes {', '.join(map(str, one.axes))}: "
             f"{one.exposure.value / one.interval:.2f} frames; error "
             f"{1e3 * one.error.value:.1f} nm."
-            for one in fit.observation
+            for one in fit.thermal.observation
         ),
     ]
-    if fit.checks is not None:
-        notes.append(fit.checks.statement)
+    if fit.thermal.checks is not None:
+        notes.append(fit.thermal.checks.statement)
     return tuple(notes)
 
 

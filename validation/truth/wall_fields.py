@@ -8,7 +8,7 @@ from validation.truth.cases import Recording
 from validation.truth.peer import PeerWall, infer_wall
 
 from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer
-from pinav.fitting import LangevinFit, fit_langevin, profile_environment
+from pinav.fitting import EvidenceFit, fit_langevin, profile_environment
 from pinav.fitting.langevin import (
     DiffusionField,
     KernelDiffusion,
@@ -46,7 +46,7 @@ def fit_wall(
     radius: float,
     heat: float,
     reference: SlowReference | None = None,
-) -> LangevinFit:
+) -> EvidenceFit:
     """Force along z and both diffusions over a wall that drifts slowly.
 
     Args:
@@ -71,13 +71,13 @@ def fit_wall(
     )
 
 
-def wall_fields(fit: LangevinFit, heights: Float[np.ndarray, " frame"]) -> WallFields:
+def wall_fields(fit: EvidenceFit, heights: Float[np.ndarray, " frame"]) -> WallFields:
     """Diffusion at 80 quantiles of the heights."""
     places = np.quantile(heights, np.linspace(0.01, 0.99, 80))
     points = np.zeros((80, 3))
     points[:, 2] = places
-    assert isinstance(fit.diffusion, DiffusionField)
-    values, sd = fit.diffusion(points), fit.diffusion.sd(points)
+    assert isinstance(fit.thermal.diffusion, DiffusionField)
+    values, sd = fit.thermal.diffusion(points), fit.thermal.diffusion.sd(points)
     return WallFields(places, values[:, 0], values[:, 2], sd[:, 0], sd[:, 2])
 
 

@@ -1,4 +1,4 @@
-"""What a fit learned: its force, what that depends on, and the law behind it."""
+"""Analysis of a fit: its force, what that depends on, and the law behind it."""
 
 from pinav.analysis.analysis import Analysis as Analysis
 from pinav.analysis.analysis import analyse as analyse

@@ -38,10 +38,9 @@ Part = TypeVar("Part")
 
 
 class Analysis(eqx.Module):
-    """What a fit has learned, and what it depends on.
+    """Everything that the analysis of a fit found.
 
     Attributes:
-        model: name of the model that stands for the unknown.
         reference: index of the trajectory whose rollout is varied.
         relative: half range of the varied strengths, relative to their values.
         shift: half range of each coordinate of the varied start [L].
@@ -93,15 +92,12 @@ def analyse(
     """Analyse what a fit has learned; what needs a posterior is left out without one.
 
     Args:
-        fit: of a planar force.
-        points: grid points along each side of the maps.
         draws: posterior samples behind the spread of fractions.
         samples: samples of the Sobol' indices, a power of two.
         reference: index of the trajectory whose rollout is varied.
         relative: half range of damping, gain and strength of the environment, relative
             to their values.
         shift: half range of each coordinate of the start [L].
-        seed: of all random numbers.
 
     Raises:
         InputError: the fit learned no planar force, or has no such trajectory.

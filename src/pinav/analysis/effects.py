@@ -1,7 +1,6 @@
 """Doubt, influence, sensitivity and entropy production of one fit.
 
-Each function takes the fit that is analysed and returns a result of the library, or
-says why there is none.
+Each function raises `InputError` or `FitError` where its result does not exist.
 """
 
 import dataclasses
@@ -44,7 +43,7 @@ MOST_SAMPLES = 4000
 
 
 class Doubt(eqx.Module):
-    """What the posterior says of the learned force.
+    """Posterior uncertainty of the learned force.
 
     Attributes:
         sd: standard deviation of the force on the grid [L T⁻²].
@@ -58,7 +57,7 @@ class Doubt(eqx.Module):
 
 
 class TrajectoryEffect(eqx.Module):
-    """What leaving a trajectory out of the fit would do, to first order.
+    """First-order effect of leaving a trajectory out of the fit.
 
     Attributes:
         force: relative change of the force near the data.
@@ -75,13 +74,7 @@ class TrajectoryEffect(eqx.Module):
 
 
 class ConstantEffect(eqx.Module):
-    """What a constant that is one percent larger would do.
-
-    Attributes:
-        force: relative change of the force near the data.
-        final: change of the final position of the reference rollout [L].
-        change: of the force on the grid [L T⁻²].
-    """
+    """Effect of a constant that is one percent larger; see `TrajectoryEffect`."""
 
     constant: str
     value: float
@@ -93,11 +86,7 @@ class ConstantEffect(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class Subject:
-    """The fit that is analysed, as all parts of an analysis need it.
-
-    Attributes:
-        reference: index of the trajectory whose rollout is varied.
-    """
+    """The fit that is analysed, with the trajectory whose rollout is varied."""
 
     fit: AbstractLearned
     model: Swimmer | OverdampedSwimmer
@@ -140,16 +129,7 @@ class Subject:
 
 
 def judge_significance(subject: Subject, draws: int, seed: int) -> Doubt:
-    """The standard deviation of the force by the posterior, and where it is exceeded.
-
-    Args:
-        subject: the fit.
-        draws: posterior samples behind the spread of the rotational fraction.
-        seed: of their key.
-
-    Raises:
-        InputError: the fit has no posterior.
-    """
+    """Standard deviation of the force by the posterior; InputError without one."""
     posterior, field = subject.fit.posterior, subject.field
     if posterior is None:
         raise InputError(NO_POSTERIOR)
@@ -169,12 +149,7 @@ def judge_significance(subject: Subject, draws: int, seed: int) -> Doubt:
 
 
 def trace_influence(subject: Subject) -> Influence:
-    """What each trajectory and each constant does to the parameters.
-
-    Raises:
-        InputError: it is not defined for this fit.
-        FitError: a trajectory alone determines some parameter.
-    """
+    """Effect of each trajectory and each constant on the parameters."""
     if subject.fit.evidence is None:
         raise InputError(NO_POSTERIOR)
     if is_thermal(subject.fit):
@@ -209,7 +184,7 @@ def _influence(subject: Subject) -> Influence:
 def trajectory_effects(
     subject: Subject, effects: Influence
 ) -> tuple[TrajectoryEffect, ...]:
-    """What each trajectory does to the force and to the end of the reference."""
+    """Effects of each trajectory on the force and on the end of the reference."""
     changes, relative, final = _followed(subject, effects, effects.removals)
     return tuple(
         TrajectoryEffect(
@@ -227,11 +202,7 @@ def trajectory_effects(
 def constant_effects(
     subject: Subject, effects: Influence
 ) -> tuple[ConstantEffect, ...]:
-    """What one percent of each constant does to them.
-
-    Raises:
-        InputError: the physics has no constants.
-    """
+    """Effect of a change of each constant by 1 %; InputError if there is none."""
     if not effects.constants:
         raise InputError("the physics has none")
     values = {
@@ -256,7 +227,6 @@ def constant_effects(
 def _followed(
     subject: Subject, effects: Influence, changes: Float[np.ndarray, "change parameter"]
 ) -> tuple[Float[np.ndarray, "change rows columns 2"], list[float], list[float]]:
-    """Changes of the force, their relative size near the data, and of the end."""
     shape = subject.field.force.shape
     forces = effects.force_changes(subject.field.points, changes).reshape(-1, *shape)
     final = effects.final_changes(subject.start, subject.times, changes)[:, :2]
@@ -282,11 +252,7 @@ def vary_starts(subject: Subject) -> LyapunovMap:
 
 
 def rollout_study(subject: Subject, landmark: Float[np.ndarray, "2"]) -> RolloutStudy:
-    """The reference rollout, whose strengths and start can be varied.
-
-    Raises:
-        InputError: it is not defined for the model.
-    """
+    """The reference rollout, whose strengths and start can be varied."""
     if not isinstance(subject.model, Swimmer):
         raise InputError("they are varied for swimmers with inertia alone")
     near = subject.field.regions.visited
@@ -299,11 +265,7 @@ def is_thermal(fit: AbstractLearned) -> bool:
 
 
 def produce_entropy(fit: AbstractLearned) -> EntropyProduction:
-    """Entropy production of thermal motion, with the current at the samples.
-
-    Raises:
-        InputError: it cannot be told of this fit.
-    """
+    """Entropy production of thermal motion, with the current at the samples."""
     posterior, model, data = fit.posterior, fit.model, fit.data
     if posterior is None or not isinstance(model, OverdampedSwimmer):
         raise InputError("the run is no fit of thermal motion")

@@ -62,7 +62,7 @@ class EntropyProduction(eqx.Module):
 
     @property
     def is_significant(self) -> bool:
-        """Whether no equilibrium explains the force, at two standard deviations."""
+        """True if no equilibrium explains the force, at two standard deviations."""
         return self.rate.value > 2 * self.rate.sd
 
 
@@ -128,7 +128,7 @@ def _without_gradients(
     gradients: Float[np.ndarray, "sample dim kernel"],
     *fields: Float[np.ndarray, "row _"],
 ) -> list[Float[np.ndarray, "row _"]]:
-    """What is left of fields when the nearest gradient is taken away."""
+    """Fields less the nearest gradient."""
     columns = gradients.reshape(-1, gradients.shape[2])
     left, values, _ = np.linalg.svd(columns, full_matrices=False)
     basis = left[:, values > SMALLEST * values[0]]
@@ -160,7 +160,6 @@ def _held_out_shares(
 def _fields(
     model: OverdampedSwimmer, positions: Float[np.ndarray, "sample dim"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Drift, mobility and gradients of the kernels at positions."""
     basis = _scalar_kernels(model)
 
     def at(x: Vector) -> tuple[Array, Array, Array]:

@@ -80,7 +80,6 @@ def helmholtz_split(field: FieldMap, *, reach: float | None = None) -> Helmholtz
     """Split a force into its gradient and its rotational part.
 
     Args:
-        field: the force on a grid.
         reach: the region is what lies so near to a sample [L]; the map's own near
             places unless given. Everywhere counts if it is infinite.
 
@@ -116,9 +115,7 @@ def rotational_fractions(
     """Rotational fraction of each of several forces, such as draws of a posterior.
 
     Args:
-        field: the map whose grid and region they share.
         forces: one force a row [L T⁻²].
-        reach: as for `helmholtz_split`.
 
     Raises:
         InputError: no force is known on the region, or one is zero there.
@@ -217,7 +214,6 @@ class _Basis(eqx.Module):
     def fit(
         self, force: Float[np.ndarray, "row ..."]
     ) -> Float[np.ndarray, "weight ..."]:
-        """Weights of potential and stream function, by least squares with a ridge."""
         return _ridge(np.concatenate(self.near, axis=1), force)
 
     def parts(

@@ -51,7 +51,6 @@ class Calibration(eqx.Module):
     Attributes:
         radius: $r$, in standard deviations $\sigma$.
         miscoverage: $\alpha$.
-        count: calibration trajectories.
         outcome: bounded; too few trajectories for this miscoverage; or diverged, so
             many predictions were infinitely wrong that no finite band is honest.
     """
@@ -159,7 +158,6 @@ def trajectory_scores(
     predicted, or up to a common horizon.
 
     Args:
-        predictions: of every sample.
         sd: standard deviations of the errors expected; 1 gives a radius in the unit
             of the states.
         horizon: time [T] from the first sample of each after which nothing counts.
@@ -207,9 +205,6 @@ def rollout_bands(
 
     To first order, from the uncertainty of the parameters, and the noise of the start
     and of each observation.
-
-    Args:
-        trajectories: where to start and when to predict.
 
     Raises:
         InputError: a first sample is not fully observed.

@@ -63,10 +63,6 @@ def wandering_variance(
     """Variance of the error of a rollout by the wandering velocity [L²].
 
     Args:
-        dynamics: the first-order model that was rolled out, under the commands.
-        wandering: the velocity that the model leaves out.
-        piece: what was observed, from the start on.
-        path: the rollout at the times of the piece; not finite once diverged.
         count: number of first samples from which the start was estimated.
 
     Returns:
@@ -92,7 +88,7 @@ def _jacobians(
     times: Float[Array, " time"],
     path: Float[Array, "time state"],
 ) -> Float[Array, "time state state"]:
-    """Of the vector field by the state, along a path."""
+    """Jacobians of the vector field by the state, along a path."""
     slopes = jax.jacfwd(lambda y, t: dynamics(t, y))
     return jax.vmap(slopes)(path, times)
 
@@ -103,7 +99,7 @@ def _transitions(
     intervals: Float[np.ndarray, " step"],
     wandering: WanderingVelocity,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of error and both velocities, in units of their strengths, over each interval."""
+    """Transition of error and both velocities, in their strengths, by interval."""
     steps, dim, _ = jacobians.shape
     unit = np.eye(dim)
     rates = np.zeros((steps, 3 * dim, 3 * dim))
@@ -131,7 +127,7 @@ def _transitions(
 def _start_weights(
     matrices: Float[np.ndarray, "step joint joint"], piece: Trajectory, count: int
 ) -> Float[np.ndarray, "sample state state"]:
-    """L: what the error of each of the first samples adds to the estimated start."""
+    """Matrix L by which errors of the first samples add to the estimated start."""
     dim = piece.states.shape[1]
     to_start = [np.eye(dim)]
     for matrix in matrices[: count - 1]:
@@ -146,7 +142,6 @@ def _propagate(
     noises: Float[np.ndarray, "step joint joint"],
     weights: Float[np.ndarray, "sample state state"],
 ) -> Float[np.ndarray, "time state"]:
-    """Variance of the prediction at each sample."""
     dim = weights.shape[1]
     size = 3 * dim
     joint = np.diag(np.repeat([0.0, 1.0, 1.0, 0.0], dim))
@@ -186,11 +181,7 @@ def normal_interval(
 
 
 class Bands(eqx.Module):
-    """Predicted states and their standard deviations, observation noise apart.
-
-    Attributes:
-        ys: predicted states; not finite once diverged.
-    """
+    """Predicted states, not finite once diverged, and their deviations."""
 
     ys: Float[np.ndarray, "trajectory time state"]
     sd: Float[np.ndarray, "trajectory time state"]
@@ -208,13 +199,7 @@ def exact_start_bands(
     start_sd: float = 0.0,
     wandering: WanderingVelocity | None = None,
 ) -> Bands:
-    """Bands of rollouts from the first samples, which are exact unless said otherwise.
-
-    Args:
-        trajectories: where to start and when to predict.
-        start_sd: standard deviation of each first sample.
-        wandering: velocity of the swimmer that the model leaves out.
-    """
+    """Bands of rollouts from first samples, exact unless said otherwise."""
     states = trajectories.states.shape[2]
     by_parameter = np.zeros((len(trajectories), states, len(posterior.mean)))
     spread = np.tile(start_sd**2 * np.eye(states), (len(trajectories), 1, 1))
@@ -232,13 +217,7 @@ def estimated_start_bands(
     *,
     wandering: WanderingVelocity | None = None,
 ) -> Bands:
-    """Bands of rollouts from estimated starts.
-
-    Args:
-        trajectories: when to predict.
-        starts: the estimates.
-        wandering: velocity of the swimmer that the model leaves out.
-    """
+    """Bands of rollouts from estimated starts."""
     head = first_samples(trajectories, starts.count)
     linear = linearise_driven(
         posterior.free,
@@ -261,7 +240,6 @@ def _widen(
     wandering: WanderingVelocity | None,
     count: int,
 ) -> Bands:
-    """The bands with the variance that a wandering velocity adds."""
     if wandering is None:
         return bands
     theta, variance = jnp.asarray(posterior.mean), bands.sd**2
@@ -362,12 +340,7 @@ def rollout_coverage(
     noise: float,
     regions: dict[str, Bool[np.ndarray, "trajectory time"]],
 ) -> dict[str, float]:
-    """Fraction of the observed values inside the band, by where they were observed.
-
-    Args:
-        trajectories: what was observed; only that counts.
-        regions: which samples lie in each region.
-    """
+    """Fraction of the observed values inside the band, by where they were observed."""
     errors = bands.ys - trajectories.states
     inside = inside_band(errors, bands.observable_sd(noise))
     counted = trajectories.observed

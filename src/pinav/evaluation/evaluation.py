@@ -52,11 +52,9 @@ class Evaluation(eqx.Module):
     """Scores of the models of a fit, and of the known physics alone.
 
     Attributes:
-        data: name of the data that were scored.
         has_estimated_starts: each start was estimated from the first samples with the
             model fixed, and only the samples after them are scored; else rollouts
             begin at the first sample.
-        regions: distances that tell visited from unvisited places.
         domain: extent of the training data [L]; rollouts that err by more diverged.
         rmse: root-mean-square errors by model and channel, and the number of rollouts
             that diverged.
@@ -67,7 +65,6 @@ class Evaluation(eqx.Module):
         num_training: number of scored trajectories that the fit has seen.
         units: of channels and time; "1" where dimensionless, "?" where not stated.
         whiteness: of the residuals; None of several models.
-        constants: recovered constants, where the truth is known.
         coverage: fraction inside nominal 95 % bands, by what and region; None without
             a posterior.
         calibration: a conformal band; None where no trajectories were given for it.
@@ -123,7 +120,6 @@ def evaluate(
             be training errors.
         calibration: further trajectories, from which conformal bands are calibrated.
         regions: lengths of the regions; chosen from the training data unless given.
-        names: of the data and of `calibration`, for tables.
 
     Raises:
         InputError: the data are not those of the fitted system, or `calibration` holds
@@ -172,7 +168,6 @@ def clean_trajectories(setting: Setting) -> Trajectories | None:
 def _predictions(
     model: AbstractDynamics, setting: Setting, clean: Trajectories | None
 ) -> dict[str, Prediction]:
-    """Rollouts of a model by the source of their starts."""
     estimate = setting.estimates_starts
     sources = {"data": predict_rollouts(model, setting.data, estimate=estimate)}
     if clean is not None:
@@ -181,7 +176,6 @@ def _predictions(
 
 
 def _errors(prediction: Prediction) -> dict[str, float]:
-    """Root-mean-square errors by column, and the number that diverged."""
     scored = score(prediction.ys, prediction.outcomes, prediction.observed)
     diverged = sum(end is not Outcome.SUCCESS for end in prediction.outcomes)
     return scored.by_name() | {"diverged": diverged}
@@ -192,7 +186,6 @@ def _rollouts(
 ) -> tuple[
     dict[str, dict[str, dict[str, RolloutSummary]]], dict[str, dict[str, ErrorCurve]]
 ]:
-    """Errors within the training horizon and beyond it, and their curves over time."""
     summaries, curves = {}, {}
     horizon = setting.fit.horizon * (1 + 1e-9)
     for model, sources in predictions.items():
@@ -215,7 +208,6 @@ def _rollouts(
 def _forces(
     models: Mapping[str, AbstractDynamics], setting: Setting
 ) -> dict[str, dict[str, Agreement]]:
-    """Agreement with the true force by region, of every model that has a force."""
     if setting.truth is None or not setting.is_planar:
         return {}
     return {

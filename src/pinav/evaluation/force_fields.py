@@ -56,7 +56,7 @@ class Regions(eqx.Module):
     def masks(
         self, distance: Float[np.ndarray, "*shape"]
     ) -> dict[str, Bool[np.ndarray, "*shape"]]:
-        """Which points belong to each region, by their distance to the data [L]."""
+        """Points of each region, by their distance to the data [L]."""
         return {
             "visited": distance <= self.visited,
             "near": distance <= self.near,
@@ -64,11 +64,7 @@ class Regions(eqx.Module):
         }
 
     def definition(self, unit: str = "1") -> str:
-        """The definition in words, for tables.
-
-        Args:
-            unit: of length; "1" means dimensionless.
-        """
+        """The definition in words, for tables; a unit of "1" means dimensionless."""
         suffix = "" if unit in ("1", "?", "") else f" {unit}"
         return (
             f"visited: within {self.visited:.3g}{suffix} of an observed position of "
@@ -107,12 +103,7 @@ def extent(trajectories: Trajectories) -> float:
 
 
 class FieldMap(eqx.Module):
-    """A planar force field on a grid, and how far its points are from the data.
-
-    Attributes:
-        distance: distance of each grid point to the nearest sample [L].
-        regions: what counts as visited and as near.
-    """
+    """A planar force on a grid, and the distance [L] of its points from the data."""
 
     x: Float[np.ndarray, " columns"]
     y: Float[np.ndarray, " rows"]
@@ -141,8 +132,6 @@ def field_map(
     """The force of a swimmer at rest at each point of a planar grid.
 
     Args:
-        force: the field; evaluated in float64.
-        trajectories: their observed positions define the distance.
         time: time [T] at which a field that depends on it is drawn; unless given,
             each grid point takes the time of its nearest sample, the reading most
             favourable to such a field.
@@ -177,11 +166,7 @@ def check_planar(trajectories: Trajectories) -> None:
 
 
 def square(trajectories: Trajectories) -> tuple[float, float, float, float]:
-    """The smallest square around the observed positions and what is near them [L].
-
-    Returns:
-        x from, x to, y from, y to.
-    """
+    """The smallest square around the data and what is near them [L]: x0, x1, y0, y1."""
     (x_from, y_from), (x_to, y_to) = enclosing_cube(trajectories)
     return x_from, x_to, y_from, y_to
 
@@ -207,7 +192,6 @@ def distances(
 def _observed_positions(
     trajectories: Trajectories,
 ) -> tuple[Float[np.ndarray, "sample dim"], Float[np.ndarray, " sample"]]:
-    """All fully observed positions, and their times."""
     is_observed = trajectories.observed[..., : trajectories.dim].all(-1)
     return trajectories.positions[is_observed], trajectories.times[is_observed]
 
@@ -215,7 +199,6 @@ def _observed_positions(
 def _nearest_samples(
     points: Float[np.ndarray, "point dim"], trajectories: Trajectories
 ) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
-    """Distance to, and time of, the nearest fully observed position."""
     from scipy.spatial import KDTree
 
     samples, times = _observed_positions(trajectories)
@@ -224,7 +207,7 @@ def _nearest_samples(
 
 
 class Agreement(eqx.Module):
-    r"""How well two fields agree on a set of grid points.
+    r"""Agreement of two fields on a set of grid points.
 
     Attributes:
         error: $\|F - F^*\|_2 / \|F^*\|_2$, all points and components together.
@@ -262,7 +245,6 @@ def force_agreement(
 
     Args:
         true: the truth on the same grid; its distances define the regions.
-        regions: their lengths; those of the true map unless given.
     """
     masks = (true.regions if regions is None else regions).masks(true.distance)
     masks["everywhere"] = np.ones_like(true.distance, bool)
@@ -285,11 +267,7 @@ MOST_SAMPLES = 2000
 
 
 class ForceLine(eqx.Module):
-    """The component of a force along a line, over the place on it.
-
-    Attributes:
-        places: along the coordinate axis [L].
-    """
+    """The component of a force along a line, over the coordinate on it [L]."""
 
     places: Float[np.ndarray, " place"]
     force: Float[np.ndarray, " place"]
@@ -300,11 +278,7 @@ class ForceLine(eqx.Module):
 def line_through(
     positions: Float[np.ndarray, "sample dim"], axis: int, points: int = 60
 ) -> Float[np.ndarray, "point dim"]:
-    """Points along one axis through the middle of the data.
-
-    Args:
-        axis: the coordinate that varies, over all but the last hundredths of the data.
-    """
+    """Points along one axis through the middle of the data, without its tails."""
     line = np.tile(np.median(positions, axis=0), (points, 1))
     low, high = np.quantile(positions[:, axis], ENDS)
     line[:, axis] = np.linspace(low, high, points)
@@ -319,12 +293,7 @@ def force_line(
     posterior: Any = None,
     truth: AbstractForce | None = None,
 ) -> ForceLine:
-    """A force along one axis through the middle of the data, at time zero.
-
-    Args:
-        data: around which the line lies.
-        posterior: of the force, for its standard deviation.
-    """
+    """A force along one axis through the middle of the data, at time zero."""
     points = line_through(_observed_positions(data)[0], axis)
     return ForceLine(
         points[:, axis],
@@ -357,11 +326,7 @@ def exact_forces(
 
 
 class Decomposition(eqx.Module):
-    """What makes up the acceleration along a trajectory.
-
-    Attributes:
-        terms: propulsion, environment and drag at each time [L T⁻²].
-    """
+    """Propulsion, environment and drag along a trajectory, as accelerations [L T⁻²]."""
 
     times: Float[np.ndarray, " time"]
     terms: dict[str, Float[np.ndarray, "time dim"]]

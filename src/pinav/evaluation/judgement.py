@@ -31,11 +31,7 @@ Coverage = dict[str, float]
 
 
 class ParameterRecovery(eqx.Module):
-    """A learned constant beside its truth.
-
-    Attributes:
-        unit: of all of these.
-    """
+    """A learned constant beside its truth, in one unit."""
 
     DERIVED = ("relative_error", "z")
 
@@ -60,7 +56,6 @@ class CalibratedBand(eqx.Module):
     """A conformal band from trajectories that no fit has seen, and how it fares.
 
     Attributes:
-        band: the radius, and how many trajectories it is from.
         has_posterior: the radius is in standard deviations of the band of the fit, not
             in the unit of each channel.
         covered: fraction of the scored trajectories inside.
@@ -183,7 +178,6 @@ def _bands(setting: Setting, data: Trajectories) -> tuple[Bands, Trajectories]:
 def _sample_regions(
     data: Trajectories, setting: Setting
 ) -> dict[str, Bool[np.ndarray, "trajectory time"]]:
-    """Region of each sample, by its distance to the training data."""
     flat = data.positions.reshape(-1, data.dim)
     distance = distances(flat, setting.fit.data)
     return setting.regions.masks(distance.reshape(data.positions.shape[:-1]))
@@ -214,6 +208,6 @@ def _prediction_bands(
     Float[np.ndarray, "trajectory time state"],
     Float[np.ndarray, "trajectory time state"],
 ]:
-    """What was observed, predictions and their standard deviations."""
+    """Observations, predictions and standard deviations."""
     bands, observed = _bands(setting, data)
     return observed, bands.ys, bands.observable_sd(setting.fit.noise)

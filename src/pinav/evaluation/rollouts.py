@@ -52,7 +52,6 @@ def position_errors(
     """Errors of the predicted positions against the observed ones.
 
     Args:
-        predictions: states at the times of the trajectories.
         scored_from: index of the first sample that counts.
 
     Raises:
@@ -123,11 +122,7 @@ class ErrorCurve(eqx.Module):
 
 
 def error_curve(errors: RolloutErrors, bins: int = BINS) -> ErrorCurve:
-    """Quantiles over trajectories in equal intervals of time since the start.
-
-    Args:
-        bins: number of intervals; those without a scored sample are left out.
-    """
+    """Quantiles over trajectories in intervals of time; empty ones are left out."""
     edges = np.linspace(0.0, errors.elapsed[errors.scored].max(), bins + 1)
     place = np.clip(np.searchsorted(edges, errors.elapsed, "left") - 1, 0, bins - 1)
     rows = []
@@ -200,12 +195,7 @@ ROLLOUTS = 60
 
 
 class RestartErrors(eqx.Module):
-    """End-point errors of rollouts from observed positions.
-
-    Attributes:
-        lengths: of the rollouts [T].
-        errors: median distance between predicted and observed end [L].
-    """
+    """End-point errors: median distance [L] by the length of the rollouts [T]."""
 
     lengths: Float[np.ndarray, " length"]
     errors: Float[np.ndarray, " length"]
@@ -215,14 +205,7 @@ class RestartErrors(eqx.Module):
 def restart_errors(
     dynamics: AbstractDynamics, data: Trajectories
 ) -> RestartErrors | None:
-    """Errors of a first-order model over windows of the data, one after the other.
-
-    Args:
-        dynamics: the model; its state are the positions.
-
-    Returns:
-        The errors; None where no trajectory is as long as the longest rollout.
-    """
+    """Errors of a first-order model over successive windows; None if none is long."""
     windows = [
         (source, window)
         for source, piece in enumerate(data)

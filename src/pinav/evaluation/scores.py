@@ -39,12 +39,7 @@ from pinav.trajectories import POSITION_CHANNELS, Trajectories
 
 
 class Score(eqx.Module):
-    """Root-mean-square errors of rollouts against observed states.
-
-    Attributes:
-        rmse: error of each component, over all observed samples; NaN where a
-            component was never observed.
-    """
+    """Root-mean-square errors of rollouts; NaN for components that nobody observed."""
 
     channels: tuple[str, ...] = eqx.field(static=True)
     rmse: Float[np.ndarray, " state"]
@@ -88,8 +83,6 @@ def predict(
     A propulsion that takes commands is driven by those of each trajectory.
 
     Args:
-        dynamics: the model, in any precision; it is cast exactly.
-        trajectories: when to save.
         starts: first state of each rollout; the first sample unless given. A rollout
             from one that is not finite counts as diverged.
         driven_by: whose commands drive each rollout, row by row: windows of long
@@ -153,10 +146,7 @@ def score(
     outcomes: tuple[Outcome, ...],
     trajectories: Trajectories,
 ) -> Score:
-    """Errors of `predictions` over every observed entry of `trajectories`.
-
-    A diverged rollout scores infinity.
-    """
+    """Errors over every observed entry; infinite where the rollout diverged."""
     observed = trajectories.observed
     squares = np.where(observed, (predictions - trajectories.states) ** 2, 0.0)
     squares = np.where(np.isfinite(squares), squares, np.inf)
@@ -204,7 +194,6 @@ def whiteness(
     """Autocorrelation and Ljung-Box test of each channel.
 
     Args:
-        residuals: observed less fitted, in any unit.
         observed: where there was an observation; what is not finite does not count.
     """
     rows = [
@@ -233,8 +222,6 @@ def increment_residuals(
     and standard normal where the force $f$ and the diffusion $D$ are right.
 
     Args:
-        model: the fitted dynamics of the positions, without noise.
-        trajectories: what it was fitted to.
         diffusion: $D$ [L² T⁻¹], positive.
 
     Returns:

@@ -41,10 +41,7 @@ class Setting:
     """The fit, the data and the truth by which all models of a fit are judged.
 
     Attributes:
-        data: trajectories to score.
         truth: system that the data came from, where its environment is known.
-        regions: lengths that tell visited from unvisited places.
-        notes: sentences on what was left out.
     """
 
     fit: AbstractLearned
@@ -57,11 +54,7 @@ class Setting:
     def of(
         cls, fit: AbstractLearned, data: Trajectories, regions: Regions | None
     ) -> "Setting":
-        """The setting of a fit and trajectories, in the regions of the training data.
-
-        Raises:
-            InputError: the data are not those of the fitted system.
-        """
+        """The setting of a fit; InputError if the data are not those of its system."""
         scored, notes = select_scored(data, fit)
         truth = true_system(fit.system, scored, fit.data)
         if truth is not None and fit.data.dim != 2:
@@ -91,7 +84,7 @@ class Setting:
 
     @property
     def estimates_starts(self) -> bool:
-        """The first samples are no starts: incomplete, or noisy.
+        """True if the first samples are incomplete or noisy.
 
         Stochastic paths start at their first samples: no noise was found on them.
         """
@@ -161,7 +154,6 @@ def held_out(
     realisations of their own Brownian motion.
 
     Args:
-        system: with its true environment and a rule that draws starts.
         until: time [T] since the start up to which to solve, sampled as the system
             is; its own unless given.
 
@@ -198,11 +190,7 @@ class Prediction(eqx.Module):
 def predict_rollouts(
     model: AbstractDynamics, data: Trajectories, *, estimate: bool
 ) -> Prediction:
-    """Roll a model out from each start.
-
-    Args:
-        estimate: fit each start to the first samples, and score those after them.
-    """
+    """Rollouts, from first samples or from starts that are estimated from them."""
     if not estimate:
         return Prediction(data, *predict(model, data), None)
     starts = estimate_starts(model, data)

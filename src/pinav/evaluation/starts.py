@@ -46,7 +46,6 @@ class Starts(eqx.Module):
             because the samples do not determine it or the model diverged on them.
         lifted: states at the first samples, about which was linearised last.
         outcomes: how each estimate ended; a stalled one holds the last step.
-        count: samples used of each trajectory.
     """
 
     states: Float[np.ndarray, "trajectory state"]
@@ -68,10 +67,7 @@ def estimate_starts(
     observed.
 
     Args:
-        dynamics: the model.
-        trajectories: whose starts are sought; each has more than `count` samples.
         count: $K$, at least 2.
-        solver: steps between samples; `FixedStep(substeps=4)` unless given.
 
     Raises:
         InputError: a trajectory is too short, a channel has too few observations among
@@ -102,13 +98,7 @@ def _nothing(theta: Float[Array, "0"]) -> None:
 
 
 class DrivenModel(eqx.Module):
-    """A model as a function of its parameters, driven by one trajectory's commands.
-
-    Attributes:
-        free: the model as a function of its parameters.
-        times: of the commands [T].
-        commands: by name; none where the model takes none.
-    """
+    """A model as a function of its parameters, driven by one trajectory's commands."""
 
     free: ParametricModel
     times: Float[Array, " time"]
@@ -179,11 +169,7 @@ def _starts(
 
 
 def first_samples(trajectories: Trajectories, count: int) -> Trajectories:
-    """The first `count` samples of each trajectory.
-
-    Raises:
-        InputError: `count` is below 2, or a trajectory has no more samples than that.
-    """
+    """The first `count` samples of each trajectory; InputError if one has no more."""
     if count < 2:
         raise InputError(f"starts count: expected 2 or more samples, got {count}")
     for index, length in enumerate(trajectories.lengths):

@@ -13,6 +13,9 @@ from pinav.fitting.engine.iterate import EvidenceProgress as EvidenceProgress
 from pinav.fitting.engine.posterior import Band as Band
 from pinav.fitting.engine.posterior import Estimate as Estimate
 from pinav.fitting.engine.posterior import Posterior as Posterior
+from pinav.fitting.environments.catalogue import (
+    neural_environment as neural_environment,
+)
 from pinav.fitting.environments.diagnosis import Cause as Cause
 from pinav.fitting.environments.diagnosis import diagnose as diagnose
 from pinav.fitting.environments.gradient_matching import (
@@ -37,7 +40,6 @@ from pinav.fitting.environments.kernels import (
     timed_kernel_environment as timed_kernel_environment,
 )
 from pinav.fitting.environments.kernels import warp_at_slow_end as warp_at_slow_end
-from pinav.fitting.environments.networks import neural_environment as neural_environment
 from pinav.fitting.environments.rates import substeps_for as substeps_for
 from pinav.fitting.environments.refinement import Refinement as Refinement
 from pinav.fitting.evidence.evidence import Hyperparameters as Hyperparameters
@@ -48,29 +50,29 @@ from pinav.fitting.langevin import ConstantDiffusion as ConstantDiffusion
 from pinav.fitting.langevin import DiffusionField as DiffusionField
 from pinav.fitting.langevin import KernelDiffusion as KernelDiffusion
 from pinav.fitting.langevin import LangevinChecks as LangevinChecks
-from pinav.fitting.langevin import LangevinFit as LangevinFit
 from pinav.fitting.langevin import LearnedObservation as LearnedObservation
 from pinav.fitting.langevin import Observation as Observation
 from pinav.fitting.langevin import ObservedAxes as ObservedAxes
 from pinav.fitting.langevin import ReferencePath as ReferencePath
 from pinav.fitting.langevin import SlowReference as SlowReference
+from pinav.fitting.langevin import ThermalResult as ThermalResult
 from pinav.fitting.langevin import fit_langevin as fit_langevin
 from pinav.fitting.langevin import judge_increments as judge_increments
 from pinav.fitting.langevin import slow_reference as slow_reference
-from pinav.fitting.matching.attempts import fit_in_turns as fit_in_turns
-from pinav.fitting.matching.attempts import fit_with_finer_steps as fit_with_finer_steps
-from pinav.fitting.matching.defects import DefectMatching as DefectMatching
-from pinav.fitting.matching.defects import RateMatching as RateMatching
-from pinav.fitting.matching.defects import Rates as Rates
+from pinav.fitting.matching.fit import Problem as Problem
 from pinav.fitting.matching.fit import fit as fit
 from pinav.fitting.matching.fit import fit_many as fit_many
+from pinav.fitting.matching.gauss_newton import DefectMatching as DefectMatching
 from pinav.fitting.matching.gauss_newton import GaussNewton as GaussNewton
-from pinav.fitting.matching.members import Problem as Problem
+from pinav.fitting.matching.gauss_newton import RateMatching as RateMatching
+from pinav.fitting.matching.gauss_newton import Rates as Rates
 from pinav.fitting.matching.phases import LBFGS as LBFGS
 from pinav.fitting.matching.phases import AbstractPhase as AbstractPhase
 from pinav.fitting.matching.phases import Adam as Adam
 from pinav.fitting.matching.recipes import curriculum as curriculum
 from pinav.fitting.matching.recipes import defect_recipe as defect_recipe
+from pinav.fitting.matching.recipes import fit_in_turns as fit_in_turns
+from pinav.fitting.matching.recipes import fit_with_finer_steps as fit_with_finer_steps
 from pinav.fitting.matching.recipes import is_complete as is_complete
 from pinav.fitting.matching.recipes import paper_recipe as paper_recipe
 from pinav.fitting.matching.state import AbstractCheckpoint as AbstractCheckpoint

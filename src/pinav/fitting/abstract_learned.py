@@ -20,7 +20,6 @@ class AbstractLearned(abc.ABC):
 
     Attributes:
         system: the known part of the swimmer.
-        data: the trajectories that were fitted.
         models: the fitted models by name; that of a single one is `model`.
         choice: the model that stands for the unknown, and the learned constants.
         evidence: posterior, hyperparameters and smoothed states; None where the recipe

@@ -76,7 +76,6 @@ def fit_regression(
     """Fit parameters of a model to data by what it predicts of them.
 
     Args:
-        model: where the fit starts.
         residuals: predicted less observed values of a model; a pytree, so that what it
             holds is not compiled in.
         weights: picks the leaves with a Gaussian prior.
@@ -88,7 +87,6 @@ def fit_regression(
         max_iterations: after which the fit counts as stalled.
         num_projected: residuals that were projected out before.
         step_rule: how to step; damped steps unless given.
-        on_step: called after each step.
         throw: raise where the fit did not converge.
 
     Raises:
@@ -132,25 +130,13 @@ class Regression(AbstractProblem):
     """A regression as a problem: its parameters, its start and its residuals.
 
     Attributes:
-        parametric: the model as a function of its parameters.
-        residuals: of a model.
-        theta: the parameters at the start.
-        weights: what is known of the weights before the data.
-        names: of all parameters.
-        flat: which of them are no weights.
-        noise: standard deviation of the residuals, where it is known.
         scale: size of what is observed.
         first_noise: the scale, for all that is observed may be noise.
         least_noise: rounding of what is observed.
-        tolerance: change of the log evidence at which the fit ends.
-        step_rule: how to step.
         is_linear: whether one step is all there is to do.
         num_projected: residuals that were projected out before.
         log_determinant: of what was integrated out before.
-        priors: what is known of the constants.
         linearisation: of the residuals, where they have one of their own.
-        states: none, for there are no dynamics.
-        teacher: none.
     """
 
     parametric: ParametricModel
@@ -191,14 +177,6 @@ class Regression(AbstractProblem):
         """The problem of a model and residuals; see `fit_regression`.
 
         Args:
-            model: where the fit starts.
-            residuals: of a model.
-            weights: picks the leaves with a prior.
-            weights_prior: of those.
-            constants: picks the leaves with a flat prior.
-            noise: standard deviation of the residuals; estimated unless given.
-            scale: size of what is observed.
-            tolerance: change of the log evidence at which the fit ends.
             step_rule: how to step; damped steps unless given, for the model need not
                 be linear in its parameters.
             options: further attributes.
@@ -247,7 +225,6 @@ class Regression(AbstractProblem):
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
             return None
         return LocalRegression(
-            theta=theta,
             quadratic=Quadratic(
                 point=theta,
                 hessian=rows.T @ rows,
@@ -280,17 +257,8 @@ class Regression(AbstractProblem):
 
 
 class LocalRegression(AbstractLocalModel):
-    """A regression near one point.
+    """A regression near one point."""
 
-    Attributes:
-        theta: the parameters.
-        quadratic: the sum of squares.
-        problem: of which it is part.
-        jacobian: of the residuals there.
-        residuals: there.
-    """
-
-    theta: Parameters
     quadratic: Quadratic
     problem: Regression
     jacobian: Float[np.ndarray, "residual parameter"]

@@ -42,10 +42,8 @@ def confirm(
     a model can follow the data by one solver alone.
 
     Args:
-        outcome: by the fit's own solver.
         residual: root-mean-square residual of the fit's own rollouts.
         independent: that of rollouts by an independent solver.
-        spread: of the data.
 
     Returns:
         `STALLED` in place of `CONVERGED` where the independent rollouts miss the data

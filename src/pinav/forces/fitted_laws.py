@@ -119,11 +119,7 @@ class FittedLaw(eqx.Module):
         return jnp.exp(self.numbers[index])
 
     def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
-        """The numbers as tables name them.
-
-        Args:
-            offset: of the coordinate, by which places are shifted [L].
-        """
+        """The numbers as tables name them, places shifted by an offset [L]."""
         names, values = self.family.numbers, list(self._values)
         if self.family.is_placed:
             values[0] = values[0] + offset
@@ -144,13 +140,11 @@ class FittedLaw(eqx.Module):
 
     @property
     def _values(self) -> tuple[Scalar, ...]:
-        """The constants: the place, if any, and those of the profile."""
         names = self.family.numbers
         return tuple(map(_constant, names, self.numbers))
 
 
 def _constant(name: str, number: Scalar) -> Scalar:
-    """The constant of a number without bounds."""
     if name in PLACES:
         return number
     return tail(number) if name == "tail" else jnp.exp(number)

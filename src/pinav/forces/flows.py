@@ -107,12 +107,7 @@ class VortexFlow(AbstractFlow):
 
 
 class SampledFlow(AbstractFlow):
-    """A velocity that is the same everywhere and linear between given times.
-
-    Attributes:
-        times: increasing [T].
-        velocities: at those times [L T⁻¹]; the first and the last hold beyond.
-    """
+    """A uniform velocity [L T⁻¹], linear between given times and constant beyond."""
 
     times: Float[Array, " time"] = eqx.field(metadata=dimension("T"))
     velocities: Float[Array, "time dim"] = eqx.field(metadata=dimension("L T-1"))
@@ -135,11 +130,7 @@ class SumFlow(AbstractFlow):
 
 
 class UniformFlow(AbstractFlow):
-    """The same velocity everywhere, at all times: a drift.
-
-    Attributes:
-        velocity: of the fluid [L T⁻¹].
-    """
+    """A drift: the same velocity [L T⁻¹] everywhere, at all times."""
 
     velocity: Vector = eqx.field(
         metadata=dimension("L T-1"), converter=point("UniformFlow.velocity")

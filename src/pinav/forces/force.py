@@ -97,7 +97,7 @@ class AbstractLearnedForce(AbstractForce):
 
     @property
     def geometry_scales(self) -> tuple[float, ...]:
-        """Of each leaf of the geometry: how far it may be from where a fit begins."""
+        """Prior standard deviation of each leaf of the geometry."""
         return ()
 
     @property
@@ -139,17 +139,17 @@ class AbstractLearnedForce(AbstractForce):
 
     @property
     def is_linear(self) -> bool:
-        """Whether the force is linear in its weights."""
+        """True if the force is linear in its weights."""
         return True
 
     @property
     def is_static(self) -> bool:
-        """Whether the force does not depend on time."""
+        """True if the force does not depend on time."""
         return True
 
     @property
     def is_conservative(self) -> bool:
-        """Whether the force is the gradient of a potential that is constant in time."""
+        """True if the force is the gradient of a potential that is constant in time."""
         return False
 
     @property
@@ -162,12 +162,8 @@ class AbstractLearnedForce(AbstractForce):
     ) -> Float[np.ndarray, "point dim"]:
         """Variance of the force that kernels beyond those that there are would make.
 
-        Kernels are laid about the data alone. Where there are none the force is no
-        better known than its prior, though no weight says so.
-
-        Args:
-            shape: of its prior, of unit amplitude.
-            positions: where it is asked for [L].
+        Kernels are laid about the data only; elsewhere the force is as uncertain as its
+        prior, which no weight states.
 
         Returns:
             Of each component; none where the force is not made of kernels on a grid.
@@ -189,21 +185,12 @@ class AbstractLearnedForce(AbstractForce):
         return []
 
     def length_scales(self, shape: Shape) -> list[float]:
-        """Length scale of each part that contributes, in widths of its kernels.
-
-        Returns:
-            Nothing where no finer grid of kernels could follow the length scale.
-        """
+        """Length scale of each part in widths; empty if too fine for any grid."""
         return []
 
 
 class KernelPlaces(NamedTuple):
-    """Where kernels are, and how wide.
-
-    Attributes:
-        centers: [L].
-        width: [L].
-    """
+    """Centres and width of kernels [L]."""
 
     centers: Float[Array, "kernel dim"]
     width: Scalar
@@ -222,11 +209,7 @@ def as_learned_force(force: AbstractForce) -> AbstractLearnedForce | None:
 
 
 class AbstractCommandedForce(AbstractForce):
-    """A force that the operator's commands drive; each trajectory has its own.
-
-    Attributes:
-        programme: what was commanded; None where each trajectory says so.
-    """
+    """A force that commands drive: its programme, or those of each trajectory."""
 
     programme: eqx.AbstractVar[AbstractProgramme | None]
 
@@ -251,11 +234,7 @@ class AbstractCommandedForce(AbstractForce):
         times: Float[Array, " time"],
         commands: Mapping[str, Float[Array, " time"]],
     ) -> AbstractForce:
-        """The force under commands that hold until the next one.
-
-        Args:
-            times: when each command was given [T].
-            commands: what was commanded, by name.
+        """The force under commands, given at times [T], that hold until the next one.
 
         Raises:
             InputError: a command that the force needs is missing.

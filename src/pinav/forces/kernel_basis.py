@@ -123,8 +123,6 @@ class KernelBasis(eqx.Module):
         """Kernels on a regular grid around observed positions.
 
         Args:
-            axes: on which the field depends.
-            positions: observed [L].
             across: kernels around the period, or intervals across the longest extent
                 of the coordinates; a warped coordinate has an extent of its own.
             margin: intervals beyond the data that hold kernels.
@@ -154,7 +152,7 @@ class KernelBasis(eqx.Module):
 
     @property
     def is_warped(self) -> bool:
-        """Whether a coordinate is warped."""
+        """True if a coordinate is warped."""
         return any(axis.warp is not None for axis in self.axes)
 
     def coordinates(self, x: Vector) -> Float[Array, " embedded"]:
@@ -177,7 +175,6 @@ def _spacings(
     positions: Float[np.ndarray, "sample dim"],
     across: int,
 ) -> tuple[float, ...]:
-    """Spacing of the kernels along each axis, in its unit."""
     for axis in axes:
         if not 0 <= axis.index < positions.shape[1]:
             raise InputError(
@@ -218,7 +215,6 @@ def _grid(
     across: int,
     margin: int,
 ) -> Float[np.ndarray, "place embedded"]:
-    """Places of kernels along one axis, in spacings."""
     if axis.period is not None:
         angles = 2 * np.pi * np.arange(across) / across
         return across / (2 * np.pi) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -375,11 +371,7 @@ class KernelTensor(AbstractTensorField):
 
 
 def check_groups(name: str, groups: tuple[tuple[int, ...], ...]) -> None:
-    """Refuse groups that do not hold every axis once.
-
-    Raises:
-        InputError: they do not.
-    """
+    """Refuse groups that do not hold every axis once."""
     axes = sorted(axis for group in groups for axis in group)
     if not axes or axes != list(range(len(axes))):
         raise InputError(

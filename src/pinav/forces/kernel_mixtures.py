@@ -74,10 +74,6 @@ class KernelMixture(AbstractKernelSum):
     Every planar force is such a sum (Helmholtz). A harmonic field has both forms: on a
     bounded ground the split is that of the smallest weights.
 
-    Attributes:
-        gradient: the part with a potential $U$.
-        rotation: the part with a stream function $\psi$.
-
     References:
         Helmholtz, J. reine angew. Math. 55, 25 (1858).
     """
@@ -149,8 +145,6 @@ class TimedKernelPotential(AbstractLearnedForce):
 
     Attributes:
         weights: $w_{jk}$ [L² T⁻²], what trains; three splines more than intervals.
-        centers: $c_j$ [L]; fixed.
-        width: $b$ [L], positive; fixed.
         first: time [T] at which the splines begin; fixed.
         last: time [T] at which they end; fixed.
 
@@ -222,10 +216,6 @@ class ChangingPotential(AbstractKernelSum):
 
     Where nothing changes $U_1 = 0$ leaves a `KernelPotential` on a grid as fine as it
     needs, while that of the change, which has many more weights, may be coarser.
-
-    Attributes:
-        static: the part $U_0$ that does not depend on time.
-        change: the part $U_1$ that does.
     """
 
     static: KernelPotential

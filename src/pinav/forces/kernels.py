@@ -40,12 +40,7 @@ class KernelGaps(eqx.Module):
     def of(
         cls, centers: Float[np.ndarray, "kernel dim"], width: float
     ) -> "KernelGaps | None":
-        """The gaps between kernels; None where these are on no square grid.
-
-        Args:
-            centers: of the kernels [L].
-            width: of a kernel [L].
-        """
+        """The gaps between kernels; None where these are on no square grid."""
         gaps = [gap for axis in centers.T for gap in np.diff(np.unique(axis)).tolist()]
         apart = [gap for gap in gaps if gap > ROUNDING * width]
         if not apart:
@@ -201,8 +196,6 @@ class KernelForce(AbstractKernels):
 
     Attributes:
         weights: $w_j$ [L T⁻²], what trains.
-        centers: $c_j$ [L]; fixed.
-        width: $b$ [L], positive; fixed.
     """
 
     weights: Float[Array, "kernel dim"]
@@ -260,8 +253,6 @@ class KernelPotential(AbstractScalarKernels):
 
     Attributes:
         weights: $w_j$ [L² T⁻²], what trains.
-        centers: $c_j$ [L]; fixed.
-        width: $b$ [L], positive; fixed.
     """
 
     weights: Float[Array, " kernel"]
@@ -298,8 +289,6 @@ class KernelStream(AbstractScalarKernels):
 
     Attributes:
         weights: $w_j$ [L² T⁻²], what trains.
-        centers: $c_j$ [L]; fixed.
-        width: $b$ [L], positive; fixed.
 
     Raises:
         InputError: the space is not a plane.
@@ -340,12 +329,7 @@ def quarter_turn(force: Float[Array, "2"]) -> Float[Array, "2"]:
 def kernel_centers(
     positions: Float[np.ndarray, "sample dim"], *, spacing: float, margin: float
 ) -> Centers:
-    """Points of a square grid that lie within `margin` of an observed position.
-
-    Args:
-        positions: observed positions [L].
-        spacing: of the grid [L], positive.
-        margin: distance from the data [L] up to which there are kernels, positive.
+    """Points of a square grid that lie within `margin` [L] of an observed position.
 
     Raises:
         InputError: `spacing` or `margin` is not positive.

@@ -29,14 +29,11 @@ from pinav.forces.profiles import (
 class AbstractCentralForce(AbstractPotentialForce):
     r"""Force $-\nabla U$ of a profile of the distance from a centre.
 
-    Its fields are the amplitude, the centre, and constants that are all positive: those
-    of the profile, unless `shapes` says otherwise.
-
-    Attributes:
-        center: $c$ [L].
+    Its fields are the amplitude, the centre [L], and constants that are all positive:
+    those of the profile, unless `shapes` says otherwise.
     """
 
-    center: eqx.AbstractVar[Vector]
+    # The centre is no `AbstractVar`: type checkers would take it for the first field.
 
     def __check_init__(self) -> None:
         _, _, *positive = dataclasses.fields(self)
@@ -54,9 +51,9 @@ class AbstractCentralForce(AbstractPotentialForce):
         return shapes
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        offset = x - self.center
-        height = self.profile.of_square(self.shapes, offset @ offset, NUMERIC)
-        return self._values[0] * height
+        amplitude, center, *_ = self._values
+        offset = x - center
+        return amplitude * self.profile.of_square(self.shapes, offset @ offset, NUMERIC)
 
     @property
     def _values(self) -> list[Any]:
@@ -68,7 +65,6 @@ class GaussianBarrier(AbstractCentralForce):
 
     Attributes:
         height: $U_0$ [L² T⁻²]; negative makes a trap.
-        center: $c$ [L].
         width: $\sigma$ [L], positive.
 
     Raises:
@@ -94,7 +90,6 @@ class HarmonicTrap(AbstractCentralForce):
 
     Attributes:
         stiffness: $k$ [T⁻²]; negative pushes away.
-        center: $c$ [L].
 
     Raises:
         InputError: `center` is not a point.
@@ -118,7 +113,6 @@ class PowerHill(AbstractCentralForce):
 
     Attributes:
         height: $U_0$ [L² T⁻²]; negative makes a trap.
-        center: $c$ [L].
         core: $s$ [L], positive.
         exponent: $p$, positive.
 
@@ -149,7 +143,6 @@ class CompactHill(AbstractCentralForce):
 
     Attributes:
         height: $U_0$ [L² T⁻²]; negative makes a trap.
-        center: $c$ [L].
         radius: $R$ [L], positive.
 
     Raises:
@@ -178,7 +171,6 @@ class RingBarrier(AbstractCentralForce):
 
     Attributes:
         height: $U_0$ [L² T⁻²]; negative makes a moat.
-        center: $c$ [L].
         radius: $\rho$ [L], positive.
         width: $w$ [L], positive.
 
@@ -204,7 +196,6 @@ class ProfileBarrier(AbstractPotentialForce):
     Attributes:
         law: name of the profile, such as "Yukawa".
         height: $U_0$, or the other amplitude of the profile.
-        center: $c$ [L].
         shapes: the other constants of the profile, in its order.
 
     Raises:

@@ -19,7 +19,7 @@ from pinav.forces.priors import Centers, IsotropicPrior
 
 
 class AbstractFeatures(eqx.Module):
-    """What a learned force sees of (t, x, v), centred and scaled to order one."""
+    """Inputs of a learned force from (t, x, v), centred and scaled to order one."""
 
     center: eqx.AbstractVar[tuple[float, ...]]
     scale: eqx.AbstractVar[tuple[float, ...]]
@@ -32,7 +32,7 @@ class AbstractFeatures(eqx.Module):
     @property
     @abc.abstractmethod
     def is_static(self) -> bool:
-        """Whether the features do not depend on time."""
+        """True if the features do not depend on time."""
 
     @abc.abstractmethod
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Float[Array, " features"]:
@@ -49,12 +49,7 @@ class AbstractFeatures(eqx.Module):
 
 
 class PositionFeatures(AbstractFeatures):
-    """Position alone: a static environment.
-
-    Attributes:
-        center: subtracted from x [L]; fixed, never trained.
-        scale: divides the difference [L]; fixed, never trained.
-    """
+    """Position alone, as (x - center) / scale with fixed numbers [L]."""
 
     center: tuple[float, ...] = eqx.field(static=True)
     scale: tuple[float, ...] = eqx.field(static=True)
@@ -72,12 +67,7 @@ class PositionFeatures(AbstractFeatures):
 
 
 class PositionTimeFeatures(AbstractFeatures):
-    """Position and time, as in the paper's network.
-
-    Attributes:
-        center: subtracted from (x, t) [L, T]; fixed, never trained.
-        scale: divides the difference [L, T]; fixed, never trained.
-    """
+    """Position and time, (y - center) / scale with y = (x, t), both fixed [L, T]."""
 
     center: tuple[float, ...] = eqx.field(static=True)
     scale: tuple[float, ...] = eqx.field(static=True)
@@ -128,7 +118,6 @@ class NeuralForce(AbstractNeuralForce):
     are those of an untrained network.
 
     Attributes:
-        network: the multilayer perceptron; its weights are what trains.
         scale: $f_0$ [L T⁻²], size of one unit of output; fixed, never trained.
     """
 
@@ -147,7 +136,6 @@ class NeuralPotential(AbstractNeuralForce):
     r"""Conservative force $-\nabla U$, $U = f_0\,\mathrm{NN}_\theta(\text{features})$.
 
     Attributes:
-        network: the multilayer perceptron, one output; its weights are what trains.
         scale: $f_0$ [L² T⁻²], size of one unit of potential; fixed, never trained.
     """
 
@@ -174,14 +162,7 @@ class NeuralPotential(AbstractNeuralForce):
 def tanh_network(
     in_size: int, out_size: int, *, width: int, depth: int, key: PRNGKeyArray
 ) -> eqx.nn.MLP:
-    """A multilayer perceptron with tanh between its layers and a linear output.
-
-    Args:
-        in_size: number of inputs.
-        out_size: number of outputs.
-        width: neurons of each hidden layer, positive.
-        depth: number of hidden layers, positive.
-        key: random key of the weights.
+    """A perceptron with tanh after its `depth` hidden layers and a linear output.
 
     Raises:
         InputError: `width` or `depth` is not positive.

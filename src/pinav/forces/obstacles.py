@@ -101,11 +101,7 @@ class Superposition(AbstractForce):
 
     @classmethod
     def of(cls, terms: tuple[AbstractForce, ...]) -> "Superposition":
-        """The sum of forces of one class, whose numbers become arrays.
-
-        Raises:
-            InputError: there are none, or they are of several classes.
-        """
+        """The sum of forces of one class; InputError for none or several classes."""
         if len({jax.tree.structure(term) for term in terms}) != 1:
             raise InputError(
                 "Superposition.of terms: expected forces of one class, got "
@@ -129,7 +125,7 @@ class Superposition(AbstractForce):
 
 
 class AbstractMotion(eqx.Module):
-    """How a thing moves."""
+    """Motion of the source of a force."""
 
     @abc.abstractmethod
     def __call__(self, t: Scalar) -> Vector:
@@ -137,10 +133,7 @@ class AbstractMotion(eqx.Module):
 
 
 class LinearMotion(AbstractMotion):
-    """Displacement at a constant velocity, from zero at t = 0.
-
-    Attributes:
-        velocity: [L T⁻¹].
+    """Displacement at a constant velocity [L T⁻¹], from zero at t = 0.
 
     Raises:
         InputError: `velocity` is not a vector.
@@ -173,11 +166,7 @@ class CircularMotion(AbstractMotion):
 
 
 class Moving(AbstractForce):
-    """A force whose source moves.
-
-    Attributes:
-        force: the force of the source where it stands without displacement.
-    """
+    """A force whose source moves, given as it stands without displacement."""
 
     force: AbstractForce
     motion: AbstractMotion
@@ -187,11 +176,7 @@ class Moving(AbstractForce):
 
 
 class Domain(eqx.Module):
-    """A box with edges along the axes, in any dimension: a rectangle in the plane.
-
-    Attributes:
-        lower: its lower corner [L].
-        upper: its upper corner [L].
+    """A box with edges along the axes, from `lower` to `upper` [L], in any dimension.
 
     Raises:
         InputError: `upper` is not beyond `lower` along every axis.
@@ -241,11 +226,8 @@ def random_barriers(
     """Gaussian barriers that keep apart, with uniform heights and widths.
 
     Args:
-        domain: holds their centres.
-        count: how many, positive.
         heights: least and greatest height [L² T⁻²].
         widths: least and greatest width [L].
-        key: random key of the field.
 
     Raises:
         InputError: `count` is not positive.
@@ -270,12 +252,9 @@ def random_fibres(
     """Gaussian ridges that keep apart, in random directions.
 
     Args:
-        domain: holds their centres.
-        count: how many, positive.
         heights: least and greatest height [L² T⁻²].
         length: along each fibre [L].
         width: across each fibre [L].
-        key: random key of the field.
 
     Raises:
         InputError: `count` is not positive.

@@ -16,7 +16,7 @@ import scipy.linalg
 from jaxtyping import ArrayLike, Float
 
 Shape = Float[np.ndarray, " shape"]
-"""What a prior depends on: logarithms of length scales, envelopes, ratios."""
+"""Shape of a prior: logarithms of length scales, envelopes, ratios."""
 
 Matrix = Float[np.ndarray, "weight weight"]
 """A number for each pair of weights, such as their covariance."""
@@ -63,7 +63,6 @@ class AbstractPrior(eqx.Module):
         themselves would be as many matrices as the shape has entries.
 
         Args:
-            shape: at which it is taken.
             pull: $P$, symmetric.
         """
 
@@ -87,8 +86,6 @@ class WeightPrior(AbstractPrior):
     from all data explains a wall as well as a wall does.
 
     Attributes:
-        centers: $c$ of the kernels [L].
-        width: of a kernel [L].
         components: weights of each kernel, independent of each other.
         narrowest: least reach of the envelope, as a share of the extent of the kernels;
             at any rate one width.
@@ -137,7 +134,6 @@ class WeightPrior(AbstractPrior):
         r"""Prior variance of $\sum_j w_j f_j$ at points, with kernels at other places.
 
         Args:
-            shape: of the prior.
             places: of kernels about each point, alike but for a shift [L].
             forces: $f_j$ of each of them at the point.
         """
@@ -158,11 +154,6 @@ class WeightPrior(AbstractPrior):
         $w = D\,M^{-1/2} \sum_m a_m \cos(\omega_m c) + b_m \sin(\omega_m c)$ with
         standard normal $a$ and $b$, and $\omega$ normal with a deviation of $1/\ell$:
         random Fourier features, whose covariance is that of the prior.
-
-        Args:
-            shape: of the prior.
-            centers: of the kernels [L].
-            generator: of the numbers.
 
         References:
             Rahimi and Recht, Advances in Neural Information Processing Systems 20
@@ -215,7 +206,7 @@ def _per_component(scalar: Gram, components: int) -> Matrix:
 
 
 def _over_components(pull: Matrix, components: int) -> Gram:
-    """What `_per_component` carries back: the sum over the components."""
+    """Adjoint of `_per_component`: the sum over the components."""
     count = len(pull) // components
     split = pull.reshape(count, components, count, components)
     return np.einsum("icjc->ij", split)
@@ -254,9 +245,6 @@ class StationaryPrior(AbstractPrior):
     no scale below which a field is smooth. The kernels filter what is finer than they.
     For fields in coordinates of their own, such as an angle, no place of which is the
     middle. Its shape is $\log\ell$, in spacings of the kernels.
-
-    Attributes:
-        components: weights of each kernel, independent of each other.
 
     References:
         Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), sections
@@ -297,14 +285,13 @@ LOG_RATIO = 8.0
 
 
 class MixturePrior(AbstractPrior):
-    r"""Prior of two parts of a force, independent of each other.
+    """Prior of two parts of a force, independent of each other.
 
     Each part has a length scale and an envelope of its own. The last entry of the shape
     is the logarithm of the amplitude of the second relative to that of the first: where
     it is low the first part is all there is.
 
     Attributes:
-        first: prior of the first part.
         first_ratio: logarithm of the ratio of amplitudes at which a search begins.
         unit: amplitude of the second part, over that of the first, at a ratio of one:
             weights may be energies here and forces there, and no choice may depend on

@@ -115,9 +115,8 @@ def _matern(distances: Gram, log_scale: float) -> tuple[Gram, Gram, Gram]:
 class DistancePrior(AbstractPrior):
     r"""Prior of a profile of a distance: $\rho_i \rho_j$ times a `ProfilePrior`.
 
-    The force of a smooth potential grows with the distance; where the length scale is
-    infinite the envelope about zero leaves the force of a Gaussian. A search begins
-    there, with smooth profiles.
+    The force of a smooth potential grows with the distance. With an infinite length
+    scale the envelope about zero leaves the force of a Gaussian, where a search begins.
     """
 
     base: ProfilePrior

@@ -46,24 +46,14 @@ class AbstractProfile(abc.ABC):
 
     @abc.abstractmethod
     def value(self, c: Constants, z: Expr, f: Functions) -> Expr:
-        """The potential for unit amplitude.
-
-        Args:
-            c: values of `shapes`.
-            z: the coordinate [L].
-            f: the functions that it is made of.
-        """
+        """The potential at z [L] for unit amplitude; c are values of `shapes`."""
 
     def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:
         """The potential for unit amplitude at a squared coordinate [L²]."""
         return self.value(c, f.root(q), f)
 
     def starts(self, length: float) -> list[tuple[float, ...]]:
-        """Values of `shapes` from which a fit may start.
-
-        Args:
-            length: over which the potential changes [L].
-        """
+        """Starting values of `shapes`; the potential changes over `length` [L]."""
         units = [length if shape.unit == "L" else 1.0 for shape in self.shapes]
         return [
             tuple(ratio * unit for ratio, unit in zip(ratios, units, strict=True))

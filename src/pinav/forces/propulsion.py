@@ -157,7 +157,6 @@ class DipolePull(AbstractForce):
     r"""Pull $m\,\nabla |B|$ on a permanent dipole that aligns with the field.
 
     Attributes:
-        table: the field $B(x)$.
         moment: $m$, so that $m\,\nabla |B|$ is a force per mass [L² T⁻² per tesla].
     """
 
@@ -175,7 +174,6 @@ class InductionPull(AbstractForce):
     $s = V \chi / \mu_0$ per mass.
 
     Attributes:
-        table: the field $B(x)$.
         susceptibility: $s$ [L² T⁻² per tesla squared].
 
     References:
@@ -240,10 +238,7 @@ class MagneticPropulsion(AbstractForce):
 
 
 class ConstantForce(AbstractForce):
-    """The same force everywhere, at all times: a constant thrust, or gravity.
-
-    Attributes:
-        force: [L T⁻²].
+    """The same force [L T⁻²] everywhere, at all times: a constant thrust, or gravity.
 
     Raises:
         InputError: `force` is not a vector.
@@ -341,11 +336,7 @@ class RollingPropulsion(AbstractCommandedForce):
         return self.matrix.astype(x.dtype) @ self.command(t).astype(x.dtype)
 
     def command(self, t: Scalar) -> Float[Array, "2"]:
-        r"""$s(f)\, n(\theta)$ at the delayed time [Hz].
-
-        Raises:
-            InputError: there is no programme.
-        """
+        r"""$s(f)\, n(\theta)$ at the delayed time [Hz]; needs a programme."""
         if self.programme is None:
             raise InputError(
                 "RollingPropulsion: expected commands; bind those of a trajectory by "

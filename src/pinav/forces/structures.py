@@ -100,8 +100,8 @@ class AbstractTerm(AbstractForce):
     def geometry_scales(self) -> tuple[float, ...]:
         """Prior standard deviation of each leaf of the geometry.
 
-        Without a bound a term that is next to nothing would have any geometry, and the
-        integral over it would count for it.
+        Unbounded, a negligible term could have any geometry, and the integral over all
+        of them would count in its favour.
         """
 
     @property
@@ -149,7 +149,7 @@ class AbstractProfileTerm(AbstractTerm):
     law: eqx.AbstractVar[FittedLaw | None]
 
     is_odd: ClassVar[bool] = True
-    """Whether the profile is odd, as a distance asks for."""
+    """True if the profile is odd, as a distance asks for."""
 
     @property
     def placement(self) -> PyTree:
@@ -171,7 +171,7 @@ class AbstractProfileTerm(AbstractTerm):
 
     @property
     def offset(self) -> Scalar:
-        """Of the coordinate: it is this much less than from the origin of space [L]."""
+        """Origin of the coordinate, along it, from the origin of space [L]."""
         return 0.0
 
     @abc.abstractmethod
@@ -194,7 +194,7 @@ class AbstractProfileTerm(AbstractTerm):
 
     @property
     def has_kernels(self) -> bool:
-        """Whether there are kernels, beside a law or without one."""
+        """True if there are kernels, beside a law or without one."""
         return len(self.places) > 0
 
     @property
@@ -254,11 +254,7 @@ def exponential_of_shear(p: Scalar, q: Scalar) -> Float[Array, "2 2"]:
 
 
 def check_rotation(term: AbstractTerm, dim: int) -> None:
-    """Refuse a rotational term outside of the plane.
-
-    Raises:
-        InputError: `dim` is not two.
-    """
+    """Refuse a rotational term outside of the plane."""
     if term.rotational and dim != 2:
         raise InputError(
             f"{type(term).__name__}.rotational: expected a plane, got dimension {dim}"
@@ -314,7 +310,6 @@ class StructuredForce(AbstractLearnedForce):
 
     @property
     def helmholtz(self) -> HelmholtzParts | None:
-        """Of the remainder."""
         return self.remainder.helmholtz
 
     @property
@@ -333,14 +328,12 @@ class StructuredForce(AbstractLearnedForce):
     def variance_beyond(
         self, shape: Shape, positions: Float[np.ndarray, "point dim"]
     ) -> Float[np.ndarray, "point dim"]:
-        """Of the remainder."""
         _, rest, ratio = self.prior().split(shape)
         return ratio**2 * self.remainder.variance_beyond(rest, positions)
 
     def draw_beyond(
         self, shape: Shape, amplitude: float, generator: np.random.Generator
     ) -> list[AbstractForce]:
-        """Of the remainder."""
         _, rest, ratio = self.prior().split(shape)
         return self.remainder.draw_beyond(rest, ratio * amplitude, generator)
 

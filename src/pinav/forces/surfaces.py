@@ -176,7 +176,7 @@ SHARPNESS = 8
 
 
 def _nearness(distances: Float[Array, " tube"]) -> Float[Array, " tube"]:
-    """How much each tube counts at a point; outside of all, the nearest one alone."""
+    """Weight of each tube at a point; outside of all, the nearest one alone."""
     largest = jax.lax.stop_gradient(jnp.max(distances))
     inside = largest > 0
     scale = jnp.where(inside, largest, 1.0)

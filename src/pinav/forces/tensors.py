@@ -44,9 +44,6 @@ class AbstractTensorField(eqx.Module):
 class IsotropicTensor(AbstractTensorField):
     """A multiple of the identity, the same everywhere.
 
-    Attributes:
-        value: the factor, positive.
-
     Raises:
         InputError: `value` is a number <= 0.
     """
@@ -72,11 +69,7 @@ class AbstractDirector(eqx.Module):
 
 
 class ConstantDirector(AbstractDirector):
-    """The same direction everywhere.
-
-    Attributes:
-        angle: angle to the x axis [rad].
-    """
+    """The same direction everywhere, at an angle to the x axis [rad]."""
 
     angle: Scalar = eqx.field(metadata=dimension("rad"))
 
@@ -243,10 +236,7 @@ def as_tensor(value: AbstractTensorField | Scalar) -> AbstractTensorField:
 
 
 class LinearDrag(AbstractForce):
-    r"""Viscous drag $-\eta v$.
-
-    Attributes:
-        damping: $\eta$ [T⁻¹], not negative.
+    r"""Viscous drag $-\eta v$ with the damping $\eta$ [T⁻¹].
 
     Raises:
         InputError: `damping` is a negative number.
@@ -283,11 +273,7 @@ class TensorDrag(AbstractForce):
 
 
 class InFlow(AbstractForce):
-    """A force that sees the velocity relative to the fluid: a drag in a current.
-
-    Attributes:
-        force: such as `LinearDrag`.
-    """
+    """A force, such as `LinearDrag`, that sees the velocity relative to the fluid."""
 
     force: AbstractForce
     flow: AbstractFlow
@@ -297,7 +283,7 @@ class InFlow(AbstractForce):
 
 
 class Advection(AbstractForce):
-    """What a current does to a swimmer without inertia whose mobility is 1.
+    """The effect of a current on a swimmer without inertia whose mobility is 1.
 
     As an environment it makes the current what is unknown; as the flow of an
     `OverdampedSwimmer` it would be known.

@@ -32,12 +32,9 @@ from pinav.forces.structures import (
 
 
 class LatticePrior(AbstractPrior):
-    r"""Variances of the harmonics of a lattice, $e^{-\lambda^2 |m|^2}$.
+    r"""Variances of the harmonics of a lattice of orders $m$, $e^{-\lambda^2 |m|^2}$.
 
     Its shape is $\log\lambda$: the smoother the cell, the larger.
-
-    Attributes:
-        orders: $m$ of the harmonics.
     """
 
     orders: Any = eqx.field(converter=lambda value: np.asarray(value, float))
@@ -214,7 +211,7 @@ class HillsTerm(AbstractTerm):
 
     @staticmethod
     def count(numbers: int) -> int:
-        """How many hills have so many numbers in their geometry."""
+        """Number of hills with so many numbers in their geometry."""
         return numbers // 5
 
     @property
@@ -230,7 +227,7 @@ class HillsTerm(AbstractTerm):
 
     @property
     def size(self) -> float:
-        """Of a typical hill [L]."""
+        """Size of a typical hill [L]."""
         return float(np.exp(np.median(np.asarray(self.shapes)[:, 0])))
 
     @property
@@ -258,11 +255,7 @@ def _squared_distance(
 
 
 class CentralTerm(AbstractProfileTerm):
-    r"""A force about a centre, $f(r)\,\hat r$ with $r = |x - c|$, or a swirl about it.
-
-    Attributes:
-        center: $c$ [L].
-    """
+    r"""A force about a centre [L], $f(r)\,\hat r$ with $r = |x - c|$, or a swirl."""
 
     weights: Float[Array, " weight"]
     center: Vector
@@ -284,10 +277,6 @@ class EllipticTerm(AbstractProfileTerm):
 
     $z = \sqrt{(x - c)^\top e^{2S} (x - c)}$ with a traceless symmetric $S$ of the
     entries $(p, q)$: $e^{2|S|}$ is the ratio of the axes.
-
-    Attributes:
-        center: $c$ [L].
-        shear: $p$ and $q$.
     """
 
     weights: Float[Array, " weight"]
@@ -352,11 +341,7 @@ class WallTerm(AbstractProfileTerm):
 
 
 class SegmentTerm(AbstractProfileTerm):
-    r"""A force away from a segment, a fibre with round ends; or a swirl about it.
-
-    Attributes:
-        ends: of the segment [L].
-    """
+    """A force away from a segment, a fibre with round ends; or a swirl about it."""
 
     weights: Float[Array, " weight"]
     ends: Float[Array, "2 2"]
@@ -378,11 +363,7 @@ class SegmentTerm(AbstractProfileTerm):
 
 
 class ObstaclesTerm(AbstractProfileTerm):
-    r"""Obstacles of one kind: central forces about several centres, one profile.
-
-    Attributes:
-        centers: $c_k$ [L].
-    """
+    """Obstacles of one kind: central forces about several centres, one profile."""
 
     weights: Float[Array, " weight"]
     centers: Float[Array, "center dim"]

@@ -39,9 +39,6 @@ def normal_mobility(gap: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
 
     $$D_\perp / D_0 = (6\epsilon^2 + 2\epsilon) / (6\epsilon^2 + 9\epsilon + 2).$$
 
-    Args:
-        gap: $\epsilon$, positive.
-
     References:
         Bevan and Prieve, J. Chem. Phys. 113, 1228 (2000).
     """
@@ -61,9 +58,6 @@ def parallel_mobility(gap: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     -\frac8{15} \ln\epsilon + 0.95429 - \frac{64}{375} \epsilon\ln\epsilon + 0.42945\,
     \epsilon$, and a smooth passage in between. Within 2e-3 of the table of Goldman, Cox
     and Brenner from 0.003 to 9; a sphere that turns freely is up to 1 % quicker.
-
-    Args:
-        gap: $\epsilon$, positive.
 
     References:
         Faxen, Ark. Mat. Astron. Fys. 17, 27 (1923); Goldman, Cox and Brenner, Chem.
@@ -99,7 +93,6 @@ class WallMobility(AbstractTensorField):
     Attributes:
         radius: $a$ [um], positive.
         viscosity: $\mu$ [mPa s], positive.
-        wall: where the wall is.
 
     Raises:
         InputError: `radius` or `viscosity` is a number <= 0.
@@ -172,7 +165,6 @@ class DoubleLayer(AbstractForce):
         energy: $E$ where the surfaces touch [pN um]; a few $k_B T$ or more.
         length: $\ell$, the Debye length [um], positive.
         radius: of the sphere [um], positive.
-        wall: where the wall is.
 
     Raises:
         InputError: `length` or `radius` is a number <= 0.
@@ -195,7 +187,6 @@ class DoubleLayer(AbstractForce):
         return self.energy * (jnp.exp(-jnp.maximum(gaps, 0)) - jnp.minimum(gaps, 0))
 
     def _gap(self, x: Vector) -> Float[Array, ""]:
-        """Distance between surface and wall, in Debye lengths."""
         return (self.wall.distance(x) - self.radius) / self.length
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:

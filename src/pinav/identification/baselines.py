@@ -1,4 +1,4 @@
-"""What plain regressions say of a track: gain and drift, or a force that pulls back."""
+"""Plain regressions on a track: gain and drift, or a restoring force."""
 
 import time
 from collections.abc import Callable
@@ -21,11 +21,7 @@ WINDOW = 1.0
 
 
 class Baseline(eqx.Module):
-    """A fitted baseline.
-
-    Attributes:
-        velocity: velocity at each sample of a segment [L T⁻¹].
-    """
+    """A fitted baseline: the velocity at each sample of a segment [L T⁻¹]."""
 
     name: str = eqx.field(static=True)
     velocity: Callable[[Trajectory], Float[np.ndarray, "time 2"]]
@@ -101,7 +97,7 @@ LEAST_STEPS = 30
 
 
 class RestoringForce(eqx.Module):
-    r"""A linear force that a track shows, which is not driven.
+    r"""A linear force on an undriven track.
 
     Positions every 0.5 s follow
     $x_{i+1} - x_i = a + \Phi (x_i - x_{i-1}) + B x_i + \epsilon$, in which $\Phi$ is
@@ -112,9 +108,9 @@ class RestoringForce(eqx.Module):
     Attributes:
         interval: between the positions that were compared [T].
         pull: matrix $B$: the displacement in an interval for each unit of position.
-        memory: matrix $\Phi$ of the displacement before.
+        memory: matrix $\Phi$, which multiplies the previous displacement.
         offset: vector $a$ [L].
-        nats: evidence over the same without $B$, by the Bayesian information criterion.
+        nats: log evidence relative to $B = 0$, by the Bayesian information criterion.
         explained: share of the variance of held-out displacements over 10 s; NaN where
             there are none.
     """
@@ -188,13 +184,11 @@ def restoring_force(train: Track, held_out: Track) -> RestoringForce:
 
 
 def _resample(times: np.ndarray, states: np.ndarray) -> Float[np.ndarray, "time 2"]:
-    """Positions at equal intervals."""
     at = np.arange(times[0], times[-1], INTERVAL)
     return np.stack([np.interp(at, times, column) for column in states.T], axis=1)
 
 
 def _rows(path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements, and the columns 1, the displacement before, and the position."""
     steps = np.diff(path, axis=0)
     one = np.ones((len(steps) - 1, 1))
     return steps[1:], np.concatenate([one, steps[:-1], path[1:-1]], axis=1)

@@ -74,7 +74,6 @@ def _free_numbers(fit: EvidenceFit) -> tuple[FreeNumber, ...]:
 
 
 def _prior(fit: EvidenceFit, parameter: Parameter) -> Normal | LogNormal:
-    """Prior of a number of the drive, about its estimate."""
     value, sd = (getattr(fit.constants[parameter.path], n) for n in ("value", "sd"))
     if parameter.scale is Scale.LOG:
         return LogNormal(median=value, deviation=max(sd / value, 1e-6))
@@ -87,9 +86,7 @@ def needs_kalman_filter(system: System) -> bool:
 
 
 def record_commands(system: System, data: Trajectories) -> Trajectories:
-    """The data with the commands of the system's programme, where it has one.
-
-    Those at the time of a sample are taken, to hold until the next one.
+    """The data with the commands of the system's programme, held from sample to sample.
 
     Raises:
         InputError: the data record other commands.
@@ -166,15 +163,10 @@ def with_slow_drift(system: System) -> System:
 
 
 def like(base: System, other: System) -> System:
-    """A candidate with the gain and drift of one and all else of another.
+    """A candidate with the gain and drift of `base`, and all else of `other`.
 
-    Args:
-        base: candidate whose gain and drift these are.
-        other: candidate with a propulsion, whose response, delay, lag and noise these
-            are; without a propulsion in the base only the noise.
-
-    Returns:
-        The base itself where nothing is added to it.
+    Without a propulsion in the base only the noise of the other is taken; with nothing
+    to take the base itself is returned.
     """
     drive, propulsion = (), base.swimmer.propulsion
     if isinstance(propulsion, RollingPropulsion):

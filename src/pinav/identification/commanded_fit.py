@@ -70,7 +70,7 @@ from pinav.trajectories import Trajectories
 
 
 def determined_directions(covariance: np.ndarray, hessian: np.ndarray) -> np.ndarray:
-    """Directions of unit prior variance of which the data tell anything.
+    """Directions of unit prior variance that the data determine.
 
     A smooth prior has hundreds of weights and some tens of such directions; only they
     pass through the filter at each step of the search for the noise.
@@ -169,11 +169,10 @@ def fit_commanded(
     twice.
 
     Args:
-        system: the swimmer; its `learn` says which numbers are open.
         data: positions in the plane, with the commands that the propulsion takes.
         environment: untrained kernels; None fits the numbers and the noise alone,
             for comparison of the evidence.
-        refine: rule by which kernels are too coarse, and finer ones are laid.
+        refine: rule that refines kernels which are too coarse.
         on_round: called with the number of rounds done and the log evidence.
 
     Raises:

@@ -213,7 +213,6 @@ class SwitchedResponse(AbstractResponse):
 def _with_numbers(
     response: AbstractResponse, log_corner: Array, logit_residual: Array
 ) -> AbstractResponse:
-    """A response with its numbers at these coordinates."""
     values = {
         "corner": jnp.exp(log_corner),
         "residual": jax.nn.sigmoid(logit_residual),
@@ -304,7 +303,7 @@ def integrate_between(
     times: Float[Array, " sample"],
     positions: Float[Array, "sample 2"],
 ) -> Float[Array, "sample 2"]:
-    """Integral of a swimmer's velocity along a path that is known.
+    """Integral of a swimmer's velocity along a known path.
 
     By the midpoint rule between all times and jumps, so that a velocity that is held
     from one jump to the next is integrated exactly, and so are derivatives by a delay,

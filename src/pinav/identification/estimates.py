@@ -32,13 +32,7 @@ WEIGHTS = "environment"
 
 
 class LearnedNumber(eqx.Module):
-    """Learned numbers of a swimmer: a gain matrix, a delay, all weights.
-
-    Attributes:
-        path: place in the swimmer, or the name of a parameter of the noise.
-        values: the numbers, flattened.
-        slopes: derivatives by nonlinear parameters, coefficients and weights.
-    """
+    """Flattened numbers of a swimmer or its noise, and slopes by all unknowns."""
 
     path: str = eqx.field(static=True)
     values: Float[np.ndarray, " number"]
@@ -55,13 +49,11 @@ def learned_numbers(
     linear: dict[str, int],
     unknown: Float[np.ndarray, " unknown"],
 ) -> list[LearnedNumber]:
-    """All learned numbers: of the drive, gain, drift, environment, and the noise.
+    """All learned numbers: of drive, gain, drift, environment and noise.
 
     Args:
-        learned: nonlinear parameters.
-        linear: how many numbers there are of gain and drift, by their paths.
-        unknown: coordinates of the nonlinear parameters, then gain, drift, and weights
-            of an environment where there is one.
+        linear: number of values of gain and drift, by their paths.
+        unknown: coordinates of the nonlinear parameters, then gain, drift and weights.
     """
     identity, numbers = np.eye(len(unknown)), []
     for row, parameter, at in zip(identity, learned, unknown, strict=False):
@@ -86,10 +78,7 @@ def is_noise(number: LearnedNumber) -> bool:
 def constants_of(
     numbers: list[LearnedNumber], covariance: Float[np.ndarray, "unknown unknown"]
 ) -> dict[str, Estimate]:
-    """Learned numbers by name, with their standard deviations; weights are left out.
-
-    Those of the noise come last.
-    """
+    """Learned constants with standard deviations; those of the noise come last."""
     estimates = {}
     for number in sorted(numbers, key=is_noise):
         if number.path == WEIGHTS:
@@ -165,7 +154,6 @@ def estimates(fit: EvidenceFit) -> dict[str, Estimate]:
 
 
 def _about_gain(swimmer: OverdampedSwimmer) -> Float[Array, "3"]:
-    """Numbers of `ABOUT_GAIN` of a swimmer."""
     propulsion: Any = swimmer.propulsion
     gain = propulsion.matrix
     ratio = jnp.linalg.norm(gain[0]) / jnp.linalg.norm(gain[1])

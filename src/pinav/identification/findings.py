@@ -44,18 +44,15 @@ def interval(estimate: Estimate) -> tuple[float, float]:
 
 
 def positive_interval(estimate: Estimate) -> tuple[float, float]:
-    """Interval of 95 % of a number that is positive, such as a corner frequency.
-
-    Its logarithm is what was fitted; the interval is symmetric there.
-    """
+    """Interval of 95 % of a positive number, symmetric in its logarithm."""
     factor = math.exp(min(normal_quantile() * estimate.sd / estimate.value, 50.0))
     return estimate.value / factor, estimate.value * factor
 
 
 def turning_rate(track: Track) -> tuple[float, float]:
-    """Median turning rate of the commanded heading [rad/s] and its relative spread.
+    """Median turning rate of the heading [rad/s]; its relative spread (central 80 %).
 
-    The spread is that of the central 80 %; infinite where the median is zero.
+    The spread is infinite where the median is zero.
     """
     rates = []
     for piece in track.pieces:
@@ -84,8 +81,8 @@ class DelayFindings(eqx.Module):
         offset_without_delay: the heading offset without a delay [rad].
         zero_offset: the delay with a gain for each axis and no turn [s]; None where
             the offset without delay is not small.
-        confounded: whether that rate is constant, so that delay and offset are one
-            number.
+        confounded: True if the turning rate is constant, which makes delay and offset
+            one number.
     """
 
     free: Estimate
@@ -226,7 +223,6 @@ BEYOND = 1.05
 
 
 def _propulsion(selection: Selection) -> str:
-    """The chosen model against the same without gain, and with one number for it."""
     gain, matrix = (
         selection.evidence(selection.chosen)
         - selection.evidence(like(base, selection.system).name)

@@ -97,9 +97,8 @@ class CandidateSearch:
     """The posterior of the nonlinear parameters of a system, by Laplace's method.
 
     Attributes:
-        base: coordinates of those that are not open.
+        base: coordinates of the parameters that are not open.
         field: displacements by a field whose weights have unit prior variances.
-        evaluations: number of evaluations of the likelihood so far.
     """
 
     def __init__(
@@ -155,10 +154,7 @@ class CandidateSearch:
         return [p for p in self.learned if p.path in start.constants]
 
     def sizes(self, start: EvidenceFit | None) -> Float[np.ndarray, " learned"]:
-        """Scale of each parameter: its deviation in a simpler candidate.
-
-        It is that of the prior where no simpler candidate has the parameter.
-        """
+        """Scale of each parameter: its sd in a simpler candidate, or of its prior."""
         sizes = self.prior.sd.copy()
         if start is not None:
             coordinates = fitted_coordinates(start)
@@ -203,10 +199,7 @@ class CandidateSearch:
         return value, slope
 
     def _evaluate(self, learned: Float[np.ndarray, " learned"]) -> Any:
-        """Result of `value_and_slope`, computed once for each point.
-
-        Curvatures and derivatives of the coefficients ask for the same points.
-        """
+        """Result of `value_and_slope`, computed once for curvatures and derivatives."""
         if self.known_field is not self.field:
             self.known, self.known_field = {}, self.field
         key = learned.tobytes()

@@ -37,8 +37,8 @@ Displacement = Callable[[Trajectory], Float[np.ndarray, "time 2"]]
 def programme_of(piece: Trajectory) -> HeldProgramme:
     """The commands of a segment; none count as a frequency of 0.
 
-    The last one is held for as many times more as make the number of times round, so
-    that what is compiled for one segment serves others.
+    The last one is repeated up to a round number of times, so that compiled code serves
+    other segments.
     """
     size = LEAST_SIZE
     while size < len(piece.times):
@@ -160,11 +160,9 @@ def _running_mean(times: np.ndarray, values: np.ndarray, width: float) -> np.nda
 
 
 class Forecast(eqx.Module):
-    """A model's path through a segment, with what is uncertain about it.
+    """A predicted path through a segment [L], its slopes, and its uncertainty.
 
     Attributes:
-        path: displacement from its first sample [L].
-        slopes: derivatives of the displacement by gain, drift and drive.
         beyond: standard deviation of the displacement that another form of the
             response would add above the frequencies that were fitted [L].
         frame: variance of a single frame about the mean path [L²].
@@ -234,7 +232,6 @@ class Predictor(eqx.Module):
     """A fitted swimmer, and all else from the training part that its bands need.
 
     Attributes:
-        fastest: highest frequency that was commanded while it was fitted [Hz].
         wandering: the same swimmer fitted beside a gain that wanders, where the
             evidence prefers that; bands are those of this fit about the path of the
             constant gain.

@@ -53,18 +53,12 @@ class IdentifiedTrack:
 
     Attributes:
         duration: observed time [T].
-        reason: why it was not fitted; empty where it was.
-        rows: all candidates and baselines.
+        reason: cause where it was not fitted.
         gain: gain matrix [L per cycle]; none without a propulsion.
-        estimates: numbers of the chosen candidate, fitted to the whole track; their
-            names and units are those of `QUANTITIES`.
-        coverage: coverage of its bands on the held-out part.
-        delay: delay and heading offset; none where nothing was commanded.
-        system_file: the swimmer that was found, as a file of a system holds it.
-        paths: some rollouts of the held-out part, where figures show the track.
-        image_paths: the same in pixels of the image; none where there was none.
-        growth: errors by the length of rollouts, where figures show the track.
-        law: speed by frequency, where figures show it and commands drove it.
+        estimates: numbers of the chosen candidate, fitted to the whole track; names and
+            units as in `QUANTITIES`.
+        system_file: the identified swimmer as the text of a system file.
+        image_paths: rollouts in pixels of the image, if there was one.
     """
 
     name: str
@@ -99,12 +93,10 @@ class Identification:
     """The results of a recording.
 
     Attributes:
-        units: unit of positions, x, and of time, t.
-        system: name of the track whose swimmer is the one of the recording; none
-            where no track was fitted.
+        system: name of the track that gives the system of the recording; none if no
+            track was fitted.
         summary: medians over tracks of each candidate and baseline, by its label; the
             log evidence is summed.
-        remarks: how the recording was read, and what looks odd about it.
     """
 
     units: dict[str, str]
@@ -139,13 +131,11 @@ def identify(
     """Compare all candidates on each track of a recording.
 
     Args:
-        recording: positions in the plane, with commands where there were any.
-        train_fraction: first part of each track's time that trains.
-        fields: number of tracks, the longest ones, to which fields of position are
-            fitted, too.
-        track: name of the track whose swimmer is the one of the recording; the longest
-            one that was driven unless given.
-        done: results of tracks that are not to be fitted again, by their places.
+        train_fraction: part of each track's time for training, from its beginning.
+        fields: number of tracks, the longest ones, with fits of fields of position.
+        track: name of the track that gives the system; the longest driven one by
+            default.
+        done: results of tracks that are not fitted again, by their places.
         on_track: called when a track is done, in no order.
 
     Raises:
@@ -196,7 +186,7 @@ def check_track(name: str | None, several: Sequence[Track]) -> None:
 
 
 def alternate_lengths(several: Sequence[Track]) -> list[int]:
-    """Tracks in an order in which neighbours differ in length.
+    """Tracks ordered so that neighbours differ in length.
 
     Fits of one length share compiled code; side by side both would compile it.
     """
@@ -215,15 +205,7 @@ def identify_track(
     residuals: Sequence[str] = (),
     drawn: bool = True,
 ) -> tuple[IdentifiedTrack, EvidenceFit | None]:
-    """Results of one track, and the fit to all of it; none where it has none.
-
-    Args:
-        track: one robot of one run.
-        recording: recording that the track is of.
-        train_fraction: first part of its time that trains.
-        residuals: names in `RESIDUALS`: fields of position that are compared, too.
-        drawn: figures show the track.
-    """
+    """Results of one track, and the fit to all of it; none where it has none."""
     begin = time.perf_counter()
     try:
         selection = select_model(
@@ -280,7 +262,6 @@ def _with_estimates(text: str, chosen: str, numbers: Mapping[str, Estimate]) -> 
 
 
 def _system_track(name: str | None, several: Iterable[IdentifiedTrack]) -> str | None:
-    """The track whose system is the one of the recording."""
     results = {track.name: track for track in several}
     fitted = [track for track in results.values() if not track.reason]
     if name is not None:
@@ -304,7 +285,6 @@ def summarise(several: Iterable[IdentifiedTrack]) -> dict[str, Row]:
 
 
 def _median_row(name: str, rows: Sequence[Row]) -> Row:
-    """Medians of lines of different tracks, and their summed log evidence."""
     by_horizon = {f"{h:g}": [row.errors[f"{h:g}"] for row in rows] for h in HORIZONS}
     return Row(
         name=name,
@@ -324,7 +304,6 @@ def _median_row(name: str, rows: Sequence[Row]) -> Row:
 
 
 def _median(values: Sequence[float]) -> float:
-    """Median of those that are defined; NaN where none is."""
     known = np.array(values, float)
     known = known[np.isfinite(known)]
     return float(np.median(known)) if len(known) else float("nan")

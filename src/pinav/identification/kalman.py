@@ -27,11 +27,9 @@ from pinav.systems import WanderingVelocity
 
 
 class Disturbance(eqx.Module):
-    r"""Noise of a track.
+    r"""Noise of a track: its quick and slow velocity, and a gain that wanders.
 
     Attributes:
-        wandering: the quick velocity, whose strength grows with the drive, and the
-            slow one.
         gain_wander: standard deviation of either part of $\gamma g$ [L per cycle].
         gain_memory: correlation time of that gain [T].
     """
@@ -55,14 +53,12 @@ def transitions(
     disturbance: Disturbance,
     cycles: Complex[Array, " step"],
 ) -> Transition:
-    """Transitions over intervals [T], the strength and the wandering gain of each held.
+    """Transitions over intervals [T], strength and wandering gain held in each.
 
     They are exact but for the gain, whose memory is long against an interval.
 
     Args:
-        intervals: between two times [T].
         strength: standard deviation of the quick velocity in each [L T⁻¹].
-        disturbance: noise of the track.
         cycles: turns of the robot in each, along its heading.
     """
     slow = jnp.broadcast_to(disturbance.wandering.slow, strength.shape)
@@ -109,7 +105,6 @@ def ornstein_uhlenbeck(ratio: Any, xp: Any = jnp) -> tuple[Any, Any, Any, Any]:
 
     Args:
         ratio: the time over the memory T.
-        xp: `numpy` for arrays of NumPy.
 
     Returns:
         $1 - e^{-r}$, which is the way by a velocity at the beginning in units of T;
@@ -129,11 +124,10 @@ SMALL = 1e-3
 
 
 class Innovations(eqx.Module):
-    """Innovation of each block, in its own standard deviation.
+    """Innovation of each block in its standard deviation, whose log variance is given.
 
     Attributes:
-        columns: whitened columns, x + iy; zero where there is no block.
-        log_variance: logarithm of the variance of each; zero where there is no block.
+        columns: whitened columns, x + iy; zero without a block, as is its log variance.
     """
 
     columns: Complex[Array, "step column"]
@@ -153,7 +147,6 @@ def innovations(
         columns: observed positions and regressors at each block, x + iy.
         present: 1 for a block, 0 for padding, which comes last.
         begins: 1 for the first block of a segment.
-        transition: from each block to the next.
         noise: standard deviation of an observed coordinate.
     """
 

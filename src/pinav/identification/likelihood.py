@@ -61,11 +61,7 @@ def apart(points: Complex[Array, " row *column"]) -> Float[Array, " twice *colum
 
 
 class Drive(eqx.Module):
-    """Motion of the blocks of a track, as far as the noise depends on it.
-
-    Attributes:
-        cycles: integral of the response along the heading, x + iy.
-    """
+    """Motion of the blocks of a track, as far as the noise depends on it."""
 
     times: Float[Array, " block"]
     frequency: Float[Array, " block"]
@@ -220,13 +216,12 @@ def _commanded_path(
 
 
 class Field(eqx.Module):
-    """Displacements along the observed path by a field, and by what is known.
+    """Mean displacements [L] of the blocks along the observed path by a field.
 
     Attributes:
-        columns: mean displacement in each block for each weight of the field [L].
-        offset: displacement that belongs to no weight [L].
-        gain: a gain matrix that is known; zero where it is fitted.
-        drift: a drift that is known; zero where it is fitted.
+        offset: displacement by all that is known [L].
+        gain: known gain matrix; zero where it is fitted.
+        drift: known drift; zero where it is fitted.
     """
 
     columns: Float[Array, "block 2 weight"]
@@ -254,13 +249,12 @@ by a hundred-millionth of itself."""
 
 
 class Whitened(eqx.Module):
-    """The least-squares problem that the filter leaves.
+    """The least-squares problem after filtering; numbers are those of one axis.
 
     Attributes:
         rows: columns of gains and then drifts; zero where absent.
-        field: columns of the weights of a field.
-        log_variance: sum over the innovations of one axis.
-        count: number of innovations of one axis.
+        log_variance: sum over the innovations.
+        count: number of innovations.
     """
 
     rows: Float[Array, "row coefficient"]
@@ -346,14 +340,11 @@ def evidence_and_coefficients(
     regressors: Regressors,
     field: Field | None = None,
 ) -> tuple[Float[Array, ""], tuple[Float[Array, " coefficient"], Float[Array, "k k"]]]:
-    r"""Negative log evidence, without the priors of the nonlinear parameters.
+    r"""Negative log evidence without the parameters' priors, and the best coefficients.
 
     Weights of a field, of unit prior variance each, are integrated out: once the
     coefficients are projected out, the whitened targets y have the covariance
     $1 + A A^\top$.
-
-    Returns:
-        It, and the best coefficients with their information, a field left out.
     """
     problem = whiten(theta, regressors, field)
     best, information = problem.coefficients()

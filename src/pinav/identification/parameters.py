@@ -52,15 +52,13 @@ class Parameter(NamedTuple):
     """A number that is estimated.
 
     Attributes:
-        path: place in a swimmer; of the noise, its name among the constants of a fit.
+        path: place in a swimmer; for the noise, its name among the constants.
         name: name among the estimates of a track.
-        dimension: as of `pinav.arguments.dimension`.
         meaning: a phrase; empty where the title says all.
         scale: coordinate in which a search moves it.
-        absent: coordinate where a system has not this number; NaN where each has one.
-        title: name in tables; its name unless given.
-        prior: mean and standard deviation of its coordinate; those of `Prior.of`
-            unless given.
+        absent: coordinate in systems without this number; NaN if all have it.
+        title: name in tables; `name` by default.
+        prior: mean and standard deviation of its coordinate; of `Prior.of` by default.
     """
 
     path: str
@@ -199,10 +197,7 @@ def learned_noise(
 
 
 def stated_noise(system: System) -> Float[np.ndarray, "8"]:
-    """Coordinates of the noise that a system states; NaN where it says nothing.
-
-    A slow drift of 0 is none, while the other strengths are learned in every fit.
-    """
+    """Coordinates of a system's noise, NaN where not stated; slow drift 0 is none."""
     numbers: dict[str, float] = {BLOCK_NOISE: float(system.observation.noise)}
     if system.wandering is not None:
         stated = vars(system.wandering)
@@ -226,11 +221,7 @@ def _coordinates(numbers: dict[str, float]) -> Float[np.ndarray, "8"]:
 
 
 class Prior(NamedTuple):
-    """Normal priors of the coordinates of some parameters.
-
-    Attributes:
-        least: least coordinate that a search may take.
-    """
+    """Normal priors of the coordinates of some parameters, and their lower bounds."""
 
     mean: Coordinates
     sd: Coordinates
@@ -280,7 +271,6 @@ class Prior(NamedTuple):
 
 
 def _typical_speed(track: Track) -> float:
-    """Root-mean-square speed over the length of a block."""
     speeds = []
     for piece in track.pieces:
         index = np.arange(0, len(piece.times))

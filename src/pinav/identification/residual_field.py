@@ -41,12 +41,7 @@ NETWORK_STEPS = 5
 
 
 class ResidualFit(eqx.Module):
-    """A candidate with a position-dependent residual.
-
-    Attributes:
-        swimmer: the candidate in the residual velocity field, a force under mobility 1,
-            with gain and drift as they are beside it.
-    """
+    """A candidate in a residual velocity field, a force under mobility 1."""
 
     swimmer: OverdampedSwimmer
     log_evidence: float
@@ -92,11 +87,7 @@ def fit_residual(
 
 
 class FilteredDisplacement(eqx.Module):
-    """Whitened residuals as a function of the environment.
-
-    Attributes:
-        basis: orthonormal basis of what gain and drift explain; it is projected out.
-    """
+    """Whitened residuals for an environment, orthogonal to gain and drift."""
 
     theta: Float[Array, " parameter"]
     blocks: Blocks
@@ -123,8 +114,6 @@ class FilteredDisplacement(eqx.Module):
 
 
 class _BaseDesign(eqx.Module):
-    """The regressors of a candidate beside the residual field."""
-
     rows: Float[np.ndarray, "row regressor"]
     residuals: FilteredDisplacement
     num_free: int
@@ -149,7 +138,6 @@ class _BaseDesign(eqx.Module):
         return cls(rows[:, present], residuals, num_free, int(present[:4].sum()))
 
     def squares_without(self) -> float:
-        """The sum of squares without an environment."""
         return float(jnp.sum(self.residuals.project(self.residuals.target) ** 2))
 
     def swimmer(

@@ -65,12 +65,10 @@ def changes_along(
 
 
 class Errors(eqx.Module):
-    """End-point errors of rollouts of one length.
+    """End-point errors of rollouts of one length; NaN without any; `median` is in [L].
 
     Attributes:
-        relative: median of the distance between predicted and observed end over the
-            length of the observed path; NaN without rollouts.
-        median: median of that distance [L]; NaN without rollouts.
+        relative: median of the distance over the length of the observed path.
     """
 
     relative: float
@@ -91,10 +89,7 @@ class Errors(eqx.Module):
 
 
 def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Errors:
-    """Errors of a model that predicts displacements, whatever the start.
-
-    The path is the polygon of the observed positions, frame by frame.
-    """
+    """Errors of predictions; the path is the polygon of observed positions."""
     observed = changes_along(track, rollouts, lambda piece: piece.states)
     miss = observed - changes_along(track, rollouts, displacement)
     return Errors.of(np.hypot(*miss.T), rollouts.lengths(track))
@@ -107,12 +102,7 @@ def _cumulated_length(piece: Trajectory) -> Float[np.ndarray, "time 1"]:
 
 
 class Coverage(eqx.Module):
-    """Share of rollouts within their nominal band.
-
-    Attributes:
-        inside: share of all coordinates at all samples after the start.
-        at_end: the same at the last sample alone.
-    """
+    """Shares of coordinates within the nominal band: at all samples, at the end."""
 
     inside: float
     at_end: float
@@ -150,8 +140,8 @@ class ErrorGrowth(eqx.Module):
     Attributes:
         errors: 10 % quantile, median and 90 % quantile over rollouts [L].
         reference: median of another model [L].
-        promised: radius within which the model's own bands expect 90 % of the ends,
-            median over rollouts [L].
+        promised: radius within which the model's bands expect 90 % of the ends, median
+            over rollouts [L].
     """
 
     lengths: Float[np.ndarray, " length"]
@@ -242,11 +232,7 @@ SHOWN_ROLLOUTS = 6
 
 
 class ShownRollout(eqx.Module):
-    """A rollout on the held-out part of a track, as figures show it.
-
-    Attributes:
-        sd: standard deviation of the predicted end along each axis [L].
-    """
+    """A rollout on the held-out part, with the sd of its end along each axis [L]."""
 
     start: float
     observed: Float[np.ndarray, "sample 2"]
@@ -297,14 +283,11 @@ class Paths(eqx.Module):
 
 
 class SpeedLaw(eqx.Module):
-    """Speed along the command by frequency, observed and fitted.
+    """Speed [L T⁻¹] by commanded frequency [Hz], observed and fitted.
 
     Attributes:
-        frequency: commanded frequency of some blocks of the track [Hz].
-        speed: observed along the turned heading in each [L T⁻¹].
-        places: frequencies of the fitted law [Hz].
-        fitted: speed of that law [L T⁻¹].
-        sd: standard deviation of that speed [L T⁻¹].
+        speed: observed along the turned heading in each block.
+        sd: standard deviation of the fitted speed.
     """
 
     frequency: Float[np.ndarray, " block"]

@@ -67,14 +67,12 @@ ENCLOSING = "slipping"
 
 
 class Row(eqx.Module):
-    """One line of the table.
+    """One line of the table, of one track or medians over `tracks`.
 
     Attributes:
         seconds: duration of the fit, compilation included [s].
         errors: errors of held-out rollouts by their length in seconds.
         velocity_r2: share of the held-out velocity's variance that is explained.
-        reason: cause where there are no results; empty where there are.
-        tracks: number of tracks of which these are medians.
     """
 
     name: str = eqx.field(static=True)
@@ -98,11 +96,9 @@ class Row(eqx.Module):
 
 @dataclasses.dataclass
 class Selection:
-    """The selection on one track.
+    """The selection on one track, between its first part and the held-out rest.
 
     Attributes:
-        train: first part of the track, which trains.
-        held_out: rest of the track, which judges.
         wandering: fit of the chosen candidate beside a gain that wanders, where the
             evidence prefers that.
     """
@@ -156,7 +152,6 @@ class Selection:
         return self.fits[name].hyperparameters.log_evidence
 
     def _fit(self, system: System, start: str | None) -> str:
-        """Fit a candidate and score it; its name."""
         earlier = self.fits[start] if start else None
         self.candidates[system.name] = system
         self.fits[system.name] = self._fit_and_score(system.name, system, earlier)
@@ -231,10 +226,7 @@ class Selection:
             self._stack_with(path)
 
     def _stack_with(self, other: Displacement) -> None:
-        """The average of the chosen candidate and least squares; never chosen.
-
-        It is no system that could be steered with, but loses to least squares less.
-        """
+        """The average of the chosen candidate and least squares; never chosen."""
         begin = time.perf_counter()
         chosen = path_of(self.best.model)
         weight = stacking_weight(self.train, chosen, other)

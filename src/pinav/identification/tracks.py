@@ -30,7 +30,6 @@ class Track(eqx.Module):
     """One robot of one run; never integrated across its segments.
 
     Attributes:
-        width: length of a block [s].
         sizes: samples and blocks to pad to; parts of a track keep them, so that a
             likelihood is compiled once.
     """
@@ -63,10 +62,8 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
     """The tracks of a recording, in the order in which they begin.
 
     Args:
-        recording: positions `x`, `y` and, where it was driven, commands `frequency`
-            and `heading`; its provenance names run and particle of each trajectory.
-        pooled: all particles of a run that are of one kind as one track, as of
-            bacteria, which share their physics.
+        pooled: pool the particles of one kind in a run, such as bacteria, into one
+            track.
 
     Raises:
         InputError: the channels are not x and y, or nothing is long enough to fit.
@@ -131,11 +128,7 @@ GAP = 10.0
 
 
 def _times_in_turn(pieces: Sequence[Trajectory]) -> list[Float[np.ndarray, " time"]]:
-    """Times of each piece, later where it begins before the one before it ended.
-
-    Pieces of several particles overlap. Commands are a function of time, and a filter
-    goes forward in it.
-    """
+    """Times of the pieces, shifted so that overlapping pieces follow each other."""
     made: list[Float[np.ndarray, " time"]] = []
     end = -np.inf
     for piece in pieces:
@@ -178,7 +171,6 @@ def _block_width(pieces: Sequence[Trajectory]) -> float:
 
 
 def _counts(pieces: Sequence[Trajectory], width: float) -> tuple[int, int]:
-    """Samples and blocks."""
     blocks = sum(int(block_indices(piece.times, width)[-1]) + 1 for piece in pieces)
     return sum(len(piece.times) for piece in pieces), blocks
 
@@ -272,10 +264,8 @@ class Blocks(NamedTuple):
     A tuple, which passes into a compiled program more quickly than a module does.
 
     Attributes:
-        times: time of each sample [s], increasing, in the padding too; segments that
-            overlap are put one after the other.
-        frequency: commanded [Hz]; 0 where nothing was recorded.
-        counts: samples in each block; 0 in padding.
+        times: time of each sample [s], increasing in padding too; overlapping segments
+            are put one after the other.
         begins: 1 where a segment begins with the block.
     """
 

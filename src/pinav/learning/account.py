@@ -62,10 +62,7 @@ POINTS = 121
 
 
 def found_structure(run: Learned) -> FoundStructure | None:
-    """What the search of a fit came to; None where there was none.
-
-    A network has no structure; its teacher may have one.
-    """
+    """The structure that a fit, or its teacher, found; None without a search."""
     kernels = run if run.teacher is None else run.teacher
     evidence, posterior = kernels.evidence, kernels.posterior
     if evidence is None or posterior is None or evidence.structure is None:
@@ -168,7 +165,7 @@ def outcome_remarks(outcome: str) -> tuple[str, ...]:
 
 
 def narrow_prior(model: Any, chosen: Hyperparameters) -> tuple[str, ...]:
-    """What a prior at the edge of its range means for the bands; nothing elsewhere."""
+    """Remark on bands of a prior at the edge of its range; nothing elsewhere."""
     force = as_learned_force(model.environment)
     if force is None or not is_confined(force.prior(), chosen.shape):
         return ()
@@ -184,15 +181,11 @@ ASSUMED_POTENTIAL = (
     "rotational part, fit --model kernel-mixture (in space kernel-force), too, and "
     "compare the log evidence."
 )
-"""What is said of a default that nothing has tested."""
+"""Remark on a default that nothing has tested."""
 
 
 def assumed_potential(plan: FitPlan, model: Any, rotation: float) -> tuple[str, ...]:
-    """That the default took the force for a gradient, where nothing weighed it.
-
-    Args:
-        rotation: log evidence of a rotational part [nats]; NaN where none was weighed.
-    """
+    """Remark that the force was assumed conservative, where nothing tested it."""
     force = as_learned_force(model.environment)
     if force is None or not force.is_conservative or plan.data.dim < 2:
         return ()
@@ -202,13 +195,7 @@ def assumed_potential(plan: FitPlan, model: Any, rotation: float) -> tuple[str, 
 def confirm_outcome(
     outcome: str, loss: float, data: Trajectories, rmse: dict[str, float]
 ) -> str:
-    """The word for how a fit ended, which its independent rollouts confirm.
-
-    Args:
-        outcome: the word by the fit's own solver.
-        loss: at its end.
-        rmse: errors of independent rollouts.
-    """
+    """The word for how a fit ended, which its independent rollouts confirm."""
     if outcome != str(Outcome.CONVERGED):
         return outcome
     residual = float(np.sqrt(loss / data.num_observed))
@@ -234,7 +221,7 @@ FAILED = 1e-3
 def simpler_model(
     plan: FitPlan, outcome: str, rmse: dict[str, float]
 ) -> tuple[str, ...]:
-    """What explains the data far better than a fit that did not converge."""
+    """Remark on a model far better than a fit that did not converge."""
     if outcome == str(Outcome.CONVERGED):
         return ()
     total = rmse["total"]
@@ -254,7 +241,7 @@ FAR_BETTER = 3.0
 
 
 def account(plan: FitPlan, fit: Learned) -> Findings:
-    """What a fit has to say: rollouts, errors, the force, and remarks."""
+    """The account of a fit: rollouts, errors, the force, and remarks."""
     data, model, evidence = plan.data, fit.model, fit.evidence
     starts = None if evidence is None else evidence.states[:, 0]
     predictions, outcomes = predict(model, data, starts=starts)
@@ -314,7 +301,6 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
 
 
 def _force_maps(fit: Learned, plan: FitPlan) -> ForceMaps:
-    """The learned force around planar data, and the true one where it is known."""
     model: Any = fit.model
     learned = field_map(model.environment, plan.data)
     truth = _true_environment(plan)
@@ -332,7 +318,6 @@ def _force_maps(fit: Learned, plan: FitPlan) -> ForceMaps:
 
 
 def _true_environment(plan: FitPlan) -> AbstractForce | None:
-    """The environment of the system from which the data come, where it is known."""
     source = source_system(plan.data.provenance)
     return None if source is None else source.environment
 
@@ -340,7 +325,6 @@ def _true_environment(plan: FitPlan) -> AbstractForce | None:
 def _force_error(
     fit: Learned, maps: ForceMaps | None, plan: FitPlan
 ) -> dict[str, float] | None:
-    """Errors of the force by region, where its truth is known."""
     truth = _true_environment(plan)
     if truth is None or not isinstance(fit.model, KnownSwimmer):
         return None

@@ -117,7 +117,7 @@ def rotational_part(fit: EvidenceFit, data: Trajectories) -> dict[str, Estimate]
 
 @dataclasses.dataclass(frozen=True)
 class SearchResult:
-    """The log evidence that a search for a structure of the force weighed.
+    """Log evidences that a search for a structure of the force weighed.
 
     Attributes:
         gain: of the structured force over the free one [nats]; NaN where no structure
@@ -135,13 +135,7 @@ class Evidence:
     """The numbers of a fit by the evidence; the model stands beside them.
 
     Attributes:
-        mean: best values of the learned parameters.
         covariance: their covariance, given the hyperparameters.
-        hyperparameters: chosen by the evidence.
-        constants: learned constants by name.
-        states: smoothed states of the training trajectories.
-        outcome: the word for how the fit ended.
-        iterations: steps taken.
         goodness: a sentence on whether the residuals look like noise; empty where
             nothing can be said.
         process: the force whose process is the prior of a network that free kernels
@@ -172,15 +166,7 @@ class Evidence:
         structure: SearchResult | None = None,
         support: float | None = None,
     ) -> "Evidence":
-        """The numbers of a fit.
-
-        Args:
-            fit: of the data.
-            choice: what was fitted.
-            data: the trajectories.
-            structure: what a search weighed.
-            support: log evidence of a field beside commands over none [nats].
-        """
+        """The numbers of a fit."""
         return cls(
             mean=np.asarray(fit.posterior.mean),
             covariance=np.asarray(fit.posterior.covariance),
@@ -197,11 +183,7 @@ class Evidence:
         )
 
     def posterior(self, model: AbstractDynamics, choice: ModelChoice) -> Posterior:
-        """The distribution of the parameters of the fitted model.
-
-        Raises:
-            ValueError: the model has another number of parameters.
-        """
+        """Posterior of the model; ValueError if it has other parameters."""
         free, theta = ravel_model(model, choice.trainable)
         if theta.shape != self.mean.shape:
             raise ValueError(f"expected {self.mean.size} parameters, got {theta.size}")

@@ -1,4 +1,4 @@
-"""What a fit has to say: its errors, constants, force, structure, and remarks."""
+"""Findings of a fit: its errors, constants, force, structure, and remarks."""
 
 import dataclasses
 
@@ -16,7 +16,6 @@ class Rollouts:
     """The data of a fit, and rollouts of its model over their times.
 
     Attributes:
-        states: as they were given.
         lengths: samples of each trajectory; what follows is padding.
     """
 
@@ -30,11 +29,7 @@ class Rollouts:
 
 @dataclasses.dataclass(frozen=True)
 class ForceMaps:
-    """The force around planar data.
-
-    Attributes:
-        sd: its standard deviation; None without a posterior.
-    """
+    """The force around planar data; its deviation is None without a posterior."""
 
     learned: FieldMap
     sd: Float[np.ndarray, "row column 2"] | None = None
@@ -74,10 +69,7 @@ class FoundTerm:
     """A term of the force.
 
     Attributes:
-        name: the word for it.
         geometry: its numbers, such as a centre [L] or an angle [rad].
-        law: that its profile follows, if any.
-        profile: of the force, where the term has one.
     """
 
     name: str
@@ -89,7 +81,7 @@ class FoundTerm:
 
 @dataclasses.dataclass(frozen=True)
 class FoundStructure:
-    """What a search for a structure came to.
+    """Result of a search for a structure.
 
     Attributes:
         terms: with structure; none where free kernels alone are preferred.
@@ -112,20 +104,17 @@ class FoundStructure:
 
 @dataclasses.dataclass(frozen=True)
 class Findings:
-    r"""What a fit has to say.
+    r"""Findings of a fit.
 
     Attributes:
         rmse: root-mean-square errors of rollouts on the training data, by channel; of
             a recording each is a whole film long.
         constants: learned beside the environment.
         units: of the channels and of time; with the order of the dynamics.
-        rollouts: of the model over the data.
         force_error: relative error of the force by region, where the truth is known.
         hyperparameters: chosen by the evidence; their noise is that of a position [L],
             for Langevin dynamics $\sqrt{2D}$.
-        iterations: steps of a fit by the evidence.
         support: log evidence of a field beside commands over none [nats].
-        losses: of trajectory matching.
         restarts: errors of a recording by the length of rollouts.
         lines: the force along lines through other data, by the coordinate.
     """

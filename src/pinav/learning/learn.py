@@ -63,13 +63,7 @@ NO_GRADIENT = (
 
 @dataclasses.dataclass(frozen=True)
 class RoundProgress:
-    """What a progress bar shows of a fit beside commands after each round.
-
-    Attributes:
-        done: rounds.
-        log_likelihood: of the data.
-        field: the fit has a field of position.
-    """
+    """Progress of a fit beside commands after each round."""
 
     done: int
     log_likelihood: float
@@ -266,7 +260,6 @@ def _match(
     checkpoint: AbstractCheckpoint | None,
     on_progress: OnProgress | None,
 ) -> Learned:
-    """Match the trajectories."""
     assert isinstance(plan.recipe, Curriculum | Paper)
     method = matching(plan.recipe, plan.data, model)
     (result,) = method.fit(

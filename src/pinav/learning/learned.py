@@ -65,15 +65,11 @@ class Learned(AbstractLearned):
 
     Attributes:
         place: where it is; None of one that was not saved.
-        system: what was known of the swimmer.
-        models: the fitted models, by the names of their files.
         choice: what was fitted; of the first model where there are several.
         evidence: posterior and hyperparameters; None where the recipe has none.
         teacher: the fit of kernels, with the structure that it found, from which a
             network was distilled; None of any other.
         header: how the model is built again; None where there are several.
-        losses: of trajectory matching.
-        thermal: diffusion, camera and checks of thermal motion.
         found: what the fit has to say, where it is not in a folder.
     """
 
@@ -152,11 +148,7 @@ class Learned(AbstractLearned):
         return dataclasses.replace(self, evidence=evidence, teacher=teacher)
 
     def check_posterior(self, name: str) -> None:
-        """Require that the posterior is that of the model.
-
-        Raises:
-            InputError: it is of another fit.
-        """
+        """Require that the posterior is that of the model, or raise InputError."""
         try:
             _ = self.posterior
         except ValueError as error:
@@ -166,11 +158,7 @@ class Learned(AbstractLearned):
             ) from error
 
     def write(self, folder: RunFolder) -> "Learned":
-        """Write the fit into a run; the model last, which says that all is there.
-
-        Returns:
-            The same, with its folder.
-        """
+        """Write the fit into a run; the model last, which says that all is there."""
         assert self.header is not None
         save_data(folder, self.data)
         write_system_of(folder, self.system)
@@ -196,9 +184,6 @@ class Learned(AbstractLearned):
 
         Args:
             overwrite: replace the run that it holds.
-
-        Returns:
-            The same, with its folder.
 
         Raises:
             InputError: the folder holds another run, or something else.
@@ -227,7 +212,7 @@ class Learned(AbstractLearned):
 
     @property
     def findings(self) -> Findings:
-        """What the fit has to say; of a run, as it wrote it.
+        """The findings of the fit; of a run, as it wrote them.
 
         Raises:
             InputError: the run is not finished, or is none of `pinav fit`.
@@ -327,10 +312,7 @@ class Learned(AbstractLearned):
         return sum(piece in training for piece in _hashes(data))
 
     def force(self, positions: ArrayLike | Sequence) -> Float[np.ndarray, "point dim"]:
-        """The learned force [L T⁻²] on a swimmer at rest, at time zero.
-
-        Args:
-            positions: points, one a row [L].
+        """The learned force [L T⁻²] on a swimmer at rest at points [L], one a row.
 
         Raises:
             InputError: the model has no force of the environment.
@@ -387,11 +369,7 @@ def of_evidence(
     data: Trajectories,
     evidence: Evidence,
 ) -> Learned:
-    """A fit by the evidence.
-
-    Args:
-        header: of the untrained model; its kernels may be coarser.
-    """
+    """A fit by the evidence; the kernels of the header's model may be coarser."""
     summary = header.data.with_kernels_of(fit.model.environment)
     if isinstance(fit.model, OverdampedSwimmer):
         mobility = MobilitySummary.of(fit.model.mobility)
@@ -410,12 +388,10 @@ def teacher_choice(fit: EvidenceFit, network: ModelChoice) -> ModelChoice:
 
 
 def _load(folder: RunFolder, name: str, wanted: type[Any]) -> Any:
-    """A result of the run; None where it has none."""
     return folder.load(name, wanted) if folder.has(f"{name}.json") else None
 
 
 def _hashes(data: Trajectories) -> Iterator[bytes]:
-    """A hash of the observed samples of each trajectory."""
     for piece in data:
         channels = piece.observed.any(axis=0)
         states = np.where(piece.observed, piece.states, 0.0)[:, channels]

@@ -37,9 +37,6 @@ class Matching:
     """Everything of `fit_in_turns` that a recipe's name decides.
 
     Attributes:
-        recipes: the phases of each attempt.
-        objective: what they minimise.
-        dtype: floating-point type of the fit.
         finer: the objective by finer steps, which a fit must follow, too; None where
             its own steps are part of the recipe.
     """
@@ -94,9 +91,6 @@ def matching(
 
     The default begins with propagated defects where every state is observed, and turns
     to the curriculum of windows where these fail or some states are missing.
-
-    Args:
-        model: one of those to be fitted, untrained.
     """
     if isinstance(recipe, Paper):
         phases = paper_recipe(recipe.adam_steps, recipe.lbfgs_steps)
@@ -154,9 +148,7 @@ class Losses:
     """The loss curves of fits that share a recipe.
 
     Attributes:
-        values: losses of each fit by step.
         phases: name of each phase of the recipe, and the step at which it began.
-        outcomes: the word for how each fit ended.
     """
 
     values: Float[np.ndarray, "fit step"]

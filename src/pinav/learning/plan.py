@@ -51,9 +51,6 @@ _CODE = re.compile(r'"([^"\n]+\.py):\w+"')
 def choose_system(text: str | None, data: Trajectories) -> System:
     """The system that the option names, or the one that the data come from.
 
-    Args:
-        text: of the option `--system`.
-
     Raises:
         InputError: no system is named and the data do not say where they come from.
     """
@@ -78,11 +75,7 @@ def write_system_of(folder: RunFolder, system: System) -> None:
 
 
 def read_system_of(folder: RunFolder) -> System:
-    """The system of a run.
-
-    Raises:
-        InputError: its file is damaged, or a Python file that it needs has changed.
-    """
+    """The system of a run; InputError if its file is damaged or has changed."""
     code = folder.read_json(CODE_FILE) if folder.has(CODE_FILE) else {}
     for path, digest in code.items():
         if _hash(path) != digest:
@@ -121,8 +114,6 @@ class FitPlan:
 
     Attributes:
         recipe: chosen for the data where none was asked for.
-        data: as the recipe needs them.
-        summary: what the untrained model takes from the data.
         is_open: neither the user nor the system names another model than the default,
             so that the evidence chooses between a potential and a mixture.
         thermal: what the fit of thermal motion may learn; None for another recipe.
@@ -201,10 +192,6 @@ def suitable_recipe(
     asked: Suited, model: str, system: System, *, thermal: bool
 ) -> Inferring | Matching:
     """The recipe that suits the data.
-
-    Args:
-        asked: options that some of the recipes have.
-        thermal: the paths are those of Brownian motion.
 
     Raises:
         InputError: the paths are Brownian and the system has inertia, or `noise` is
@@ -299,7 +286,6 @@ def looks_brownian(data: Trajectories) -> bool:
 
 
 def _correlations(data: Trajectories) -> Float[np.ndarray, " lag"]:
-    """Correlation of second differences of positions with those one and two later."""
     products = np.zeros(3)
     for piece in data:
         observed_times = piece.observed[:, 0]

@@ -110,10 +110,10 @@ class Paper(Settings, frozen=True, tag_field="recipe", tag="paper"):
 
 
 Recipe = Suited | Bayes | Langevin | Curriculum | Paper
-"""What `learn` and the option `--recipe` take."""
+"""Recipes that `learn` and the option `--recipe` take."""
 
 SUITED = Suited()
-"""What suits the data, with nothing asked for."""
+"""The recipe that suits the data, with no option set."""
 
 Inferring = Bayes | Langevin
 """Recipes that choose by the evidence and give a posterior."""

@@ -18,11 +18,11 @@ from pinav.fitting import (
     EvidenceFit,
     KernelDiffusion,
     LangevinChecks,
-    LangevinFit,
     LearnedObservation,
     Observation,
     ReferencePath,
     SlowReference,
+    ThermalResult,
     fit_langevin,
     judge_increments,
     profile_environment,
@@ -42,13 +42,13 @@ ACROSS = {1: 24, 2: 8}
 
 @dataclasses.dataclass(frozen=True)
 class ThermalChoice:
-    """What may be learned of thermal motion.
+    """Quantities of thermal motion that a fit may learn.
 
     Attributes:
         diffusion: what it may be; None for one number.
         observation: what is known of the camera; None counts positions as exact.
         reference: the coordinate that drifts, if one does.
-        einstein: whether the mobility follows from the diffusion.
+        einstein: True if the mobility follows from the diffusion.
     """
 
     axes: tuple[KernelAxis, ...]
@@ -61,12 +61,7 @@ class ThermalChoice:
     def of(
         cls, recipe: Langevin, system: System, data: Trajectories
     ) -> "ThermalChoice":
-        """The values of resolved recipe.
-
-        Raises:
-            InputError: a coordinate is not there, a period is none, or what is asked
-                for contradicts itself or the system.
-        """
+        """The choice of a recipe; InputError where it contradicts the system."""
         axes = _axes(recipe, system, data)
         varies = recipe.diffusion != "constant"
         diffusion = None
@@ -88,7 +83,7 @@ class ThermalChoice:
 
     @property
     def is_plain(self) -> bool:
-        """Whether positions are exact and the diffusion is one number."""
+        """True if positions are exact and the diffusion is one number."""
         return (self.diffusion, self.observation, self.reference) == (None, None, None)
 
     def profile(self, data: Trajectories) -> ProfileSummary:
@@ -204,7 +199,7 @@ def _reference(
 
 @dataclasses.dataclass(frozen=True)
 class ObservedDiffusion:
-    r"""What a fit says of diffusion and camera along some channels.
+    r"""Diffusion and camera along some channels, as a fit found them.
 
     Attributes:
         channels: that share them.
@@ -226,11 +221,7 @@ class ObservedDiffusion:
 
 @dataclasses.dataclass(frozen=True)
 class DiffusionLine:
-    """The diffusion along a line through the middle of the data.
-
-    Attributes:
-        values: along each axis [L² T⁻¹].
-    """
+    """The diffusion along each axis [L² T⁻¹], on a line through the data."""
 
     places: Float[np.ndarray, " place"]
     values: Float[np.ndarray, "place axis"]
@@ -242,8 +233,6 @@ class ThermalFindings:
     """Diffusion and camera of thermal motion, and its checks.
 
     Attributes:
-        checks: of the innovations, and the diffusion of thinned data.
-        observed: diffusion and camera along each group of channels.
         lines: diffusion along lines through the data, by the coordinate; none where it
             is the same everywhere.
         einstein: the mobility follows from the diffusion.
@@ -260,15 +249,9 @@ class ThermalFindings:
 
     @classmethod
     def of(
-        cls, fit: LangevinFit, chosen: ThermalChoice, data: Trajectories
+        cls, fit: ThermalResult, chosen: ThermalChoice, data: Trajectories
     ) -> "ThermalFindings | None":
-        """Those of a fit; None where nothing was checked.
-
-        Args:
-            fit: of the data.
-            chosen: what was learned.
-            data: their channels are the positions.
-        """
+        """The findings of a fit; None where nothing was checked."""
         if fit.checks is None:
             return None
         return cls(
@@ -291,7 +274,7 @@ class ThermalFindings:
 
 
 def observed_diffusion(
-    fit: LangevinFit, data: Trajectories
+    fit: ThermalResult, data: Trajectories
 ) -> tuple[ObservedDiffusion, ...]:
     """Diffusion and camera along each group of channels."""
     places = diffusion_places(fit, data)
@@ -330,7 +313,7 @@ MOST_PLACES = 1000
 
 
 def diffusion_places(
-    fit: LangevinFit, data: Trajectories
+    fit: ThermalResult, data: Trajectories
 ) -> Float[np.ndarray, "place dim"]:
     """Observed positions, from the reference where it drifts; some of many."""
     parts = []
@@ -364,15 +347,12 @@ def fit_thermal(
 
     The residuals are those of steps, whatever the observation is, so that the noise of
     the fit is that of a step in unit time.
-
-    Args:
-        model: untrained; its mobility is known unless it follows from the diffusion.
     """
     if chosen.is_plain:
-        return fit_langevin(model, data).regression, None
+        return fit_langevin(model, data), None
     if chosen.einstein:
         model = system.with_noise_of(model)
-    thermal = fit_langevin(
+    fit = fit_langevin(
         model,
         data,
         diffusion=chosen.diffusion,
@@ -380,23 +360,18 @@ def fit_thermal(
         einstein=chosen.einstein,
         reference=chosen.reference,
     )
-    findings = ThermalFindings.of(thermal, chosen, data)
+    findings = ThermalFindings.of(fit.thermal, chosen, data)
     assert findings is not None  # made wherever positions are not exact
-    regression = thermal.regression
     mean = _mean_diffusion(findings)
     numbers = dataclasses.replace(
-        regression.hyperparameters, noise=float(np.sqrt(2 * mean.value))
+        fit.hyperparameters, noise=float(np.sqrt(2 * mean.value))
     )
-    fit = dataclasses.replace(
-        regression,
-        hyperparameters=numbers,
-        constants=regression.constants | {"diffusion": mean},
-    )
+    constants = fit.constants | {"diffusion": mean}
+    fit = dataclasses.replace(fit, hyperparameters=numbers, constants=constants)
     return fit, findings
 
 
 def _mean_diffusion(findings: ThermalFindings) -> Estimate:
-    """Diffusion over all data and axes."""
     rows = [(len(one.channels), one.diffusion) for one in findings.observed]
     total = sum(count for count, _ in rows)
     value = sum(count * row.value for count, row in rows) / total
@@ -405,7 +380,7 @@ def _mean_diffusion(findings: ThermalFindings) -> Estimate:
 
 
 def _diffusion_lines(
-    fit: LangevinFit, chosen: ThermalChoice, data: Trajectories
+    fit: ThermalResult, chosen: ThermalChoice, data: Trajectories
 ) -> dict[str, DiffusionLine]:
     if not isinstance(fit.diffusion, DiffusionField):
         return {}
@@ -421,7 +396,7 @@ def _diffusion_lines(
 def thermal_remarks(
     chosen: ThermalChoice | None, data: Trajectories
 ) -> tuple[str, ...]:
-    """What the increments say where a thermal fit counts positions as exact."""
+    """Remarks on increments where a thermal fit counts positions as exact."""
     if chosen is None or chosen.observation is not None:
         return ()
     verdict = judge_increments(data)

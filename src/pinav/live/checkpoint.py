@@ -44,7 +44,7 @@ def write_session(path: Path, session: Session) -> None:
 
 
 def read_session(path: Path, session: Session) -> Session:
-    """What the session in a file knows, with the settings of another one.
+    """The session in a file, with the settings of another one.
 
     Raises:
         InputError: the file is missing, damaged, or of another version.
@@ -98,7 +98,6 @@ def with_drive_of(path: Path, session: Session) -> Session:
 def _part(
     document: dict[str, Any], arrays: dict[str, np.ndarray], name: str
 ) -> tuple[Any, dict[str, np.ndarray]]:
-    """The document and the arrays of a part."""
     prefix = f"{name}/"
     part = {
         k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)

@@ -15,11 +15,7 @@ from pinav.live.messages import Frame, Hello, Point
 
 @dataclasses.dataclass(frozen=True)
 class Whereabouts:
-    """Where the robot is believed to be.
-
-    Attributes:
-        sd: standard deviation of either coordinate [L]; none where it is not known.
-    """
+    """Believed position of the robot; sd of a coordinate [L], none where unknown."""
 
     position: Point
     sd: float | None
@@ -31,7 +27,7 @@ class AbstractEstimator(eqx.Module):
     @property
     @abc.abstractmethod
     def driven(self) -> bool:
-        """Whether the robot has been driven since the session began."""
+        """True if the robot has been driven since the session began."""
 
     @abc.abstractmethod
     def after(self, frame: Frame) -> "AbstractEstimator":
@@ -51,7 +47,7 @@ class AbstractEstimator(eqx.Module):
 
 
 class Intent(enum.Enum):
-    """What a pilot does, and why.
+    """Action of a pilot and its reason.
 
     Attributes:
         PROBE: move about, to learn how the robot answers.
@@ -76,11 +72,7 @@ class Intent(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Advice:
-    """A command that a pilot advises.
-
-    Attributes:
-        time_to_go: to the goal [s]; none where it is not known.
-    """
+    """An advised command, and the time to the goal [s]; none where unknown."""
 
     frequency: float
     heading: float
@@ -89,7 +81,7 @@ class Advice:
 
 
 class AbstractPilot(eqx.Module):
-    """What steers to a goal, as a value."""
+    """A pilot to a goal, as a value."""
 
     @abc.abstractmethod
     def after(
@@ -106,9 +98,7 @@ class DriveEstimator(AbstractEstimator):
     """Gain, heading offset, response, delay and drift of a robot, by `RunningFit`.
 
     Attributes:
-        last: the last position that was seen, its time and standard deviation; NaN
-            before there is one.
-        known: the numbers of the drive, which change when a block closes.
+        last: last seen position, its time and standard deviation; NaN before the first.
     """
 
     fit: RunningFit = eqx.field(default_factory=RunningFit.begin)
@@ -154,7 +144,7 @@ class DriveEstimator(AbstractEstimator):
         return (x, y) if seen_at == time else None
 
     def _sd_without_blocks(self, jitter: float, elapsed: float) -> float | None:
-        """Of the last position, before a block is closed; none if nothing tells it."""
+        """The last position's sd before a block is closed; none if unknown."""
         if elapsed == 0:
             return math.sqrt(jitter) if jitter > 0 else None
         if self.known is None:
@@ -172,6 +162,5 @@ class DriveEstimator(AbstractEstimator):
 
 
 def _parts(frame: Frame) -> tuple[float, tuple[float, float] | None, float, float]:
-    """Time, position and command of a frame."""
     observed = None if frame.x is None or frame.y is None else (frame.x, frame.y)
     return frame.t, observed, frame.frequency, frame.heading

@@ -35,7 +35,7 @@ LAGGING = 5
 """Frames that come at once from which on the lag is said."""
 
 TABLE_LIMITS = Limits(frequency=10.0)
-"""Of a robot whose table does not say what may be commanded."""
+"""Limits of a robot whose table does not state them."""
 
 LAG_EVERY = 5.0
 """Seconds between two events of a lag."""
@@ -46,12 +46,7 @@ Show = Callable[[FromPinav], None]
 
 @dataclasses.dataclass
 class Loop:
-    """A session between a source and a sink.
-
-    Attributes:
-        checkpoint: file for the state of the session; none where it is not kept.
-        limits: of a table's robot, which it does not say.
-    """
+    """A session between a source and a sink, with a checkpoint file if it is kept."""
 
     session: Session
     source: AbstractSource
@@ -167,10 +162,8 @@ class TableReader:
     A row that cannot be read is passed on as it is, for the session to refuse it.
 
     Attributes:
-        limits: what may be commanded, which a table does not say.
         places: column of each quantity; none before the header.
-        rows: number of rows so far, which counts where the table has no frames.
-        greeted: the hello has been made.
+        rows: rows so far, used as number of the frame where the table has none.
     """
 
     session: str
@@ -206,7 +199,6 @@ class TableReader:
         return dataclasses.replace(reader, greeted=True, first=None), lines
 
     def _frame(self, line: bytes, row: int | None = None) -> Frame | None:
-        """The frame in a row; none where it is damaged."""
         assert self.places is not None
         cells = line.split(b",")
         values: dict[str, float] = {}

@@ -40,7 +40,7 @@ Point = tuple[Real, Real]
 
 
 class Mode(enum.StrEnum):
-    """What pinav is doing.
+    """Activity of pinav.
 
     Attributes:
         WAITING: no robot that was driven has been seen yet.
@@ -58,7 +58,7 @@ class Mode(enum.StrEnum):
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):
-    """What coils and robot allow.
+    """Limits of coils and robot.
 
     Attributes:
         frequency: greatest frequency [Hz].
@@ -70,15 +70,11 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Hello(msgspec.Struct, frozen=True, kw_only=True, tag="hello"):
-    """The first line of a rig, and again after it has started anew.
+    """First line of a rig; a new `session` name begins with a new robot or clock.
 
     Attributes:
-        version: of the protocol.
-        session: name of the session; a new name begins with a new robot or clock.
         step: interval of frames [s].
-        units: of lengths, such as um.
-        limits: what may be commanded.
-        clock: what times count from, in words.
+        clock: origin of the times, in words.
         token: the shared secret, where pinav asks for one.
     """
 
@@ -92,15 +88,13 @@ class Hello(msgspec.Struct, frozen=True, kw_only=True, tag="hello"):
 
 
 class Frame(msgspec.Struct, frozen=True, kw_only=True, tag="frame"):
-    """One image of the robot.
+    """One image of the robot at a time t [s]; `seq` grows by one or more.
 
     Attributes:
-        seq: number of the frame; grows by one or more.
-        t: its time [s].
         x: position along x [L]; none where the robot was not seen.
         y: position along y, upwards [L].
         sd: standard deviation of either coordinate [L]; none where it is not known.
-        frequency: what is applied from `t` on [Hz].
+        frequency: frequency that is applied from `t` on [Hz].
         heading: azimuth of the commanded motion, applied from `t` on [rad].
     """
 
@@ -114,16 +108,12 @@ class Frame(msgspec.Struct, frozen=True, kw_only=True, tag="frame"):
 
     @property
     def observed(self) -> bool:
-        """Whether both coordinates were measured."""
+        """True if both coordinates were measured."""
         return self.x is not None and self.y is not None
 
 
 class Bye(msgspec.Struct, frozen=True, kw_only=True, tag="bye"):
-    """The last line of a rig.
-
-    Attributes:
-        reason: in words.
-    """
+    """The last line of a rig."""
 
     reason: Text = ""
 
@@ -132,8 +122,6 @@ class Ready(msgspec.Struct, frozen=True, kw_only=True, tag="ready"):
     """The answer to `Hello`.
 
     Attributes:
-        version: of the protocol.
-        session: that of the rig.
         resumed_at: last frame that was learned from before; none in a new session.
     """
 
@@ -143,14 +131,11 @@ class Ready(msgspec.Struct, frozen=True, kw_only=True, tag="ready"):
 
 
 class Command(msgspec.Struct, frozen=True, kw_only=True, tag="command"):
-    """What the rig should apply at once.
+    """Command [Hz, rad] that the rig should apply at once, after the frame `seq`.
 
     Attributes:
-        seq: of the frame that it answers.
         for_t: time from which it is meant to hold [s].
-        frequency: [Hz].
-        heading: [rad].
-        valid_until: when the rig stops by itself unless it has heard more [s].
+        valid_until: time at which the rig stops by itself unless it has heard more [s].
     """
 
     seq: int
@@ -161,14 +146,9 @@ class Command(msgspec.Struct, frozen=True, kw_only=True, tag="command"):
 
 
 class State(msgspec.Struct, frozen=True, kw_only=True, tag="state"):
-    """What is believed after a frame; none stands where something is not known.
+    """Beliefs after a frame; none stands where something is not known.
 
     Attributes:
-        seq: of the frame.
-        t: its time [s].
-        mode: what pinav is doing.
-        x: position [L].
-        y: position, upwards [L].
         sd: standard deviation of either coordinate [L].
         delay: from command to motion [s].
         gain: speed at 1 Hz and small frequencies [L per cycle].
@@ -176,7 +156,7 @@ class State(msgspec.Struct, frozen=True, kw_only=True, tag="state"):
         offset: angle from the commanded heading to the motion [rad].
         drift: velocity without command [L/s].
         force: at the position: an acceleration, or a velocity at mobility 1.
-        force_sd: of either component.
+        force_sd: standard deviation of either component.
         time_to_go: to the goal [s].
         latency_ms: from reading the frame to this line; none in a replay.
     """
@@ -199,7 +179,7 @@ class State(msgspec.Struct, frozen=True, kw_only=True, tag="state"):
 
 
 class EventKind(enum.StrEnum):
-    """What may happen; docs/live.md says what pinav then does."""
+    """Kinds of events; docs/live.md describes the reactions of pinav."""
 
     MODE = "mode"
     REFUSED = "refused"
@@ -221,8 +201,6 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, tag="event"):
 
     Attributes:
         t: time of the last frame [s]; none before the first.
-        kind: of the event.
-        text: a sentence.
     """
 
     t: float | None

@@ -48,7 +48,7 @@ class EventPrinter:
 
 
 def status_line(state: State) -> str:
-    """What is believed, in a line."""
+    """The beliefs in a line."""
     parts = [f"{_clock(state.t)}  {state.mode:<11}"]
     if state.x is not None and state.y is not None:
         sd = "" if state.sd is None else f" ± {state.sd:.2g}"
@@ -81,12 +81,7 @@ PATIENCE = 10.0
 
 
 class Places(msgspec.Struct, frozen=True):
-    """What the page draws beside the robot.
-
-    Attributes:
-        goal: where the robot should go; none where it is only watched.
-        keep_out: centre and radius of each forbidden disc.
-    """
+    """Goal (none if only watched), and centre and radius of each forbidden disc."""
 
     goal: tuple[float, ...] | None = None
     keep_out: tuple[tuple[float, ...], ...] = ()
@@ -189,7 +184,6 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     places: ClassVar[Places]
 
     def do_GET(self) -> None:
-        """Answer a browser of this machine."""
         # A page from elsewhere can send a browser here under another name.
         host = (self.headers.get("Host") or "").rsplit(":", 1)[0]
         if host not in (HOST, "localhost"):
@@ -225,4 +219,4 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             self.wfile.write(data or b": still here\n\n")
 
     def log_message(self, format: str, *args: object) -> None:
-        """Nothing: requests are no events of a session."""
+        """Ignored: requests are no events of a session."""

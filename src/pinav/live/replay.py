@@ -67,10 +67,7 @@ def lines_in(path: Path) -> Iterator[bytes]:
 def replay(
     session: Session, lines: Iterator[bytes], speed: float | None = None
 ) -> Iterator[tuple[FromPinav, float]]:
-    """What is said to lines, each answer with the seconds that its line took.
-
-    No clock decides what is said, only how soon: the answers are the same every time.
-    """
+    """Answers to lines, each with its seconds; the clock only sets the pace."""
     begin, origin = time.monotonic(), None
     for line in lines:
         before = time.perf_counter()

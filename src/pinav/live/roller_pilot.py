@@ -56,11 +56,11 @@ class RollerPilot(AbstractPilot):
     """Goes to a goal around discs.
 
     Attributes:
-        tolerance: distance from it that counts as there [L].
-        discs: centre and radius of places that must not be entered [L].
+        tolerance: distance from the goal that counts as arrived [L].
+        discs: centre and radius of forbidden places [L].
         probe: number of probes so far, and when the present one began [s]; NaN before.
         best: shortest way to go so far [L], and when that was [s]; NaN before.
-        reserve: what may be done where the next frame offers no way out.
+        reserve: command kept for a next frame without a clear way.
     """
 
     goal: Point
@@ -94,7 +94,6 @@ class RollerPilot(AbstractPilot):
         return pilot._filter(estimator, advice, hello, time)
 
     def _knows(self, now: DriveEstimate | None) -> bool:
-        """Whether the goal can be aimed at."""
         if now is None or not self.probe[0] >= LEAST_PROBES:
             return False
         return now.gain_sd <= KNOWN * now.gain
@@ -115,7 +114,7 @@ class RollerPilot(AbstractPilot):
         return pilot._filter(estimator, advice, hello, time)
 
     def _probes_still(self, time: float) -> bool:
-        """Whether a probe after a stall still lasts."""
+        """True while a probe after a stall lasts."""
         return self.stalls > 0 and 0 <= time - self.best[1] < LEAST_PROBES * PROBE_TIME
 
     def _watch_progress(self, position: Point, time: float) -> "RollerPilot":
@@ -136,7 +135,6 @@ class RollerPilot(AbstractPilot):
         hello: Hello,
         time: float,
     ) -> Advice:
-        """The command that leads on."""
         fit, now = estimator.fit, estimator.known
         assert now is not None
         start = position + self._pending(fit, now.delay, time)
@@ -208,7 +206,7 @@ class RollerPilot(AbstractPilot):
 
 
 def _way_point(start: Point, goal: Point, discs: np.ndarray) -> Point:
-    """Where to head first: the goal, or the end of a tangent of the first disc."""
+    """First point to head to: the goal, or the end of a tangent of a disc."""
     nearest, target = math.inf, goal
     for x, y, radius in discs:
         centre, wide = np.array([x, y]), radius * (1 + MARGIN)
@@ -223,7 +221,7 @@ def _way_point(start: Point, goal: Point, discs: np.ndarray) -> Point:
 
 
 def _tangent(start: Point, goal: Point, centre: Point, radius: float) -> Point:
-    """Where the shorter tangent from the start touches a circle."""
+    """Point where the shorter tangent from the start touches a circle."""
     to_centre = centre - start
     distance = float(np.hypot(*to_centre))
     if distance <= radius:  # within the margin: straight out

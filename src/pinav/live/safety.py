@@ -36,19 +36,14 @@ Order = Float[np.ndarray, "2"]
 
 
 class Reserve(eqx.Module):
-    """A command that leads out of the present place, as was known at a frame.
-
-    Attributes:
-        order: frequency [Hz] and heading [rad].
-        until: when its tube ends [s]; NaN where there is none.
-    """
+    """Frequency [Hz] and heading [rad] of a way out, and its end [s] or NaN."""
 
     order: Order = eqx.field(default_factory=lambda: np.zeros(2))
     until: float = math.nan
 
 
 class SafetyVerdict(eqx.Module):
-    """What the filter says of a command."""
+    """The filter's verdict on a command."""
 
     order: Order
     reserve: Reserve
@@ -56,12 +51,10 @@ class SafetyVerdict(eqx.Module):
 
 
 class Outlook(eqx.Module):
-    """Where a robot is at a frame, and what surrounds it.
+    """Position and surroundings of a robot at a frame.
 
     Attributes:
-        fit: what is known of the drive; it has a bank.
-        step: between frames [s].
-        frequency: the greatest one [Hz].
+        frequency: greatest frequency [Hz].
         discs: centre and radius of each [L].
     """
 
@@ -110,7 +103,7 @@ class Outlook(eqx.Module):
         return log_ndtr(distance / np.maximum(sd, 1e-12)).sum(axis=-1)
 
     def _is_clear(self, reserve: Reserve) -> bool:
-        """Whether what is left of a reserve keeps clear, by what is known now."""
+        """True if the rest of a reserve keeps clear, by what is known now."""
         ahead = reserve.until - self.time - self.step
         if not ahead > 0:
             return False
@@ -162,6 +155,5 @@ def distances(
 def _orders(
     frequency: float, headings: Float[np.ndarray, " order"]
 ) -> Float[np.ndarray, "order 2"]:
-    """Commands of one frequency."""
     wrapped = np.remainder(headings + math.pi, 2 * math.pi) - math.pi
     return np.stack([np.full_like(headings, frequency), wrapped], axis=1)

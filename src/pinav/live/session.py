@@ -50,13 +50,11 @@ GATE_IN_SIGHT = 15.0
 
 @dataclasses.dataclass(frozen=True)
 class Counts:
-    """How often each thing happened.
+    """Numbers of frames (lost ones included), refused lines, and other events.
 
     Attributes:
-        frames: that were learned from, lost ones included.
-        refused: lines that were no message, or came at a wrong time.
-        repeated: frames whose number was not larger than the last one.
-        lost: frames without a position.
+        frames: frames that were learned from, lost ones included.
+        repeated: frames whose number did not grow.
         reacquired: new states after the robot was lost.
     """
 
@@ -78,16 +76,14 @@ class Session:
     """All that a session remembers.
 
     Attributes:
-        pilot: what steers; none where pinav only watches.
-        token: shared secret that `Hello` must bear; empty where none is asked for.
+        pilot: pilot; none where the robot is only watched.
         blind: frames in a row without a position.
-        doubted: a position far from where a lost robot was expected.
+        doubted: position far from where a lost robot was expected.
         refused_in_row: lines in a row that were no messages.
-        ended: the rig has said bye.
         repeating: the last line was a frame that had been there before.
         resumed_at: last frame that was learned from by a process before this one.
-        known_in: unit of length in which an earlier session has learned the drive;
-            empty where there is none.
+        known_in: unit of length of a drive learned in an earlier session; empty without
+            one.
     """
 
     estimator: AbstractEstimator
@@ -106,12 +102,7 @@ class Session:
     known_in: str = ""
 
     def after(self, line: bytes, *, newest: bool = True) -> "SessionOutcome":
-        """The session after a line, and what is answered.
-
-        Args:
-            line: without its newline.
-            newest: no later line has arrived yet; commands answer only such a frame.
-        """
+        """The session after a line, and answers; commands to the `newest` frame."""
         try:
             message = decode(line)
         except RefusedLine as error:
@@ -172,7 +163,6 @@ class Session:
         return SessionOutcome(session, (self.event(EventKind.BYE, text),))
 
     def _see(self, frame: Frame, *, newest: bool) -> "SessionOutcome":
-        """Learn from a frame, and answer it."""
         if self.last is not None and frame.seq <= self.last.seq:
             counts = self.counts.plus("repeated")
             session = dataclasses.replace(self, counts=counts, repeating=True)
@@ -184,7 +174,6 @@ class Session:
         return SessionOutcome(session, (*events, *answers))
 
     def _learn(self, frame: Frame) -> tuple["Session", tuple[Event, ...]]:
-        """The session that has learned a frame, and what was strange about it."""
         counts = self.counts.plus("frames")
         session = dataclasses.replace(self, last=frame, counts=counts, repeating=False)
         if reason := self._jump_to(frame):
@@ -209,7 +198,7 @@ class Session:
         )
 
     def _jump_to(self, frame: Frame) -> str:
-        """Why a frame does not go on from the last one; empty where it does."""
+        """Reason why a frame does not continue the last one; empty where it does."""
         if self.last is None:
             learned = self.counts.frames or self.known_in
             return "the session has begun anew" if learned else ""
@@ -231,7 +220,7 @@ class Session:
         )
 
     def _is_far(self, frame: Frame, gate: float) -> bool:
-        """Whether a position is so many standard deviations from the expected one."""
+        """True if a position is so many sd from the expected one."""
         expected = self.estimator.whereabouts(frame.t)
         if expected is None or expected.sd is None:
             return False
@@ -287,7 +276,7 @@ class Session:
         return session, tuple(answers)
 
     def _advice(self, pilot: AbstractPilot) -> tuple[AbstractPilot, Advice]:
-        """What the pilot advises; to stand still where the robot is not seen."""
+        """The pilot's advice; to stand still where the robot is not seen."""
         assert self.last is not None
         assert self.hello is not None
         if self.blind > BLIND_STEPS + self._delay() / self.hello.step:
@@ -334,11 +323,7 @@ TOLD = ("delay", "gain", "gain_sd", "offset", "drift")
 
 @dataclasses.dataclass(frozen=True)
 class SessionOutcome:
-    """What a line leads to.
-
-    Attributes:
-        answers: lines for the rig and for people, in their order.
-    """
+    """The next session, and answers for the rig and for people, in order."""
 
     session: Session
     answers: tuple[FromPinav, ...] = ()

@@ -24,12 +24,10 @@ POLL = 0.01
 
 @dataclasses.dataclass(frozen=True)
 class Reading:
-    """What a look at a source gave.
+    """Result of reading a source.
 
     Attributes:
-        fresh: the bytes do not go on from those before: a half line is dropped.
-        text: what happened to the source, for people; empty where nothing did.
-        ended: nothing will ever come again.
+        fresh: bytes do not continue those before: a half line is dropped.
     """
 
     data: bytes = b""
@@ -60,7 +58,7 @@ class AbstractSource(abc.ABC):
 
     @abc.abstractmethod
     def read(self, wait: float) -> Reading:
-        """What has come, waiting for at most so many seconds."""
+        """The bytes that arrive within so many seconds."""
 
     @abc.abstractmethod
     def write(self, data: bytes) -> None:
@@ -105,7 +103,7 @@ class FileSource(AbstractSource):
         return Reading(fresh=True)
 
     def _replacement(self) -> str:
-        """What became of the file under this name; empty where it is the same."""
+        """Change of the file under this name; empty where it is the same."""
         assert self._file is not None
         try:
             now = os.stat(self.path)
@@ -119,10 +117,10 @@ class FileSource(AbstractSource):
         return ""
 
     def write(self, data: bytes) -> None:
-        """Nothing: a file cannot be answered."""
+        """Ignored: a file cannot be answered."""
 
     def hang_up(self) -> None:
-        """Nothing: what grows may become good again."""
+        """Ignored: a growing file may become good again."""
 
     def close(self) -> None:
         if self._file is not None:
@@ -204,13 +202,13 @@ class StreamSource(AbstractSource):
         return Reading(data) if data else Reading(ended=True)
 
     def write(self, data: bytes) -> None:
-        """Nothing: standard input cannot be answered."""
+        """Ignored: standard input cannot be answered."""
 
     def hang_up(self) -> None:
-        """Nothing: what is piped may become good again."""
+        """Ignored: what is piped may become good again."""
 
     def close(self) -> None:
-        """Nothing: the stream belongs to the process."""
+        """Ignored: the stream belongs to the process."""
 
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -238,7 +236,7 @@ def address_of(text: str, token: str) -> tuple[str, int] | None:
 
 
 def source_of(text: str, token: str = "") -> AbstractSource:
-    """The source that a word of the command line means.
+    """The source that an argument of the command line names.
 
     Raises:
         InputError: it is no usable address.
@@ -250,7 +248,7 @@ def source_of(text: str, token: str = "") -> AbstractSource:
 
 
 class AbstractSink(abc.ABC):
-    """What takes lines of commands."""
+    """A receiver of commands."""
 
     @abc.abstractmethod
     def write(self, data: bytes) -> None:
@@ -303,7 +301,7 @@ class SocketSink(AbstractSink):
 
 
 def sink_of(text: str | None, source: AbstractSource, token: str = "") -> AbstractSink:
-    """The sink that a word of the command line means; unless given, the source.
+    """The sink that an argument names; the source by default.
 
     Raises:
         InputError: it is no usable address.

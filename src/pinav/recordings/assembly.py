@@ -25,8 +25,6 @@ from pinav.trajectories import Trajectories
 
 
 class _Piece(NamedTuple):
-    """One trajectory, and what it is called."""
-
     label: dict[str, str | int]
     times: Float64[np.ndarray, " time"]
     positions: Float64[np.ndarray, "time dim"]
@@ -36,11 +34,6 @@ class _Piece(NamedTuple):
 
 def assemble(tracks: Tracks, source: Source, format: str) -> Trajectories:
     """The trajectories of a recording, in um and s with y up where scales are known.
-
-    Args:
-        tracks: rows of the file.
-        source: the file, and how it is to be read.
-        format: name of its format.
 
     Raises:
         InputError: rows contradict each other, or nothing is long enough to be a
@@ -125,7 +118,6 @@ def _sound(tracks: Tracks, source: Source) -> tuple[Tracks, list[str]]:
 
 
 def _select(tracks: Tracks, reading: Reading, stem: str) -> Tracks:
-    """The rows of the runs and particles that the user names."""
     count = len(tracks.x)
     kept = np.ones(count, bool)
     for option, names, chosen in (
@@ -142,11 +134,7 @@ def _select(tracks: Tracks, reading: Reading, stem: str) -> Tracks:
 
 
 def _drop_empty_commands(tracks: Tracks) -> Tracks:
-    """The rows without commands that the log never gives.
-
-    Where it gives a command for some particles only, the drive of the others is
-    unknown and not off.
-    """
+    """The rows without those particles' commands that the log never gives."""
     empty = [n for n, values in tracks.commands.items() if np.isnan(values).all()]
     commands = {n: c for n, c in tracks.commands.items() if n not in empty}
     names = np.array([" ".join(words) for words in tracks.names])
@@ -175,10 +163,7 @@ def _rate_notes(tracks: Tracks, reading: Reading) -> list[str]:
 
 
 def _lost_notes(tracks: Tracks, count: int) -> list[str]:
-    """Rows that stand where trackers put a particle that they have lost, in words.
-
-    Each of the particles may begin at the origin.
-    """
+    """Remarks on rows at a place where trackers put lost particles."""
     notes = []
     for place in (0.0, -1.0):
         rows = int(((tracks.x == place) & (tracks.y == place)).sum())
@@ -214,7 +199,6 @@ def _scale(tracks: Tracks, reading: Reading) -> tuple[float, str]:
 
 
 def _conventions(tracks: Tracks, reading: Reading) -> dict[str, Any]:
-    """What was done to positions, times and commands."""
     scale, _unit = _scale(tracks, reading)
     default = f"{BEYOND:g} times the {100 * ORDINARY:g} % quantile of the steps"
     jump = reading.jump or JUMPS.get(tracks.length_unit, default)
@@ -264,10 +248,7 @@ def _pieces(
 
 
 def labels(trajectories: Trajectories) -> list[dict[str, str | int]]:
-    """Run, particle and segment of each trajectory, after selections and joins too.
-
-    Args:
-        trajectories: of a recording, whole or selected, or several joined.
+    """Run, particle and segment of each trajectory of a recording.
 
     Raises:
         InputError: they were not read from a recording.
@@ -299,8 +280,7 @@ def groups(
     """Indices of the trajectories with the same labels, in order of appearance.
 
     Args:
-        trajectories: of a recording.
-        names: labels that tell groups apart; run and particle unless given.
+        names: labels that tell groups apart; run and particle by default.
 
     Raises:
         InputError: they were not read from a recording, or have no such label.
@@ -320,11 +300,7 @@ def groups(
 def image_positions(
     recording: Trajectories, positions: Float[np.ndarray, "*batch 2"]
 ) -> Float[np.ndarray, "*batch 2"]:
-    """Positions in pixels, as the file of a recording has them; in images, y down.
-
-    Args:
-        recording: whose scale and flip are undone; whole or selected.
-        positions: observed ones, or those of a model [L].
+    """Observed or predicted positions [L] in pixels of the images, y down.
 
     Raises:
         InputError: the recording was not read from pixels.

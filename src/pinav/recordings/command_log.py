@@ -32,7 +32,7 @@ INDEPENDENT = 1.0
 
 
 class CommandLog(NamedTuple):
-    """What was commanded, in the log's own time."""
+    """Commands in the log's own time."""
 
     times: Float64[np.ndarray, " entry"]
     commands: dict[str, Float64[np.ndarray, " entry"]]
@@ -40,7 +40,7 @@ class CommandLog(NamedTuple):
 
 
 class Offset(NamedTuple):
-    """What is added to the log's times to have the tracker's [s]."""
+    """Shift from the log's times to those of the tracker [s]."""
 
     value: float
     low: float
@@ -87,13 +87,7 @@ def read_log(source: Source, reading: Reading) -> CommandLog:
 def with_commands(
     recording: Trajectories, log: CommandLog, reading: Reading
 ) -> Trajectories:
-    """A recording with the commands of a log.
-
-    Args:
-        recording: positions, without commands.
-        log: what was commanded.
-        reading: rate, delay and heading offset.
-    """
+    """The recording with the commands of a log, as a reading states."""
     if recording.commands:
         raise InputError("commands: the file has commands itself; leave the log out")
     times = log.times
@@ -157,11 +151,7 @@ def _hold_commands(
 def find_offset(recording: Trajectories, log: CommandLog) -> Offset:
     """Shift of the log's clock at which its commands explain most of the velocity.
 
-    Sought over as much as both files last, in steps that are refined three times.
-
-    Args:
-        recording: positions, without commands.
-        log: what was commanded.
+    The search covers the duration of both files, in steps that are refined three times.
     """
     if not {"frequency", "heading"} <= set(log.commands):
         return Offset(0.0, 0.0, 0.0, 0.0)
@@ -191,7 +181,7 @@ def find_offset(recording: Trajectories, log: CommandLog) -> Offset:
 def _interval(
     explained: Any, best: float, top: float, duration: float
 ) -> tuple[float, float]:
-    """Where twice the log likelihood has fallen by 3.84, on either side."""
+    """Limits at which twice the log likelihood has fallen by 3.84."""
     count = 2 * max(duration / INDEPENDENT, 2.0)
     ends = []
     for side in (-1.0, 1.0):
@@ -208,7 +198,7 @@ def _interval(
 def _explained_fraction(
     recording: Trajectories, log: CommandLog, shift: float
 ) -> float:
-    """Share of the velocity's variance, by a turned or a mirrored gain."""
+    """Share of the velocity's variance that a turned or a mirrored gain explains."""
     inside = any(
         piece.times[-1] > log.times[0] + shift
         and piece.times[0] < log.times[-1] + shift

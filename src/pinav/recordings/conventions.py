@@ -1,4 +1,4 @@
-r"""What a recording may have wrong without showing it, and how it was read.
+r"""Hidden faults of a recording, and remarks on its reading.
 
 A doubt is a sentence with the option that settles it. A fit refuses a recording with
 doubts; `pinav inspect` lists them. The velocity over half a second is regressed on the
@@ -30,7 +30,7 @@ TURNS = 2 * math.pi + 0.2
 
 
 def doubts(recording: Trajectories) -> list[str]:
-    """What a fit must not take for granted, each with the option that settles it."""
+    """Doubts for which a fit refuses the recording, each with its option."""
     return [
         *recording.provenance.get("doubts", {}).values(),
         *_of_times(recording),
@@ -86,7 +86,7 @@ def _of_degrees(recording: Trajectories) -> list[str]:
 
 
 def _degrees_in_words(recording: Trajectories) -> str:
-    """What is said where motion follows the headings as if they were degrees."""
+    """Sentence for motion that follows the headings as if they were degrees."""
     best = max(rotations(recording, math.radians(1.0)))
     read = max(rotations(recording))
     if best < CLEAR or best < read + BETTER:
@@ -98,7 +98,7 @@ def _degrees_in_words(recording: Trajectories) -> str:
 
 
 def remarks_on_headings(recording: Trajectories) -> list[str]:
-    """What looks odd about headings although their convention is stated."""
+    """Remarks on odd headings although their convention is stated."""
     said = [heading_remark(recording)]
     if not _of_degrees(recording):
         said.append(_degrees_in_words(recording))
@@ -115,7 +115,7 @@ def remarks_on_headings(recording: Trajectories) -> list[str]:
 
 
 def heading_remark(recording: Trajectories) -> str:
-    """What is said of a heading that is off by about a right angle; mostly nothing."""
+    """Remark on a heading that is off by about a right angle; mostly empty."""
     samples = _samples(recording)
     if samples is None:
         return ""
@@ -133,11 +133,10 @@ def heading_remark(recording: Trajectories) -> str:
 
 
 def rotations(recording: Trajectories, scale: float = 1.0) -> tuple[float, float]:
-    """Share of the velocity's variance by a turned gain, and by a mirrored one.
+    """Shares of the velocity's variance that a turned and a mirrored gain explain.
 
     Args:
-        recording: what `read_recording` gives.
-        scale: on the logged headings.
+        scale: factor on the logged headings.
     """
     samples = _samples(recording, scale)
     if samples is None:
@@ -178,7 +177,6 @@ def _samples(
 def _velocities(
     piece: Trajectory, heading: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean velocity and mean drive of each window."""
     first, last = window_ends(piece)
     seen = np.flatnonzero(piece.observed[:, :2].all(axis=1))
     drive = (piece.commands["frequency"] * np.exp(1j * heading))[seen]
@@ -192,7 +190,7 @@ def _velocities(
 
 
 def remarks(recording: Trajectories) -> tuple[str, ...]:
-    """How a recording was read, what was left out of it, and what looks odd."""
+    """Remarks on the reading of a recording, its omissions and oddities."""
     said = in_words(recording.provenance)
     if not said:
         return ()
@@ -206,7 +204,7 @@ def remarks(recording: Trajectories) -> tuple[str, ...]:
 
 
 def in_words(provenance: Mapping[str, Any]) -> list[str]:
-    """What was flipped, scaled, shifted and left out when a recording was read."""
+    """Flips, scales, shifts and omissions of the reading, in words."""
     if "positions" not in provenance:
         return []
     positions, times = provenance["positions"], provenance["times"]

@@ -42,16 +42,16 @@ class Drive:
     r"""Coverage of the commands of one run.
 
     Attributes:
-        frequency: least and greatest [Hz].
+        frequency: least and greatest frequency [Hz].
         levels: distinct frequencies, rounded to 0.01 Hz.
-        off: share of the time with the frequency 0.
-        sectors: how many of 12 sectors of headings occurred, the drive being on.
+        off: share of the time at frequency 0.
+        sectors: number of the 12 sectors of headings that occurred while driven.
         condition: condition number of the columns $c_x$, $c_y$ and 1, each of unit
-            length: what gains and drift cost each other in certainty.
-        raw_condition: the same of the columns as they are.
+            length: the mutual loss of certainty of gains and drift.
+        raw_condition: condition number of the unscaled columns.
         aligned: greatest share of the driven time within 10 degrees of one axis.
         delay: share of the change of $c$ within 0.2 s that no other gain matrix and
-            drift bring about; where it is small, delay and heading offset are
+            drift can produce; where it is small, delay and heading offset are
             confounded.
     """
 
@@ -65,7 +65,7 @@ class Drive:
     delay: float
 
     def warnings(self) -> list[str]:
-        """What a fit to this run cannot tell, in words."""
+        """Limits of a fit to this run, in words."""
         if self.frequency[1] == 0:
             return [WARNINGS["off"]]
         holds = {
@@ -128,11 +128,7 @@ def _condition(drives: Float[np.ndarray, "time 2"], *, normalised: bool) -> floa
 
 
 def _share_of_delay(segments: Sequence[Trajectory]) -> float:
-    """Part of the change within the lag that is no linear function of the drive.
-
-    A change of frequency tells the delay as well as a change of the turning rate does,
-    but only for the moment that it takes.
-    """
+    """Part of the drive's change within the lag that is not linear in it."""
     now, change = [], []
     for segment in segments:
         times, drives = segment.times, vector(segment)
@@ -161,11 +157,10 @@ class Speed:
     """Speed at a frequency.
 
     Attributes:
-        frequency: of the command, or the middle of its bin [Hz].
-        median: of the speed [L T⁻¹].
-        low: a tenth of the windows are slower.
-        high: a tenth are faster.
-        windows: how many there are.
+        frequency: commanded frequency, or the middle of its bin [Hz].
+        median: median speed [L T⁻¹].
+        low: 10 % quantile of the speed [L T⁻¹].
+        high: 90 % quantile of the speed [L T⁻¹].
     """
 
     frequency: float
@@ -176,10 +171,7 @@ class Speed:
 
 
 def window_ends(segment: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """First and last row of every window of about `WINDOW`, lost rows left out.
-
-    Where rows are further apart than that, as with times in frames, a window is a step.
-    """
+    """First and last rows of windows of about `WINDOW`, or of longer intervals."""
     places = np.flatnonzero(segment.observed[:, :2].all(axis=1))
     times = segment.times[places]
     late = np.searchsorted(times, times + WINDOW)

@@ -1,4 +1,4 @@
-"""How a table stands in its file: title rows, the header, a row of units, the rows.
+"""Layout of a table in its file: title rows, header, a row of units, rows.
 
 Text files and sheets of workbooks, of which values only are read, come to the same:
 numbered rows of cells.
@@ -19,12 +19,10 @@ from pinav.recordings import units
 from pinav.recordings.table import Table
 
 DELIMITERS = ",\t;"
-"""What may separate the cells of a text file; the header tells which it is.
-
-Where it has none of them, spaces do."""
+"""Delimiters of text files, told by the header; spaces where it has none of them."""
 
 COMMENTS = ("#", "%")
-"""How lines of comments begin, which may stand above the header."""
+"""Beginnings of comment lines, which may stand above the header."""
 
 _COMMA = re.compile(r"\s*[-+]?\d+,\d+(?:[eE][-+]?\d+)?\s*")
 _POINT = re.compile(r"\s*[-+]?\d*\.\d+(?:[eE][-+]?\d+)?\s*")
@@ -43,16 +41,12 @@ def read_delimited(
     names: Sequence[str] | None = None,
     faults: dict[str, str] | None = None,
 ) -> Table:
-    """The table of a text file whose first line names the columns.
-
-    Columns without names are numbered from 0.
+    """The table of a text file with a header; unnamed columns are numbered from 0.
 
     Args:
-        text: the file.
         skip: lines above the header.
-        below: lines between the header and the numbers, which are skipped too.
-        names: of the columns, where those of the header are not unique.
-        faults: where bad rows are noted; the first one is refused where None.
+        names: names of the columns, where those of the header are not unique.
+        faults: collects bad rows; the first one is refused if None.
     """
     lines = text.splitlines(keepends=True)[skip:]
     if not lines or not lines[0].strip():
@@ -81,7 +75,7 @@ def read_delimited(
 
 
 def delimiter_of(line: str) -> str | None:
-    """What separates the cells of a line; None where spaces do."""
+    """The delimiter of the cells of a line; None for spaces."""
     delimiter = max(DELIMITERS, key=line.count)
     return delimiter if delimiter in line else None
 
@@ -100,10 +94,9 @@ def header_text(line: str) -> str:
 
 
 def rows_of_comments(lines: Sequence[str]) -> int:
-    """How many lines of comments stand above the header.
+    """Number of comment lines above the header, which may itself be a comment.
 
-    The last comment is the header where a row of as many numbers follows it:
-    `numpy.savetxt` writes it so.
+    `numpy.savetxt` writes the header as a comment above a row of as many numbers.
     """
     rest = (i for i, line in enumerate(lines) if not line.startswith(COMMENTS))
     count = next(rest, len(lines))
@@ -122,14 +115,12 @@ def table_of(
     decimal: bool = False,
     faults: dict[str, str] | None = None,
 ) -> Table:
-    """The table of rows of which the first one names the columns.
+    """The table of rows that are numbered as in the file; the first names the columns.
 
     Args:
-        rows: numbered as in the file.
-        place: what a row is called.
-        names: of the columns, where those of the header are not unique.
-        decimal: whether commas may be decimal ones.
-        faults: where bad rows are noted; the first one is refused where None.
+        place: word for a row in messages.
+        names: names of the columns, where those of the header are not unique.
+        faults: collects bad rows; the first one is refused if None.
     """
     number, first = rows[0]
     header = [str(c or "").strip() for c in first] if names is None else list(names)
@@ -171,7 +162,7 @@ def table_of(
 
 
 def _numbers_its_rows(header: Sequence[str], body: Sequence[Row]) -> bool:
-    """Whether each row has one cell more, the first a number, as R writes it."""
+    """True if each row begins with a further number, as R writes tables."""
     longer = all(len(cells) == len(header) + 1 for _, cells in body)
     first = [str(cells[0]).strip('"') for _, cells in body]
     counted = first == [str(1 + i) for i in range(len(body))]
@@ -228,7 +219,7 @@ def _of_width(
 
 
 def _has_decimal_commas(columns: dict[str, Sequence[Any]]) -> bool:
-    """Whether numbers have commas, and none of them has a point."""
+    """True if numbers have commas and none of them a point."""
     words = [c for cells in columns.values() for c in cells if isinstance(c, str)]
     commas = any(_COMMA.fullmatch(word) for word in words)
     return commas and not any(_POINT.fullmatch(word) for word in words)
@@ -244,9 +235,9 @@ first kind whose comma is no decimal one."""
 def _without_thousands(
     columns: dict[str, Sequence[Any]],
 ) -> tuple[dict[str, Sequence[Any]], bool]:
-    """The columns without signs between thousands, and whether there were some.
+    """The columns without thousands separators, and whether there were any.
 
-    Commas are such signs where all of them may be, and one of them must be.
+    Commas separate thousands where all of them may do so and one of them must.
     """
     words = [c for cells in columns.values() for c in cells if isinstance(c, str)]
     commas = [w for w in words if _COMMA.fullmatch(w) or _THOUSANDS.fullmatch(w)]
@@ -271,7 +262,7 @@ def _with_point(cell: Any) -> Any:
 
 
 def is_number(cell: Any) -> bool:
-    """Whether a cell is a number, written with a point or a comma."""
+    """True for a cell with a number, written with a point or a comma."""
     if isinstance(cell, int | float):
         return True
     try:
@@ -282,7 +273,7 @@ def is_number(cell: Any) -> bool:
 
 
 def rows_above_header(rows: Sequence[Sequence[Any]]) -> int:
-    """How many title rows stand above the header, judged by the widths of the rows.
+    """Number of title rows above the header, judged by the widths of the rows.
 
     The header is the first row as wide as most rows are; nothing is skipped where that
     row holds a number, because then the header itself is at fault.
@@ -296,7 +287,6 @@ def rows_above_header(rows: Sequence[Sequence[Any]]) -> int:
 
 
 def _width(row: Sequence[Any]) -> int:
-    """Number of cells up to the last one that is not empty."""
     filled = [i for i, cell in enumerate(row) if cell not in ("", None)]
     return filled[-1] + 1 if filled else 0
 

@@ -37,12 +37,12 @@ LEAST_SAMPLES = 20
 @final
 @dataclasses.dataclass(frozen=True)
 class Localisation:
-    r"""What scatters the positions of a particle.
+    r"""Sources of scatter in the positions of a particle.
 
     Attributes:
-        scatter: what all causes together add to each coordinate of a row, as a
-            standard deviation; the error is no greater [L].
-        deviation: $\sigma$ of each coordinate, averaged over both [L].
+        scatter: standard deviation of a coordinate from all causes, an upper bound of
+            the error [L].
+        deviation: $\sigma$ of a coordinate, averaged over both [L].
         diffusion: $D$ [L² T⁻¹].
         error: standard error of `deviation`, from tenths of the samples [L].
     """
@@ -57,9 +57,7 @@ def localisation(
     times: Sequence[Float[np.ndarray, " _"]],
     positions: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> Localisation | None:
-    """Error and diffusion of one particle over its segments.
-
-    None where there are too few samples.
+    """Error and diffusion of one particle over its segments; None with too few samples.
 
     Args:
         times: of each segment, increasing [T].
@@ -87,11 +85,10 @@ def localisation(
 def _products(
     times: Float[np.ndarray, " time"], path: Float[np.ndarray, "time 2"]
 ) -> Float[np.ndarray, "window 16"]:
-    """Covariance of the differences at each lag, and what each cause makes of it.
+    """Products of the differences at lags 0 to 3, and the factors of each cause.
 
-    Each row holds, for the lags 0 to 3, the measured product averaged over both
-    coordinates, then the factors of the variance, of the diffusion, and of the
-    intensity of a velocity that is a random walk.
+    The columns are the measured product averaged over both coordinates, then the
+    factors of the variance, of the diffusion, and of a velocity that is a random walk.
     """
     count = len(times) - _SAMPLES + 1
     index = np.arange(count)[:, None] + np.arange(_SAMPLES)
@@ -117,7 +114,7 @@ def _products(
 
 
 def _weights(times: Float[np.ndarray, "window 4"]) -> Float[np.ndarray, "window 4"]:
-    """Of the third divided difference, with the sum of squares 1."""
+    """Weights of the third divided difference, with the sum of squares 1."""
     spans = times[:, :, None] - times[:, None, :]
     spans[:, np.arange(_SAMPLES), np.arange(_SAMPLES)] = 1.0
     weights = 1.0 / spans.prod(axis=2)
@@ -140,12 +137,12 @@ def _of_walk(
 
 
 def _brownian(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Of a Brownian path whose diffusion is 1, at two times."""
+    """Covariance of a Brownian path of diffusion 1 at two times."""
     return 2.0 * np.minimum(one, other)
 
 
 def _integrated_brownian(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Of a path whose velocity is a random walk of unit intensity, at two times."""
+    """Covariance of an integrated random walk of unit intensity at two times."""
     first, last = np.minimum(one, other), np.maximum(one, other)
     return first**2 * (3 * last - first) / 6
 

@@ -17,14 +17,12 @@ class Particle:
     """Rows of one particle.
 
     Attributes:
-        rows: their indices in the tracks, in order of time.
-        times: increasing.
+        rows: indices in the tracks, in order of time.
         positions: in the file's unit and orientation.
-        observed: where there is a position.
-        commands: as they act, offset and delay applied.
-        repeats: rows that were left out, because their time was that of the one before.
-        silent: rows for which the log has no command; the last one is held.
-        faults: rows that were left out because they contradict others, in words.
+        commands: commands in action, with offset and delay applied.
+        repeats: rows left out because they repeat the time of the row before.
+        silent: rows without a command in the log; the last one is held.
+        faults: sentences on rows left out because they contradict others.
     """
 
     rows: Int64[np.ndarray, " row"]
@@ -122,10 +120,7 @@ def _order_by_frame(tracks: Tracks, rows: np.ndarray) -> tuple[np.ndarray, list[
 def _not_before(
     tracks: Tracks, times: np.ndarray, rows: np.ndarray
 ) -> tuple[np.ndarray, list[str]]:
-    """Rows whose time is not before that of an earlier row; and faults.
-
-    Clocks with coarse ticks may give two frames one time, which is no fault.
-    """
+    """Rows whose time is not before an earlier one (ties pass), and faults."""
     latest, before, kept, faults = -np.inf, -1, [], []
     for row in rows.tolist():
         time = times[row]
@@ -148,13 +143,11 @@ def acting(
     commands: Mapping[str, np.ndarray],
     reading: Reading,
 ) -> dict[str, np.ndarray]:
-    """Commands as they act at some times: the last one logged, offset and delayed.
+    """Commands in action at some times: the last one logged, offset and delayed.
 
     Args:
-        times: when they act.
-        logged: when each command was given, increasing; the first acts before it, too.
-        commands: by name.
-        reading: delay and heading offset.
+        times: times at which they act.
+        logged: increasing times of the commands; the first acts before it, too.
     """
     # Round-off must not hold a command for a sample too long.
     instants = times - reading.delay + 1e-9
@@ -166,10 +159,7 @@ def acting(
 
 
 def _hold_last(values: np.ndarray) -> np.ndarray:
-    """The last known value where there is none, and at the start the first one.
-
-    One value at least must be known.
-    """
+    """The last known value where there is none; at the start the first known one."""
     known = np.flatnonzero(~np.isnan(values))
     index = np.searchsorted(known, np.arange(len(values)), "right") - 1
     return values[known[np.maximum(index, 0)]]
@@ -223,7 +213,6 @@ def segments(
 def _frames_between(
     tracks: Tracks, particle: Particle, observed: np.ndarray
 ) -> Float64[np.ndarray, " step"]:
-    """Frames from each seen row to the next."""
     if tracks.frame is not None:
         return np.diff(tracks.frame[particle.rows[observed]]).astype(np.float64)
     steps = np.diff(particle.times[observed])

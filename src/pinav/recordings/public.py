@@ -35,15 +35,10 @@ class PublicRecording(NamedTuple):
     """A recording in a public repository.
 
     Attributes:
-        name: of the folder in which it is put.
-        repository: owner and name on GitHub.
-        path: of the file in it.
-        licence: as stated there.
+        path: path of the file in the GitHub repository.
         sha256: checksum of the file.
         file: name of the table that is written.
         rate: frames per second [1/s].
-        columns: names and numbers of the file's content, without times.
-        reference: where it was published.
     """
 
     name: str
@@ -60,7 +55,7 @@ class PublicRecording(NamedTuple):
 
     @property
     def address(self) -> str:
-        """Of the file itself."""
+        """Address of the file itself."""
         place = f"{self.repository}/{self.commit}/{self.path}"
         return f"https://raw.githubusercontent.com/{place}"
 
@@ -81,7 +76,6 @@ def _rows(content: bytes) -> Float[np.ndarray, "row column"]:
 
 
 def _ring(content: bytes) -> Columns:
-    """39 tracks."""
     return {f"angle_{i:02d}_rad": angle for i, angle in enumerate(_rows(content).T)}
 
 
@@ -168,7 +162,7 @@ PUBLIC = (
 
 
 def public_recording(name: str) -> PublicRecording:
-    """The public recording of a name.
+    """The public recording of that name.
 
     Raises:
         InputError: there is none.
@@ -181,15 +175,11 @@ def public_recording(name: str) -> PublicRecording:
 
 
 def fetch_recording(name: str, folder: Path, source: Path | None = None) -> Path:
-    """Bring a public recording into a folder of its name.
+    """Write a public recording into a new folder of its name, and return the file.
 
     Args:
-        name: of the recording.
-        folder: below which its own is made.
-        source: the authors' file where it is at hand; downloaded unless given.
-
-    Returns:
-        The file that was written.
+        folder: parent of the new folder.
+        source: the authors' file, if at hand; downloaded otherwise.
 
     Raises:
         InputError: there is no such recording, no network, the file is another one, or

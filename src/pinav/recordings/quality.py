@@ -1,4 +1,4 @@
-"""What a recording holds and how good it is, before anything is fitted to it."""
+"""Content and quality of a recording, before anything is fitted to it."""
 
 import dataclasses
 from typing import Any, final
@@ -23,14 +23,13 @@ from pinav.trajectories import UNKNOWN_UNIT, Trajectories, Trajectory
 @final
 @dataclasses.dataclass(frozen=True)
 class Track:
-    """One particle of one run.
+    """One particle of one run; `segments` lie between jumps and gaps.
 
     Attributes:
-        segments: stretches between jumps and gaps.
         samples: rows with a position.
-        lost: rows without.
-        duration: of all segments together [T].
-        path: length of the way, in steps of half a second [L].
+        lost: rows without a position.
+        duration: duration of all segments together [T].
+        path: length of the path, in steps of half a second [L].
         speed: median over half a second [L T⁻¹]; None where all are shorter.
         localisation: error and diffusion; None where there are too few samples.
     """
@@ -49,14 +48,11 @@ class Track:
 @final
 @dataclasses.dataclass(frozen=True)
 class Clock:
-    """Intervals between rows, within segments.
+    """Intervals between rows, within segments; `interval` is their median [T].
 
     Attributes:
-        interval: their median [T].
-        rate: rows per unit of time, 1 / `interval`.
         jitter: half the range of the middle 68 %, over the median.
-        longest: the longest interval [T].
-        gaps: how many exceed one and a half medians.
+        gaps: number of intervals longer than 1.5 medians.
     """
 
     interval: float
@@ -69,16 +65,14 @@ class Clock:
 @final
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """One run: particles under one command.
+    """One run: particles under one command, with counts over all of them.
 
     Attributes:
-        segments: of all particles.
-        samples: rows with a position, of all particles.
         duration: from the first time to the last [T].
-        scatter: median over particles of that of a row, from all causes [L].
+        scatter: median over particles of the scatter of a row, from all causes [L].
         deviation: median over particles of the localisation error [L].
         drive: coverage of the commands; None where there are none.
-        warnings: what a fit to this run cannot tell.
+        warnings: limits of a fit to this run.
     """
 
     name: str
@@ -100,10 +94,8 @@ class Quality:
     """The quality report of a recording.
 
     Attributes:
-        units: of lengths and times.
-        tracks: every particle of every run.
-        warnings: what cannot be found from any of its runs.
-        doubts: what looks wrong, and is refused by a fit.
+        warnings: quantities that no run determines.
+        doubts: faults for which a fit refuses the recording.
     """
 
     source: str
@@ -118,10 +110,7 @@ class Quality:
 
 
 def quality(recording: Trajectories) -> Quality:
-    """The quality report of a recording.
-
-    Args:
-        recording: what `read_recording` gives, whole or selected.
+    """The quality report of a recording, whole or selected.
 
     Raises:
         InputError: the trajectories are of no recording.
@@ -149,7 +138,7 @@ def quality(recording: Trajectories) -> Quality:
 
 
 def _warnings(recording: Trajectories) -> list[str]:
-    """What holds for every run."""
+    """Warnings that hold for every run."""
     warnings = []
     if not {"frequency", "heading"} <= set(recording.commands):
         warnings.append(
@@ -173,7 +162,6 @@ def _warnings(recording: Trajectories) -> list[str]:
 
 
 def _counts(provenance: dict[str, Any]) -> list[str]:
-    """What was left out, in words."""
     counts = []
     for key in ("repeated times left out", "rows without a command"):
         if provenance.get(key):

@@ -54,16 +54,15 @@ def read_recording(
 ) -> Trajectories:
     r"""A recording as one trajectory for each run, particle and segment.
 
-    Channels are x and y with y up, in um where the scale is known; times in s where
-    the rate is known. Commands, where there are any, have the names of
-    `pinav.recordings.COMMAND_UNITS`; the heading is the y-up azimuth of the commanded
-    motion. At the sample time $t$ a command is the last one logged up to
-    $t - \tau$ with the delay $\tau$ (zero-order hold). The provenance holds everything
-    that was done, and `labels` tells which trajectory is which.
+    Channels are x and y with y up, in um where the scale is known; times in s where the
+    rate is known. Commands have the names of `pinav.recordings.COMMAND_UNITS`; the
+    heading is the y-up azimuth of the commanded motion. The command at a time $t$ is
+    the last one logged up to $t - \tau$ with the delay $\tau$ (zero-order hold). The
+    provenance records every step, and `labels` names the trajectories. Gzip is
+    unpacked.
 
     Args:
-        path: the file, gzip is unpacked; or a DataFrame.
-        reading: what the file does not say of itself.
+        reading: what the file does not state.
 
     Raises:
         InputError: the file cannot be read as a recording; the message names the file,
@@ -94,7 +93,6 @@ def read_recording(
 
 
 def _format(source: Source) -> AbstractFormat:
-    """The stated format, or the first that suits the content."""
     reading = source.reading
     name = reading.format
     by_name = {format.name: format for format in FORMATS}
@@ -139,7 +137,7 @@ _KINDS = {
 
 
 def _without_commands(reading: Reading) -> Reading:
-    """How the tracker's file is read where the commands are in a log of their own."""
+    """The reading of a tracker's file whose commands have their own log."""
     columns = {
         name: column
         for name, column in (reading.columns or {}).items()

@@ -1,4 +1,4 @@
-"""What every format comes down to: rows of positions, in the file's own conventions."""
+"""Rows of positions in the file's own conventions: the result of every format."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -35,19 +35,15 @@ class Tracks:
     Attributes:
         x: in `length_unit`, NaN where the particle was lost; so are y and z.
         place: names the place of a row for messages, such as "line 7".
-        particle: name of the particle of each row; all of one where not given.
-        run: name of the run of each row.
-        kind: what sort of particle, where the file says it.
-        frame: number of the frame.
-        time: in `time_unit`.
-        segment: number of the stretch between jumps, where the file has it.
-        commands: by the names of `COMMAND_UNITS`; NaN where the log has none.
+        particle: name of the particle of each row; one particle if not given.
+        segment: number of the stretch between jumps.
+        commands: commands by the names of `COMMAND_UNITS`; NaN where the log has none.
         y_down: y grows downwards, as in images.
-        columns: what the file calls "frame" and "time".
-        notes: what a reader should know, in words.
+        columns: the file's names of "frame" and "time".
         facts: further entries of the provenance; JSON values.
-        z: height, where the file has one; upwards.
-        doubts: what a fit must not take for granted, by the option that settles it.
+        z: height, upwards.
+        doubts: doubts for which a fit refuses the recording, by the option that settles
+            them.
     """
 
     x: Float64[np.ndarray, " row"]
@@ -83,10 +79,8 @@ class Tracks:
         """The rows of a table.
 
         Args:
-            table: with a row for each position.
-            headings: its column of x, y and of each other quantity that it has.
-            scale: factor on positions.
-            others: fields that are known otherwise.
+            headings: columns of x, y and of each other quantity.
+            others: fields that are known from elsewhere.
 
         Raises:
             InputError: a column is missing, or a cell is at fault.
@@ -144,7 +138,7 @@ class Tracks:
         )
 
     def where(self, row: int, what: str) -> str:
-        """Where the frame or the time of a row stands, for a message."""
+        """Place of the frame or the time of a row, for a message."""
         return f"{self.place(row)}, column {self.columns.get(what, what)!r}"
 
 

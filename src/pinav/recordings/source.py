@@ -82,10 +82,8 @@ class Source:
     """A file in memory, or a table that was in memory already.
 
     Attributes:
-        path: where it was read from.
-        content: its bytes, decompressed where it was gzip.
-        frame: the columns of a DataFrame, which has no bytes.
-        reading: what the user says of it.
+        content: bytes, decompressed where it was gzip; a DataFrame has none.
+        reading: what the user states.
         faults: bad rows by their place; None where the first one is refused.
     """
 
@@ -132,7 +130,7 @@ class Source:
 
     @cached_property
     def kind(self) -> Kind:
-        """What the first bytes say the file is."""
+        """Kind of the file by its first bytes."""
         if self.frame is not None:
             return "frame"
         if self.path.is_dir():
@@ -233,13 +231,7 @@ class Source:
     def read_text_table(
         self, *, skip: int = 0, below: int = 0, names: Sequence[str] | None = None
     ) -> Table:
-        """The table of a text file; see `read_delimited`.
-
-        Args:
-            skip: lines above the header.
-            below: lines between the header and the numbers.
-            names: of the columns, where those of the header are not unique.
-        """
+        """The table of a text file; arguments as of `read_delimited`."""
         return read_delimited(
             self.text, skip=skip, below=below, names=names, faults=self.faults
         )
@@ -288,17 +280,13 @@ def _parquet(content: bytes) -> dict[str, list[Any]]:
 
 
 class AbstractFormat(abc.ABC):
-    """A format: how it is known, and how it is read.
-
-    Attributes:
-        name: what the user calls it.
-    """
+    """A file format: how it is recognised, and how it is read."""
 
     name: str
 
     @abc.abstractmethod
     def suits(self, source: Source) -> bool:
-        """Whether the content looks like this format; cheap, and never raises."""
+        """True if the content looks like this format; cheap, and never raises."""
 
     @abc.abstractmethod
     def tracks(self, source: Source) -> Tracks:

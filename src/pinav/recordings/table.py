@@ -92,14 +92,12 @@ class Table:
     """Columns of cells, which may be text, numbers or empty.
 
     Attributes:
-        columns: cells of each column, by its name.
         rows: number of each row in the file, for messages; its whole place where
             `place` is empty.
-        place: what a row is called, such as "line" or "sheet 'Robot 1', row".
-        units: of columns whose heading, or the row below it, states one.
-        faults: where bad cells are noted, by the place of their row; the first one is
-            refused where this is None.
-        notes: what was taken for titles, units or decimal commas, in words.
+        place: word for a row, such as "line" or "sheet 'Robot 1', row".
+        units: units that a heading, or the row below it, states.
+        faults: collects bad cells by the place of their row; the first is refused if
+            None.
     """
 
     columns: Mapping[str, Sequence[Any] | np.ndarray]
@@ -125,11 +123,11 @@ class Table:
         return len(self.rows)
 
     def row(self, row: int) -> str:
-        """Where a row stands, for a message."""
+        """Place of a row, for a message."""
         return f"{self.place} {self.rows[row]}".lstrip()
 
     def where(self, row: int, column: str) -> str:
-        """Where a cell stands, for a message."""
+        """Place of a cell, for a message."""
         return f"{self.row(row)}, column {column!r}"
 
     def refuse(self, row: int, message: str) -> None:
@@ -163,16 +161,11 @@ class Table:
 
     @property
     def header(self) -> str:
-        """Where the names of the columns stand, for a message."""
+        """Place of the names of the columns, for a message."""
         return "header" if self.place == "line" else self.place.removesuffix(", row")
 
     def numbers(self, name: str, *, lost: bool = False) -> Float64[np.ndarray, " row"]:
-        """The numbers of a column.
-
-        Args:
-            name: of the column.
-            lost: whether a cell may be empty or NaN, which becomes NaN.
-        """
+        """The numbers of a column; empty cells become NaN where they may be `lost`."""
         cells = self.column(name)
         values = _as_floats(cells)
         if values is None or _is_wrong(values, lost=lost):
@@ -213,7 +206,7 @@ class Table:
         return math.nan
 
     def times(self, name: str) -> tuple[Float64[np.ndarray, " row"], str]:
-        """The times of a column, and "s" where they were stamps of a clock.
+        """The times of a column, and "s" where they were time stamps.
 
         Stamps such as `12:30:01.5`, `2:05.31` (minutes and seconds) or
         `2024-03-20T15:10:30.5` become seconds since the first of them; a clock that
@@ -241,12 +234,7 @@ class Table:
     def whole_numbers(
         self, name: str, *, least: int | None = None
     ) -> Int64[np.ndarray, " row"]:
-        """The whole numbers of a column, such as frames.
-
-        Args:
-            name: of the column.
-            least: the smallest that is allowed, if there is one.
-        """
+        """The whole numbers of a column, such as frames, none below `least`."""
         values = self.numbers(name)
         wrong = (values != np.round(values)) | (np.abs(values) > 2.0**53)
         if least is not None:
@@ -331,11 +319,11 @@ def _seconds_of_day(time: datetime.time) -> float:
 FINITE = "a finite number"
 
 LARGEST = 1e100
-"""Of a number that may be one of a recording: squares of larger ones overflow."""
+"""Largest number of a recording: squares of larger ones overflow."""
 
 
 def _is_wrong(values: Float64[np.ndarray, " row"], *, lost: bool) -> bool:
-    """Whether a number is too large or, unless it may be lost, not finite."""
+    """True for a number that is too large or, unless it may be lost, not finite."""
     if lost:
         values = values[np.isfinite(values)]
     return not bool(np.all(np.abs(values) < LARGEST))

@@ -54,7 +54,7 @@ def bare(unit: str | None) -> str:
 
 
 def is_unit(word: str) -> bool:
-    """Whether a word, with or without brackets, is a unit that is known here."""
+    """True for a known unit, with or without brackets."""
     word = bare(word)
     if not word:
         return False

@@ -63,10 +63,9 @@ def scenario(
     """The system of that name, with its true environment.
 
     Args:
-        name: a key of `SCENARIOS`.
-        key: random key of its starts, where they are random.
-        count: number of trajectories, where the starts are random; more of a key
-            begin with the same ones. The scenario's own number unless given.
+        key: random key of random starts.
+        count: number of trajectories with random starts, the scenario's own by default;
+            larger numbers begin with the same ones.
 
     Raises:
         InputError: no scenario has that name, or `count` is not positive.
@@ -80,12 +79,7 @@ def scenario(
 def find_system(
     text: str, key: PRNGKeyArray | None = None, *, count: int | None = None
 ) -> System:
-    """The system of a scenario's name, a file `my.toml`, or `my.py:name`.
-
-    Args:
-        text: which system; naming a Python file runs it.
-        key: random key of its starts, where a rule draws them.
-        count: number of trajectories, where a rule draws the starts.
+    """The system of a scenario, of `my.toml`, or of `my.py:name`, which is run.
 
     Raises:
         InputError: there is no such system, or its file is at fault.

@@ -49,12 +49,7 @@ def paper_barrier() -> GaussianBarrier:
 def paper_swimmer(
     environment: AbstractForce | None = None, drag: AbstractForce | None = None
 ) -> Swimmer:
-    """The paper's swimmer, with its thrust.
-
-    Args:
-        environment: `paper_barrier()` unless given.
-        drag: linear, as identified, unless given.
-    """
+    """The paper's swimmer; its barrier and linear drag unless others are given."""
     return Swimmer(
         propulsion=MagneticPropulsion(
             field=RotatingField(amplitude=1.0, frequency=2 * np.pi),
@@ -89,10 +84,6 @@ def paper(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     all but stalls near the top of the barrier at about 7 s, so the rest of the
     trajectory is very sensitive to the start: keep all digits.
 
-    Args:
-        key: unused; the scenario has a single fixed start and no noise.
-        count: unused but for its check: there is one trajectory.
-
     Raises:
         InputError: `count` is neither None nor 1.
 
@@ -120,14 +111,12 @@ def paper(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
 def barrier_crossings() -> System:
     r"""Noisy shots at the paper's barrier, from all around it.
 
-    The swimmers start on the circle of radius 7 about the barrier's centre, at
-    uniform angles, aimed at the centre plus a normal offset of standard deviation 2
-    in each coordinate, with a speed uniform in [2.5, 5]. Observed every 0.1 for 20
-    time units, with Gaussian noise of 0.02 in every state. Working values: the
-    conservative kernel fit of `pinav.fitting.fit_bayes` finds the force to about 0.1 %
-    on visited ground and around it.
-
-    It has 8 trajectories unless another number is given.
+    The swimmers start on the circle of radius 7 about the barrier's centre, at uniform
+    angles, aimed at the centre plus a normal offset of standard deviation 2 in each
+    coordinate, with a speed uniform in [2.5, 5]. Observed every 0.1 for 20 time units,
+    with Gaussian noise of 0.02 in every state. Working values: the conservative kernel
+    fit of `pinav.fitting.fit_bayes` finds the force to about 0.1 % on visited ground
+    and around it. Default: 8 trajectories.
     """
     return planar_system("barrier-crossings", paper_swimmer(), RING)
 
@@ -140,8 +129,7 @@ def swirl() -> System:
     the rotational fraction of the squared force is $S^2 / (S^2 + U_0^2) = 0.246$.
     Starts, times and noise are those of `barrier_crossings`. Expected: a potential
     cannot explain the data; swimmers are turned counter-clockwise about the swirl.
-
-    It has 16 trajectories unless another number is given.
+    Default: 16 trajectories.
     """
     rotation = GaussianSwirl(strength=3.0, center=[6.0, 4.0], width=2.5)
     truth = paper_swimmer(SumForce((paper_barrier(), rotation)))
@@ -154,8 +142,7 @@ def moving_barrier() -> System:
 
     Starts, times and noise are those of `barrier_crossings`. Expected: a static force
     cannot explain the data, because the same place pushes first one way, then another.
-
-    It has 16 trajectories unless another number is given.
+    Default: 16 trajectories.
     """
     motion = CircularMotion(radius=2.0, frequency=2 * np.pi / 20)
     truth = paper_swimmer(Moving(paper_barrier(), motion))
@@ -163,7 +150,7 @@ def moving_barrier() -> System:
 
 
 SQUARE = Domain((0.0, 0.0), (20.0, 20.0))
-"""Where centres and starts are."""
+"""Box of centres and starts."""
 
 COASTING = CoastingStarts(lower=SQUARE.lower, upper=SQUARE.upper, damping=DAMPING)
 
@@ -176,13 +163,11 @@ def many_barriers() -> System:
     """Twelve barriers of random height and width, at places that keep apart.
 
     Heights are uniform in [1, 3], widths in [1, 1.6]; the field is the same for every
-    key. Starts are uniform on the square, with the velocity that drag alone would
-    bring to rest at a uniform target: the median speed is 3.5, enough to climb most
-    barriers. Thrust, drag and observation are those of `barrier_crossings`. Expected:
-    swimmers are deflected several times, slow ones settle between the barriers and
-    drift upwards with the thrust.
-
-    It has 32 trajectories unless another number is given.
+    key. Starts are uniform on the square, with the velocity that drag alone would bring
+    to rest at a uniform target: the median speed is 3.5, enough to climb most barriers.
+    Thrust, drag and observation are those of `barrier_crossings`. Expected: swimmers
+    are deflected several times, slow ones settle between the barriers and drift upwards
+    with the thrust. Default: 32 trajectories.
     """
     field = random_barriers(
         SQUARE,
@@ -200,9 +185,7 @@ def fibres() -> System:
 
     Heights are uniform in [1, 3]; the field is the same for every key. Starts, thrust,
     drag and observation are those of `many_barriers`. Expected: swimmers are reflected
-    by the flanks of the ridges and slip past their ends.
-
-    It has 32 trajectories unless another number is given.
+    by the flanks of the ridges and slip past their ends. Default: 32 trajectories.
     """
     field = random_fibres(
         SQUARE,

@@ -41,9 +41,7 @@ def anisotropic_drag() -> System:
 
     The drag is 0.24 along and 0.48 across them; the ratio of 2 is that of slender
     bodies. Starts, thrust, times and noise are those of `barrier_crossings`. Expected:
-    swimmers turn towards the fibres while they slow down.
-
-    It has 8 trajectories unless another number is given.
+    swimmers turn towards the fibres while they slow down. Default: 8 trajectories.
     """
     tensor = UniaxialTensor(0.24, 0.48, ConstantDirector(np.pi / 6))
     return planar_system(
@@ -53,12 +51,10 @@ def anisotropic_drag() -> System:
 
 @with_random_starts
 def varying_director() -> System:
-    """As `anisotropic_drag`, with a director that sways by 45 degrees about 30.
+    """The medium of `anisotropic_drag` with a director that sways by 45 degrees.
 
-    It sways along x with a wavelength of 12. Expected: no constant tensor explains the
-    data.
-
-    It has 16 trajectories unless another number is given.
+    It sways about 30 degrees along x, with a wavelength of 12. Expected: no constant
+    tensor explains the data. Default: 16 trajectories.
     """
     director = WavyDirector(np.pi / 6, np.pi / 4, [2 * np.pi / 12, 0.0])
     tensor = UniaxialTensor(0.24, 0.48, director)
@@ -74,9 +70,7 @@ def porous() -> System:
     Brinkman drag: 0.36 in the clear fluid, 2.8 times that in the middle of a region of
     width 1.5, where the swimmer's radius is 1.5 screening lengths. Starts, thrust,
     times and noise are those of `barrier_crossings`. Expected: swimmers that enter a
-    dense region slow down there and leave it late.
-
-    It has 16 trajectories unless another number is given.
+    dense region slow down there and leave it late. Default: 16 trajectories.
     """
     tensor = BrinkmanTensor(
         clear=DAMPING,
@@ -94,9 +88,7 @@ def shear() -> System:
 
     Drag acts on the velocity relative to the fluid. Starts, thrust, times and noise are
     those of `barrier_crossings`. Expected: swimmers above y = 5 are carried to the
-    right, those below to the left, up to 10 length units.
-
-    It has 16 trajectories unless another number is given.
+    right, those below to the left, up to 10 length units. Default: 16 trajectories.
     """
     drag = InFlow(LinearDrag(DAMPING), ShearFlow(rate=0.06, origin=5.0))
     return planar_system("shear", paper_swimmer(drag=drag), MANY)
@@ -109,8 +101,7 @@ def poiseuille() -> System:
     Drag acts on the velocity relative to the fluid. Starts, thrust, times and noise are
     those of `barrier_crossings`. Expected: all swimmers are carried to the right, those
     in the middle of the channel farthest; the flow presses them against the barrier.
-
-    It has 16 trajectories unless another number is given.
+    Default: 16 trajectories.
     """
     flow = PoiseuilleFlow(peak=0.6, middle=5.0, half_width=10.0)
     drag = InFlow(LinearDrag(DAMPING), flow)
@@ -118,7 +109,7 @@ def poiseuille() -> System:
 
 
 BASIN = Domain((0.0, 0.0), (10.0, 10.0))
-"""Where swimmers start."""
+"""Box of the starts."""
 
 DURATION = 10.0
 """Last time of observation [T]."""
@@ -131,7 +122,7 @@ TURN = 8.0
 def shear_current() -> System:
     """A shear of rate 0.2, at rest on the line y = 5: as fast as the swimmer at y = 0.
 
-    It has 8 trajectories unless another number is given.
+    Default: 8 trajectories.
     """
     flow = ShearFlow(rate=0.2, origin=5.0)
     return _current("shear-current", Advection(flow))
@@ -141,7 +132,7 @@ def shear_current() -> System:
 def channel_current() -> System:
     """A channel flow of speed 0.7 between y = -3 and y = 13.
 
-    It has 8 trajectories unless another number is given.
+    Default: 8 trajectories.
     """
     flow = PoiseuilleFlow(peak=0.7, middle=5.0, half_width=8.0)
     return _current("channel-current", Advection(flow))
@@ -151,7 +142,7 @@ def channel_current() -> System:
 def vortex_current() -> System:
     """A vortex of width 2 in the middle, counter-clockwise, 0.85 where it is fastest.
 
-    It has 8 trajectories unless another number is given.
+    Default: 8 trajectories.
     """
     flow = VortexFlow(rate=0.7, center=[5.0, 5.0], width=2.0)
     return _current("vortex-current", Advection(flow))
@@ -161,7 +152,7 @@ def vortex_current() -> System:
 def drift_current() -> System:
     """A drift of (0.25, -0.15) and a swirl of at most 0.24 around (6, 5).
 
-    It has 8 trajectories unless another number is given.
+    Default: 8 trajectories.
     """
     drift = Advection(UniformFlow([0.25, -0.15]))
     swirl = GaussianSwirl(strength=1.0, center=[6.0, 5.0], width=2.5)

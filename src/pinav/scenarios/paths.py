@@ -29,9 +29,7 @@ def true_paths(
     """States at the times of a system, and the method by which they were found.
 
     Args:
-        system: with its true environment, starts and times.
-        key: random key of Brownian motion and of a wandering velocity; unused where
-            there is neither.
+        key: random key of Brownian motion and of a wandering velocity, if any.
         parts: equal parts into which the states divide each interval of the times, a
             divisor of `SUBSTEPS`; the path does not depend on it.
 

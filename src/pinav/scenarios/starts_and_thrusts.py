@@ -18,12 +18,7 @@ class Scenario(Protocol):
     def __call__(
         self, key: PRNGKeyArray | None = None, count: int | None = None
     ) -> System:
-        """The system, its starts drawn by its rule.
-
-        Args:
-            key: random key of the starts; `jax.random.key(0)` unless given.
-            count: number of trajectories; the scenario's own number unless given.
-        """
+        """The system with starts of its rule, by default of `jax.random.key(0)`."""
         ...
 
 
@@ -47,9 +42,8 @@ def out_and_back(
     stays near its start: one schedule for all would else herd them together.
 
     Args:
-        duration: of the schedule [T].
-        held: how long a direction is held [T].
-        size: of the thrust.
+        held: duration of each direction [T].
+        size: magnitude of the thrust.
         steep: greatest component along z of a direction of length 1.
     """
     times = np.arange(0.0, duration, held)

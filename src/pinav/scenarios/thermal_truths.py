@@ -34,9 +34,8 @@ def wall() -> System:
     z is the height of its centre. Far from the wall D = 0.142 um²/s (1 mPa s, 21
     degrees). 60 frames a second for 50 s, an exposure of 6 ms and an error of 5 nm.
     Expected: at a gap of 0.17 um D normal to the wall is a tenth of that far away, and
-    what its divergence adds to the drift is several times the weight.
-
-    It has 10 trajectories unless another number is given.
+    what its divergence adds to the drift is several times the weight. Default: 10
+    trajectories.
     """
     heat, radius, viscosity = thermal_energy(294.15), 1.516, 1.0
     plane = Plane([0.0, 0.0, 1.0])
@@ -59,7 +58,7 @@ def wall() -> System:
 
 
 CIRCUMFERENCE = 2 * math.pi * 4.12
-"""Of the ring [um]."""
+"""Circumference of the ring [um]."""
 
 
 @with_random_starts
@@ -71,9 +70,7 @@ def ring() -> System:
     waits where the two cancel. D = 0.273 um²/s; 150 frames a second for 67 s, an
     exposure of 4 ms and an error of 12 nm (3 mrad). Expected: the density varies by a
     factor of about 40 round the ring, a bead goes round once in some 22 s, and no
-    potential has this force.
-
-    It has 39 trajectories unless another number is given.
+    potential has this force. Default: 39 trajectories.
     """
     heat = thermal_energy(293.15)
     drag = heat / 0.273
@@ -103,17 +100,15 @@ CRUISING_SPEED = 1.0
 def brownian() -> System:
     r"""A bead of 1 um in water, driven over a low barrier, in um, s and pN.
 
-    Drag $\gamma$ = 1.68e-2 pN s/um (1.68e-8 N s/m), $k_B T$ = 4.12e-3 pN um and by
-    the fluctuation-dissipation relation $D = k_B T / \gamma$ = 0.245 um²/s. The thrust
-    of $\gamma$ times 1 um/s = 0.0168 pN points along y; the barrier at the origin has a
+    Drag $\gamma$ = 1.68e-2 pN s/um (1.68e-8 N s/m), $k_B T$ = 4.12e-3 pN um and by the
+    fluctuation-dissipation relation $D = k_B T / \gamma$ = 0.245 um²/s. The thrust of
+    $\gamma$ times 1 um/s = 0.0168 pN points along y; the barrier at the origin has a
     height of 0.0823 pN um = 20 $k_B T$ and a width of 2 um, so that it pushes with at
     most 0.025 pN: more than the thrust, and a swimmer that meets it head on is turned
     aside. Starts are uniform in a box of 12 by 10 um below and around it; 24 frames a
     second for 10 s, no localisation error. The key of `simulate` draws the paths.
-    Expected: the squared displacement of a frame is mostly diffusion, 4 D / 24 =
-    0.041 um², against 0.002 um² of drift.
-
-    It has 32 trajectories unless another number is given.
+    Expected: the squared displacement of a frame is mostly diffusion, 4 D / 24 = 0.041
+    um², against 0.002 um² of drift. Default: 32 trajectories.
     """
     heat, drag = thermal_energy(TEMPERATURE), stokes_drag(RADIUS, VISCOSITY)
     swimmer = OverdampedSwimmer(

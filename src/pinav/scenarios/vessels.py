@@ -38,7 +38,7 @@ from pinav.systems import Observation, System, UniformStarts, Units
 UNITS = Units("um", "s", "pN")
 
 RADIUS, VISCOSITY, EXCESS_DENSITY = 5.0, 1.0, 20.0
-"""Of the sphere [um], of water [mPa s], and of the sphere over water [kg m⁻³]."""
+"""Radius [um], viscosity of water [mPa s], excess density of the sphere [kg m⁻³]."""
 
 FIELD_SEED = 2
 """The field is drawn once: keys of the scenario change its starts, not its world."""
@@ -56,9 +56,7 @@ def above_wall() -> System:
     along one direction after the other, for 1.5 s each way; more across than up and
     down. Observed every 0.25 s for 45 s, with an error of 0.2 um. Expected: it sinks by
     1.1 um/s far from the wall, and at a gap of a radius rises at 0.4 and slides at 0.7
-    of the speed far away.
-
-    It has 16 trajectories unless another number is given.
+    of the speed far away. Default: 16 trajectories.
     """
     floor = Plane([0.0, 0.0, 1.0])
     posts = random_barriers(
@@ -97,9 +95,7 @@ def tube() -> System:
     plaques, Gaussian barriers of 18 to 22 pN um and 15 to 17 um near the wall, are not:
     the steepest push with up to 0.8 pN. A force of 2 pN drags the swimmer out and back
     for 1 s each way. Observed every 0.2 s for 15 s, with an error of 0.2 um. Expected:
-    near the wall both flow and mobility are less.
-
-    It has 16 trajectories unless another number is given.
+    near the wall both flow and mobility are less. Default: 16 trajectories.
     """
     vessel = Tube([1.0, 0.0, 0.0], [0.0, 0.0, 0.0], 40.0)
     plaques = Superposition(
@@ -117,17 +113,16 @@ def tube() -> System:
 def bifurcation() -> System:
     r"""A swimmer in a vessel that parts into two, with soft plaques at the fork.
 
-    The trunk along x has a radius of 40 um; at x = 60 um it parts into two tubes of
-    32 um, 30 degrees to either side, as Murray's law has it for equal ones. The fluid
+    The trunk along x has a radius of 40 um; at x = 60 um it parts into two tubes of 32
+    um, 30 degrees to either side, as Murray's law has it for equal ones. The fluid
     flows out of the trunk, 4 um/s on its axis in the mean and half as much more and
     less every 7.5 s; 35 % of it go into the tube of y > 0. The swimmer, its mobility
     and the repulsion by the wall are those of `tube`. All that is known. Three plaques,
     Gaussian barriers of 16 to 20 pN um and 13 to 15 um, one of them in the mouth of the
     tube of y > 0, are not. A force of 2 pN drags the swimmer out and back for 1 s each
-    way. Observed every 0.2 s for 15 s, with an error of 0.2 um. Expected: most
-    swimmers are carried into one of the tubes, more of them into that of y < 0.
-
-    It has 16 trajectories unless another number is given.
+    way. Observed every 0.2 s for 15 s, with an error of 0.2 um. Expected: most swimmers
+    are carried into one of the tubes, more of them into that of y < 0. Default: 16
+    trajectories.
     """
     turn = jnp.pi / 6
     upper = jnp.array([jnp.cos(turn), jnp.sin(turn), 0.0])
@@ -177,22 +172,20 @@ def _vessel(
 
 
 BOX = Domain((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))
-"""Where centres of obstacles and starts of `box` are."""
+"""Box of the obstacles' centres and of the starts."""
 
 
 @with_random_starts
 def box() -> System:
     """Twelve soft obstacles in a box of 10 by 10 by 10, which a swimmer goes round.
 
-    Gaussian barriers that keep apart, of heights uniform in [2, 4] and widths in
-    [1.6, 2]: the steepest push with up to 1.3. The field is the same for every key. A
-    known trap of stiffness 0.1 about the middle, such as that of a standing wave of
-    sound, keeps swimmers in the box. Starts are uniform in the box; a thrust of 2
-    drives them out and back along one direction after the other, for a time unit each
-    way. Observed every 0.2 for 30 time units, with an error of 0.02. Expected: each
-    swimmer sees the space about its start and slides off the obstacles there.
-
-    It has 16 trajectories unless another number is given.
+    Gaussian barriers that keep apart, of heights uniform in [2, 4] and widths in [1.6,
+    2]: the steepest push with up to 1.3. The field is the same for every key. A known
+    trap of stiffness 0.1 about the middle, such as that of a standing wave of sound,
+    keeps swimmers in the box. Starts are uniform in the box; a thrust of 2 drives them
+    out and back along one direction after the other, for a time unit each way. Observed
+    every 0.2 for 30 time units, with an error of 0.02. Expected: each swimmer sees the
+    space about its start and slides off the obstacles there. Default: 16 trajectories.
     """
     field = random_barriers(
         BOX, 12, heights=(2.0, 4.0), widths=(1.6, 2.0), key=jax.random.key(12)

@@ -31,11 +31,10 @@ TOML = dict[str, Any]
 
 
 class Context(typing.NamedTuple):
-    """Where a value is read.
+    """Dimension of the vectors that are read, and the folder of Python files.
 
     Attributes:
-        dim: dimension of space, which vectors must have.
-        folder: where names of Python files begin; None refuses to run any.
+        folder: base of relative names of Python files; None refuses to run any.
     """
 
     dim: int
@@ -51,12 +50,7 @@ def kinds(family: type) -> dict[str, type]:
 
 
 def encode(key: str, value: Any) -> Any:
-    """A value as TOML holds it.
-
-    Args:
-        key: where it stands, for messages.
-        value: a module, array, tuple, number, text or truth value.
-    """
+    """A value as TOML holds it; `key` names it in messages."""
     if isinstance(value, eqx.Module):
         return _encode_module(key, value)
     if isinstance(value, tuple | list):
@@ -107,14 +101,7 @@ def _is_default(field: dataclasses.Field, value: Any) -> bool:
 
 
 def decode(key: str, wanted: Any, value: Any, context: Context) -> Any:
-    """A value of a file as what an annotation asks for.
-
-    Args:
-        key: where it stands, for messages.
-        wanted: the annotation.
-        value: what the file holds.
-        context: dimension and folder.
-    """
+    """A value of a file as an annotation asks for it; `key` names it in messages."""
     if wanted is Any:
         return value
     if isinstance(wanted, types.UnionType) or typing.get_origin(wanted) is typing.Union:
@@ -237,7 +224,7 @@ USUAL: dict[type, str] = {pinav.forces.AbstractSurface: "plane"}
 def _constructor(
     cls: Any, table: TOML
 ) -> tuple[Callable, dict[str, tuple[Any, bool]], list[str]]:
-    """What makes an instance: its annotations with converters, and the needed keys."""
+    """Callable for an instance: annotations with converters, and required keys."""
     fields = [field for field in dataclasses.fields(cls) if field.init]
     names = {field.name for field in fields}
     if hasattr(cls, "of") and not set(table) <= names:

@@ -46,7 +46,7 @@ KEYS = (
     *("forces", "thermal", "observation", "wandering", "learn", "unknown", "truth"),
     *("starts", "times"),
 )
-"""What a file may state."""
+"""Tables and keys that a file may have."""
 
 
 def read_system(path: str | os.PathLike[str]) -> System:
@@ -54,9 +54,6 @@ def read_system(path: str | os.PathLike[str]) -> System:
 
     A name in a Python file is a `System` or a function without arguments that returns
     one; reading it runs the file.
-
-    Args:
-        path: name of the file.
 
     Raises:
         InputError: the file cannot be read or states no system; the message names the
@@ -91,11 +88,6 @@ def write_system(
     system: System, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
     """Write a system to a TOML file, from which `read_system` gives it back exactly.
-
-    Args:
-        system: what to write.
-        path: name of the file.
-        overwrite: replace a file that is there already.
 
     Raises:
         InputError: the system holds what a file cannot state, such as a network, or
@@ -139,9 +131,8 @@ def parse_system(text: str, *, folder: Path | None = None, name: str = "") -> Sy
     """The system that a TOML text states.
 
     Args:
-        text: content of a file.
-        folder: where names of Python files begin; none are run unless given.
-        name: of the system, where the text states none.
+        folder: base of relative names of Python files; none are run by default.
+        name: name of the system, where the text states none.
 
     Raises:
         InputError: the text states no system.
@@ -184,7 +175,6 @@ def parse_system(text: str, *, folder: Path | None = None, name: str = "") -> Sy
 
 
 def _plain(cls: Any, key: str, table: TOML, context: Context) -> Any:
-    """A table without kind; None where it is not there."""
     return decode_module(key, cls, table[key], context) if key in table else None
 
 
@@ -293,7 +283,6 @@ def _even_times(section: TOML) -> np.ndarray:
 
 
 def _document(system: System) -> TOML:
-    """What a file states of a system."""
     swimmer = system.swimmer
     document: TOML = {"name": system.name, "dimension": system.dim}
     document |= {
@@ -347,7 +336,6 @@ def _state_sampling(system: System) -> TOML:
 
 
 def _without_kind(key: str, value: eqx.Module) -> TOML:
-    """A table without kind."""
     table = encode(key, value)
     return {name: part for name, part in table.items() if name != "kind"}
 

@@ -1,4 +1,4 @@
-"""What a file states of the known physics: forces, drag or mobility, noise."""
+"""The known physics in a file: forces, drag or mobility, noise."""
 
 from typing import Any
 

@@ -39,10 +39,6 @@ class Flat(AbstractNumberPrior):
 class Normal(AbstractNumberPrior):
     r"""Normal distribution, $\exp(-(x - \mu)^2 / 2 \sigma^2)$.
 
-    Attributes:
-        mean: $\mu$.
-        deviation: $\sigma$, positive.
-
     Raises:
         InputError: `deviation` is a number <= 0.
     """
@@ -65,7 +61,7 @@ class LogNormal(AbstractNumberPrior):
     r"""Log-normal distribution of a positive number.
 
     Attributes:
-        median: half of the probability lies below it; positive.
+        median: median of the number; positive.
         deviation: standard deviation of $\log x$, positive; 0.1 is about 10 %.
 
     Raises:
@@ -91,9 +87,8 @@ class FreeNumber(eqx.Module):
     """A number of a swimmer that is learned with the unknown environment.
 
     Attributes:
-        path: where it stands in the swimmer, such as `drag.damping`, or
+        path: place in the swimmer, such as `drag.damping`, or
             `known_force.terms[0].excess_density` in the first of several forces.
-        prior: what is known of it.
     """
 
     path: str = eqx.field(static=True)

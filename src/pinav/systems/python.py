@@ -14,12 +14,10 @@ ORIGIN = "pinav_own_"
 
 
 def load_name(key: str, reference: str, folder: Path | None) -> Any:
-    """What a Python file defines under a name; this runs the file.
+    """The value `file.py:name`, for which the file is run; `key` is for messages.
 
     Args:
-        key: what names it, for messages.
-        reference: `file.py:name`.
-        folder: where a relative name of a file begins; None refuses to run it.
+        folder: base of relative file names; None refuses to run the file.
     """
     if folder is None:
         raise InputError(
@@ -37,7 +35,7 @@ def load_name(key: str, reference: str, folder: Path | None) -> Any:
 
 
 def python_reference(key: str, cls: type) -> str:
-    """How a file names a class of a user's own."""
+    """Reference by which a file names a class of a user's own."""
     module = sys.modules.get(cls.__module__)
     if module is None or not cls.__module__.startswith(ORIGIN):
         raise InputError(

@@ -33,11 +33,6 @@ class AbstractStarts(eqx.Module):
     ) -> Float[Array, "trajectory state"]:
         """Initial states, by the rule's own seed and number unless others are given.
 
-        Args:
-            order: of the dynamics, 1 or 2.
-            key: random key.
-            count: number of starts.
-
         Raises:
             InputError: `count` is not positive.
         """
@@ -62,8 +57,6 @@ class RingStarts(AbstractStarts):
     uniform. A swimmer without inertia has positions only.
 
     Attributes:
-        center: of the circle [L].
-        radius: of the circle [L].
         spread: standard deviation of the aim in each coordinate [L].
         speeds: least and greatest speed [L T⁻¹].
     """
@@ -96,12 +89,7 @@ class RingStarts(AbstractStarts):
 
 
 class UniformStarts(AbstractStarts):
-    """Uniform positions in a box of any dimension; velocities are zero.
-
-    Attributes:
-        lower: the box's lower corner [L].
-        upper: its upper corner [L].
-    """
+    """Uniform positions in a box [L] of any dimension; velocities are zero."""
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
@@ -116,14 +104,12 @@ class UniformStarts(AbstractStarts):
 
 
 class CoastingStarts(AbstractStarts):
-    r"""Uniform starts, with the velocity that would coast to a uniform target.
+    r"""Uniform starts in a box, with the velocity that would coast to a uniform target.
 
     Drag alone brings a swimmer to rest after the way $v_0 / \eta$, so it starts with
     $v_0 = \eta (x_1 - x_0)$: fast where the way is long, and inside of the box.
 
     Attributes:
-        lower: lower corner of the box of starts and targets [L].
-        upper: its upper corner [L].
         damping: $\eta$ [T⁻¹].
     """
 

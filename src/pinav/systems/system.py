@@ -21,7 +21,7 @@ MODELS = (
     *("kernel-potential", "kernel-force", "kernel-mixture", "kernel-potential-time"),
     *("neural-potential", "neural-force", "ude", "nn-only", "physics-only"),
 )
-"""What may stand for the unknown environment."""
+"""Models of the unknown environment."""
 
 AXES = ("x", "y", "z")
 """Names of the coordinates; a velocity has a v before them."""
@@ -144,20 +144,15 @@ class System(eqx.Module):
     """A swimmer, its noise and its observation; the environment may be unknown.
 
     Attributes:
-        name: what messages and files call it.
         swimmer: the known physics; its environment is `ZeroForce()`.
-        dim: dimension of space.
         environment: the true environment, where it is known.
         thermal_energy: $k_B T$ [F L] of a swimmer without inertia; none unless given.
-        wandering: Ornstein-Uhlenbeck velocity of a real robot; none unless given.
+        wandering: Ornstein-Uhlenbeck velocity of a real robot; none by default.
         observation: noise and exposure of the measurement.
-        starts: initial states, one per trajectory; none unless stated.
-        rule: how the starts were drawn, and how more of them are.
-        times: observation times [T], the same for every trajectory; none unless
-            stated.
-        base_units: units of length, time and force.
-        model: name of the model that stands for the unknown unless one is chosen.
-        thermal: what stands for the unknown where motion is thermal.
+        starts: initial states, one per trajectory; none by default.
+        rule: rule by which the starts were drawn.
+        times: observation times [T], the same for every trajectory; none by default.
+        thermal: description of the unknown in thermal motion.
         learn: numbers of the swimmer that are learned with the environment.
 
     Raises:
@@ -300,11 +295,7 @@ class System(eqx.Module):
     def with_starts(
         self, key: PRNGKeyArray | None = None, count: int | None = None
     ) -> "System":
-        """The system with starts drawn by its rule.
-
-        Args:
-            key: random key; that of the rule's seed unless given.
-            count: number of starts; that of the rule unless given.
+        """The system with starts drawn by its rule, by default with its key and number.
 
         Raises:
             InputError: another number is wanted of starts that no rule draws.

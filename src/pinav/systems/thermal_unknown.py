@@ -1,4 +1,4 @@
-"""What a file states of the unknown in thermal motion, in the words of `pinav fit`."""
+"""The unknown in thermal motion in a file, in the words of `pinav fit`."""
 
 from typing import Any
 
@@ -8,10 +8,10 @@ from pinav.errors import InputError
 from pinav.systems.codec import TOML
 
 DIFFUSIONS = ("constant", "field", "tensor")
-"""What the diffusion may be."""
+"""Forms of the diffusion."""
 
 OBSERVATIONS = ("exact", "learn", "known")
-"""What is known of the camera."""
+"""Knowledge of the camera."""
 
 
 def split_period(text: str) -> tuple[str, float]:
@@ -34,12 +34,10 @@ def split_period(text: str) -> tuple[str, float]:
 
 
 class ThermalUnknown(eqx.Module):
-    """What stands for the unknown where motion is thermal; each as `pinav fit` has it.
+    """Settings of the unknown in thermal motion, as of `pinav fit`.
 
     Attributes:
-        diffusion: constant, field or tensor.
-        observation: exact, learn or known.
-        coordinates: on which force and diffusion depend; all where there are none.
+        coordinates: coordinates of force and diffusion; all by default.
         period: such as "x=6.2832", of coordinates that repeat.
         warp: coordinates whose kernels are fine where motion is slow.
         reference: the coordinate whose zero drifts slowly.
@@ -67,10 +65,7 @@ class ThermalUnknown(eqx.Module):
 
     @classmethod
     def of_table(cls, table: TOML) -> "ThermalUnknown":
-        """What the table [unknown] states.
-
-        Args:
-            table: with fields of this class as keys; `period` is a table of numbers.
+        """The settings of the table [unknown]; its `period` is a table of numbers.
 
         Raises:
             InputError: a value is none that the key may have.

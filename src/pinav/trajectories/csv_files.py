@@ -20,7 +20,7 @@ PREFIX = "# pinav:"
 
 
 def delimiter_of(header: str) -> str:
-    """What separates the cells: a comma, or a semicolon where there is no comma."""
+    """Delimiter of the cells: a comma, or else a semicolon."""
     return ";" if ";" in header and "," not in header else ","
 
 
@@ -83,7 +83,7 @@ def read_csv(file: BinaryIO) -> Trajectories:
 
 
 def _leading_comments(lines: Sequence[str]) -> tuple[int, Metadata]:
-    """How many lines precede the header, and the metadata among them."""
+    """Number of lines above the header, and the metadata among them."""
     metadata = Metadata()
     for index, line in enumerate(lines):
         if not line.startswith("#"):
@@ -96,7 +96,6 @@ def _leading_comments(lines: Sequence[str]) -> tuple[int, Metadata]:
 def _table(
     lines: Sequence[str], num_comments: int, metadata: Metadata
 ) -> tuple[Metadata, list[_Row]]:
-    """The rows by column name, and the metadata with the channels filled in."""
     # A file of ours says its channels, whose names may hold semicolons and brackets.
     plain = not metadata.channels
     first = lines[num_comments] if plain and num_comments < len(lines) else ""

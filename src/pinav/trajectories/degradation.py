@@ -1,4 +1,4 @@
-"""What a camera and its tracking do to trajectories, as values applied in sequence.
+"""Effects of a camera and its tracking, as values applied in sequence.
 
 Each leaves its input untouched and notes itself in the provenance.
 """
@@ -30,22 +30,16 @@ class AbstractDegradation(eqx.Module):
     ) -> Trajectory:
         """The trajectory after this step.
 
-        Args:
-            trajectory: what was observed so far.
-            channels: names of the components of its states.
-            random: source of all randomness.
-
         Raises:
             InputError: the step cannot be applied to this trajectory.
         """
 
 
 class GaussianNoise(AbstractDegradation):
-    r"""Localisation error: independent normal noise in every observed state.
+    r"""Localisation error: independent normal noise in all states or `channels`.
 
     Attributes:
-        deviation: standard deviation, in the units of the channels, not negative.
-        channels: those that are noisy; all of them unless given.
+        deviation: standard deviation in the units of the channels.
 
     Raises:
         InputError: `deviation` is negative.
@@ -67,12 +61,9 @@ class GaussianNoise(AbstractDegradation):
 
 
 class FrameLoss(AbstractDegradation):
-    """Frames in which the swimmer was not found: nothing of them is observed.
+    """Frames without any observation, with a `probability` from 0 to below 1.
 
     The first and the last frame stay, so that a trajectory keeps its start and length.
-
-    Attributes:
-        probability: that a frame is lost, from 0 to below 1.
 
     Raises:
         InputError: `probability` is outside of that.
@@ -92,10 +83,9 @@ class FrameLoss(AbstractDegradation):
 
 
 class Unobserved(AbstractDegradation):
-    """Channels that nobody measures, such as the velocities.
+    """Channels that are not measured, such as the velocities.
 
     Attributes:
-        channels: their names.
         keep_first: leave the first sample as it is, where a rollout starts.
     """
 
@@ -150,10 +140,7 @@ class MotionBlur(AbstractDegradation):
 
 
 class Subsample(AbstractDegradation):
-    """A slower camera: every so many samples one is kept, from the first on.
-
-    Attributes:
-        every: at least 1.
+    """A slower camera: one sample in `every` is kept, from the first on.
 
     Raises:
         InputError: `every` is not positive, or would leave a single sample.
@@ -181,12 +168,11 @@ def degrade(
     *,
     key: PRNGKeyArray,
 ) -> Trajectories:
-    """Apply steps in sequence to every trajectory.
+    """Apply steps in sequence to copies of all trajectories.
 
     Args:
-        trajectories: left as they are.
         steps: such as `[MotionBlur(0.03), GaussianNoise(0.05), FrameLoss(0.1)]`.
-        key: random key; each trajectory has its own numbers, whatever the others are.
+        key: random key; each trajectory has its own numbers, independent of the others.
 
     Raises:
         InputError: a step cannot be applied; the message says why.
@@ -239,7 +225,6 @@ def _hide(trajectory: Trajectory, hidden: np.ndarray) -> Trajectory:
 def _channel_mask(
     step: AbstractDegradation, names: Sequence[str], channels: tuple[str, ...]
 ) -> np.ndarray:
-    """Which channels are meant."""
     for name in names:
         if name not in channels:
             raise InputError(

@@ -27,12 +27,7 @@ Function = TypeVar("Function", bound=Callable)
 def save(
     trajectories: Trajectories, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
-    """Write trajectories to a `.npz` or `.csv` file; either keeps every digit.
-
-    Args:
-        trajectories: what to write.
-        path: the suffix chooses the format.
-        overwrite: replace a file that is there already.
+    """Write trajectories to a `.npz` or `.csv` file; both keep every digit.
 
     Raises:
         InputError: the suffix is another, the file exists and `overwrite` is false,
@@ -43,7 +38,7 @@ def save(
 
 
 WRITERS = {".npz": write_npz, ".csv": write_csv}
-"""What writes a file, by its suffix."""
+"""Writers of files, by suffix."""
 
 
 def check_savable(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
@@ -63,8 +58,7 @@ def load(
     """Read trajectories from a `.npz` or `.csv` file; nothing in it is executed.
 
     Args:
-        path: the suffix tells the format.
-        units: unit of any channel, command or `t`, in place of what the file says.
+        units: unit of any channel, command or `t`, overriding the file's.
 
     Raises:
         InputError: the file cannot be read, or is not what its suffix says; the
@@ -93,12 +87,11 @@ def _with_units(trajectories: Trajectories, units: Mapping[str, str]) -> Traject
 
 
 def is_trajectories(path: str | os.PathLike[str]) -> bool:
-    """Whether a file looks as `save` writes it: `.npz`, or a CSV with a column t.
+    """True for a file in the form of `save`: `.npz`, or a CSV with a column t.
 
-    A table that names its tracks otherwise than `save` does is one of a tracker, and so
-    is an archive without the arrays of `save`.
-
-    What cannot be opened counts as one, so that `load` says why.
+    Tables with other names of tracks, and archives without the arrays of `save`, belong
+    to trackers. A file that cannot be opened counts as one, so that `load` reports the
+    cause.
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".npz":

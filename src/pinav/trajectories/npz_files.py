@@ -18,15 +18,7 @@ FORMAT = 1
 
 
 class Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the numbers do not say.
-
-    Attributes:
-        format: version of the file.
-        channels: names of the components of the state.
-        commands: names of the commands.
-        units: of channels, commands and time `t`.
-        provenance: where the data came from; None where the file does not say so.
-    """
+    """Metadata beside the numbers of a file; no provenance where it has none."""
 
     format: int = FORMAT
     channels: tuple[str, ...] = ()
@@ -109,7 +101,7 @@ def read_npz(file: BinaryIO) -> Trajectories:
 
 
 def is_foreign(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is an archive that holds none of our arrays."""
+    """True for an archive that holds none of our arrays."""
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
@@ -123,7 +115,7 @@ MAX_BYTES, MAX_RATIO = 2**33, 200
 
 
 def _check_sizes(file: BinaryIO) -> None:
-    """Refuse arrays that are not there, before memory is asked for them.
+    """Refuse missing or oversized arrays before memory is allocated for them.
 
     A header may claim any number of values, and a few kilobytes may unpack to more than
     the memory holds.

@@ -17,13 +17,9 @@ from pinav.trajectories.trajectory import Trajectory
 def with_missing_channels(
     trajectories: Trajectories, units: Mapping[str, str]
 ) -> Trajectories:
-    """The trajectories with more channels, of which nothing was observed.
+    """The trajectories with further unobserved channels, by their units.
 
     A tracker gives positions; a swimmer with inertia has velocities too.
-
-    Args:
-        trajectories: what was observed.
-        units: unit of each new channel, by its name.
     """
     extra = len(units)
 
@@ -77,10 +73,7 @@ def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> 
     """Split by whole trajectories, at random.
 
     Args:
-        trajectories: at least two.
-        fraction: share of them to train on, between 0 and 1; rounded so that
-            neither part is empty.
-        key: random key of the choice.
+        fraction: training share between 0 and 1, rounded so that neither part is empty.
 
     Raises:
         InputError: there is one trajectory, or `fraction` is not between 0 and 1.
@@ -98,12 +91,7 @@ def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> 
 def bootstrap(
     trajectories: Trajectories, count: int, *, key: PRNGKeyArray
 ) -> list[Trajectories]:
-    """Resamples of whole trajectories, with replacement, for intervals.
-
-    Args:
-        trajectories: at least two.
-        count: number of resamples, each of as many trajectories.
-        key: random key of the choice.
+    """Resamples of at least two whole trajectories, with replacement, for intervals.
 
     Raises:
         InputError: there is one trajectory, or `count` is not positive.
@@ -144,15 +132,7 @@ def concatenate(several: Sequence[Trajectories]) -> Trajectories:
 def informative_samples(
     trajectories: Trajectories, most: int
 ) -> Int[np.ndarray, "sample 2"]:
-    """Some samples after the first ones, more of them where the states change quickly.
-
-    Args:
-        trajectories: what was observed.
-        most: how many are chosen, or fewer.
-
-    Returns:
-        Trajectory and sample of each.
-    """
+    """Trajectory and sample of at most `most`, dense where states change fast."""
     counted = np.arange(trajectories.states.shape[1]) < trajectories.lengths[:, None]
     counted[:, 0] = False
     return np.argwhere(counted)[informative_rows(trajectories.states[counted], most)]
@@ -161,13 +141,9 @@ def informative_samples(
 def informative_rows(
     states: Float[np.ndarray, "sample state"], most: int
 ) -> Int[np.ndarray, " row"]:
-    """Rows of a table of states: half evenly in their order, half along the path.
+    """At most `most` rows of a table: half evenly in time, half along the path.
 
     The length of the path is that of the standardised states.
-
-    Args:
-        states: in the order of time.
-        most: how many are chosen, or fewer.
     """
     count = len(states)
     if count <= most:

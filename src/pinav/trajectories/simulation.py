@@ -24,8 +24,7 @@ def simulate(system: System, *, key: PRNGKeyArray | None = None) -> Trajectories
     The provenance holds the system as the text of its file, where a file can state it.
 
     Args:
-        system: the system, with its true environment, starts and times.
-        key: random key of observation noise and Brownian motion, where there are any.
+        key: random key of observation noise and Brownian motion; needed only for these.
 
     Raises:
         InputError: JAX or the system is in float32, a noise has no key, or the system
@@ -72,7 +71,7 @@ def _text(system: System) -> str | None:
 def commands_of(
     system: System, times: Float[ArrayLike, "*shape"]
 ) -> dict[str, Float[np.ndarray, "*shape"]]:
-    """What the programme of the system commands at some times; nothing without one."""
+    """Commands of the system's programme at some times; empty without one."""
     propulsion = system.swimmer.propulsion
     if not isinstance(propulsion, AbstractCommandedForce) or propulsion.unbound:
         return {}
@@ -121,9 +120,8 @@ def smooth_states(
     observed is the derivative of its position. Padding repeats the last state.
 
     Args:
-        trajectories: what was observed.
-        dim: how many channels are positions; half of them unless given. The others
-            are the velocities.
+        dim: number of positions among the channels, half of them by default; the others
+            are velocities.
 
     Raises:
         InputError: a channel has too few observations in one trajectory, and is not
@@ -170,9 +168,7 @@ def local_polynomial(
     """Value, or derivative of that `order`, of a local fit at each time.
 
     Args:
-        times: increasing [T].
-        values: what was observed; ignored where it was not.
-        observed: where it was; more often than `order`.
+        observed: mask of observed values; more than `order`.
         order: 0 for the value, 1 for the first derivative.
     """
     seen_times, seen_values = times[observed], values[observed]

@@ -27,12 +27,7 @@ def split_headings(headings: Sequence[str]) -> tuple[list[str], dict[str, str]]:
 
 
 def table_columns(table: Any) -> dict[str, Float64[np.ndarray, " row"]]:
-    """The columns of a table as numbers, by name; what is missing is NaN.
-
-    Args:
-        table: a mapping of columns, or a table of pandas, polars, pyarrow or any other
-            package with the Arrow stream protocol.
-    """
+    """The columns of a table or mapping as numbers, by name; NaN where missing."""
     if isinstance(table, Mapping):
         columns = dict(table)
     elif hasattr(table, "column_names"):  # pyarrow

@@ -39,12 +39,10 @@ class Trajectories(eqx.Module):
     Attributes:
         times: increasing within a trajectory [T].
         states: 0 where not observed, never NaN.
-        observed: which entries of `states` were observed.
+        observed: mask of the observed entries of `states`.
         lengths: samples of each trajectory before its padding.
-        commands: what the operator commanded, by name, at each time.
-        channels: names of the components of the state.
+        commands: commands of the operator at each time, by name.
         units: unit of each channel, of each command and of time `t`.
-        provenance: where the data came from; JSON values.
     """
 
     times: Float64[np.ndarray, "trajectory time"]
@@ -73,12 +71,10 @@ class Trajectories(eqx.Module):
         Args:
             times: a vector for each trajectory, or one vector that all share [T].
             states: a table (time, state) for each trajectory.
-            channels: names of the components of the state.
-            observed: booleans shaped as `states`; all true unless given. What is not
-                observed may hold anything, NaN too.
+            observed: mask shaped as `states`, all true by default; unobserved entries
+                may be NaN.
             commands: vectors of numbers by name, shaped as `times`.
             units: unit of any channel, command or `t`; "?" where not stated.
-            provenance: where the data came from; JSON values.
 
         Raises:
             InputError: the arrays do not fit together, are not finite, or a time does
@@ -147,9 +143,8 @@ class Trajectories(eqx.Module):
         Args:
             table: of pandas, polars, pyarrow or any package with the Arrow stream
                 protocol, or a mapping of columns.
-            commands: columns that hold what the operator commanded.
-            units: unit of any channel, command or `t`; they go before the headings.
-            provenance: where the data came from; JSON values.
+            commands: names of the columns that hold commands.
+            units: unit of any channel, command or `t`, overriding the headings.
 
         Raises:
             InputError: it is no such table, or its numbers do not fit together.
@@ -180,11 +175,7 @@ class Trajectories(eqx.Module):
         )
 
     def to_table(self) -> dict[str, np.ndarray]:
-        """Columns by name, as `from_table` reads them and pandas or pyarrow take them.
-
-        They are `trajectory`, `t`, each channel, NaN where it was not observed, and
-        each command.
-        """
+        """Columns `trajectory`, `t`, channels (NaN if unobserved) and commands."""
         pieces = list(self)
         states = np.concatenate(
             [np.where(piece.observed, piece.states, np.nan) for piece in pieces]
@@ -342,7 +333,7 @@ def _read_only(array: np.ndarray) -> np.ndarray:
 
 
 def _as_json(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """What a JSON file would give back; a copy."""
+    """A copy as a JSON file would give it back."""
     try:
         return json.loads(json.dumps(dict(provenance), allow_nan=False))
     except (TypeError, ValueError) as error:

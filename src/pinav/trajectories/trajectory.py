@@ -14,14 +14,7 @@ Ragged = np.ndarray | Array | Sequence
 
 
 class Trajectory(eqx.Module):
-    """One trajectory without padding.
-
-    Attributes:
-        times: increasing [T].
-        states: 0 where not observed.
-        observed: which entries of `states` were observed.
-        commands: what the operator commanded, by name, at each time.
-    """
+    """One trajectory without padding; unobserved states are 0."""
 
     times: Float64[np.ndarray, " time"]
     states: Float64[np.ndarray, "time state"]
@@ -58,7 +51,6 @@ def arrays_per_trajectory(
 
 
 def _depth(values: Any) -> int:
-    """Number of axes of what may be a ragged sequence."""
     if isinstance(values, list | tuple):
         return 1 + (_depth(values[0]) if values else 0)
     return np.ndim(values)
@@ -123,7 +115,6 @@ def check_increasing(
     """Refuse times that do not increase.
 
     Args:
-        times: of one trajectory [T].
         where: names the place of a row for the message.
 
     Raises:

@@ -187,7 +187,6 @@ def test_the_misfit_of_a_network_widens_its_prior(places, process):
 class Bowl(AbstractLocalModel):
     """A fit whose cost is a parabola with its minimum at one."""
 
-    theta: np.ndarray
     quadratic: Quadratic
 
     def predict(self, theta):
@@ -206,7 +205,7 @@ class Bowl(AbstractLocalModel):
 @pytest.mark.parametrize(("mean", "reached"), [(0.9, 0.9), (3.0, 1.5), (-1.0, 0.0)])
 def test_a_step_is_shortened_until_it_lowers_the_cost(mean, reached):
     quadratic = Quadratic(np.zeros(1), np.eye(1), -np.ones(1), 1.0, 1, 0.0)
-    bowl = Bowl(np.zeros(1), quadratic)
+    bowl = Bowl(quadratic)
     cost = PenalisedSquares(bowl, np.zeros(1), 1.0, lambda _: 0.0, ConstantPriors())
     move = ShortenedStep()(cost, np.array([mean]))
     np.testing.assert_allclose(move.theta, [reached])
@@ -216,7 +215,7 @@ def test_a_step_is_shortened_until_it_lowers_the_cost(mean, reached):
 def test_corrections_with_the_jacobian_held_reach_the_least_squares():
     """Where the linear model asks for too little; the bowl is least at one."""
     quadratic = Quadratic(np.zeros(1), np.eye(1), -np.ones(1), 1.0, 1, 0.0)
-    bowl = Bowl(np.zeros(1), quadratic)
+    bowl = Bowl(quadratic)
     cost = PenalisedSquares(bowl, np.zeros(1), 1e-3, lambda _: 0.0, ConstantPriors())
     move = ShortenedStep(corrections=6)(cost, np.array([0.4]))
     np.testing.assert_allclose(move.theta, [1.0], atol=1e-3)

@@ -19,7 +19,6 @@ from pinav.fitting import (
 from pinav.fitting.bayes.distillation import (
     OF_STRUCTURE,
     distil,
-    distil_closely,
     distillation_targets,
 )
 from pinav.fitting.bayes.neural import FitSpecification, function_prior
@@ -124,7 +123,7 @@ def test_a_close_distillation_comes_nearer_to_its_teacher(scenario, data, kind):
     taught = distillation_targets(
         barrier, data, data.states, dim=2, width=0.5, grid=OF_STRUCTURE
     )
-    network = distil_closely(small(kind, data), taught)
+    network = distil(small(kind, data), taught, closely=True)
     assert relative(forces(network, taught.positions), taught.forces) < 0.003
 
 

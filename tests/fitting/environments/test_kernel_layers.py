@@ -3,7 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.fitting.environments.kernel_layers import MOST_KERNELS, lay_layers
+from pinav.fitting.environments.force_regression import lay_layers
+from pinav.fitting.environments.kernels import MOST_MATCHED
 from pinav.forces import GaussianBarrier, PowerHill
 
 CENTER = np.array([1.0, 2.0])
@@ -24,10 +25,10 @@ def layers():
 
 
 def test_each_layer_is_half_as_wide_as_the_one_before(layers):
-    widths = np.array([layer.width for layer in layers])
+    widths = np.array([width for _, width in layers])
     assert len(layers) > 2
     np.testing.assert_allclose(widths[1:], 0.5 * widths[:-1])
-    assert sum(len(layer.centers) for layer in layers) <= MOST_KERNELS
+    assert sum(len(centers) for centers, _ in layers) <= MOST_MATCHED
 
 
 def test_the_finest_kernels_are_where_a_long_tailed_hill_is_steep(layers):
@@ -44,4 +45,4 @@ def test_a_smooth_force_needs_few_layers(layers):
 def test_a_force_that_no_kernels_explain_ends():
     noise = np.random.default_rng(0).normal(size=POSITIONS.shape)
     finest = lay_layers(POSITIONS, noise)
-    assert sum(len(layer.centers) for layer in finest) <= MOST_KERNELS
+    assert sum(len(centers) for centers, _ in finest) <= MOST_MATCHED

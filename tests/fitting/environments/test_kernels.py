@@ -6,7 +6,7 @@ import pytest
 from pinav.errors import InputError
 from pinav.fitting import KernelGrid, kernel_environment
 from pinav.fitting.environments.kernels import (
-    LIMIT,
+    MOST_POSSIBLE,
     MOST_WEIGHTS,
     check_size,
     num_weights,
@@ -42,6 +42,6 @@ def test_a_model_by_name_has_the_kernels_of_a_fit(tracks):
 
 
 def test_more_weights_than_can_be_fitted_are_refused_with_the_remedy():
-    places = np.zeros((LIMIT + 1, 2))
+    places = np.zeros((MOST_POSSIBLE + 1, 2))
     with pytest.raises(InputError, match="at most 4000 weights, got 4001; lay fewer"):
         check_size(KernelPotential.with_zero_weights(places, 1.0))

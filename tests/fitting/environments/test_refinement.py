@@ -18,7 +18,8 @@ from pinav.fitting import (
     kernel_environment,
     neural_environment,
 )
-from pinav.fitting.environments.refinement import MOST_IN_SPACE, WORTH
+from pinav.fitting.environments.kernels import MOST_IN_SPACE
+from pinav.fitting.environments.refinement import WORTH
 from pinav.forces import (
     AbstractForce,
     KernelForce,

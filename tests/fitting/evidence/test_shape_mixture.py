@@ -10,7 +10,7 @@ from pinav.fitting.evidence.evidence import (
     best_hyperparameters,
     weight_posterior,
 )
-from pinav.fitting.evidence.shape_mixture import mix_shapes
+from pinav.fitting.evidence.hyperparameter_uncertainty import mix_shapes
 from pinav.forces.priors import AbstractPrior
 
 

@@ -72,13 +72,13 @@ def swimmer(data, *axes, along=None, across=6):
 
 
 def number(fit):
-    assert isinstance(fit.diffusion, Estimate)
-    return fit.diffusion
+    assert isinstance(fit.thermal.diffusion, Estimate)
+    return fit.thermal.diffusion
 
 
 def field(fit):
-    assert isinstance(fit.diffusion, DiffusionField)
-    return fit.diffusion
+    assert isinstance(fit.thermal.diffusion, DiffusionField)
+    return fit.thermal.diffusion
 
 
 def drift(fit, points):
@@ -210,7 +210,8 @@ def test_a_field_of_diffusion_is_learned_in_spite_of_blur_and_error(round_the_ri
     assert np.sqrt(np.mean(miss**2)) < 0.1
     assert np.mean(np.abs(miss) < 2.5 * log_sd) > 0.8
     np.testing.assert_allclose(diffusion.sd(ANGLES), values * log_sd)
-    assert round_the_ring.checks.is_adequate, round_the_ring.checks.statement
+    checks = round_the_ring.thermal.checks
+    assert checks.is_adequate, checks.statement
 
 
 @pytest.mark.slow
@@ -223,8 +224,10 @@ def test_the_divergence_of_the_diffusion_is_no_force(round_the_ring):
     assert np.mean(np.abs(force - FORCE) < 2.5 * sd) > 0.8
     assert force.mean() == pytest.approx(FORCE, abs=0.3)
     assert abs(2 * np.mean(force * np.cos(ANGLES))) < 0.3
+    energy = round_the_ring.thermal.thermal_energy
+    brownian = BrownianSwimmer(round_the_ring.model, energy)
     np.testing.assert_allclose(
-        round_the_ring.brownian.diffusion(jnp.asarray(ANGLES[0]))[0],
+        brownian.diffusion(jnp.asarray(ANGLES[0]))[0],
         field(round_the_ring)(ANGLES[:1])[0],
     )
 
@@ -248,8 +251,8 @@ def test_a_reference_that_drifts_is_followed_from_two_starts():
     def follow(start=None):
         reference = SlowReference(0, knots=16, start=start)
         fit = fit_langevin(model, data, einstein=False, reference=reference)
-        assert fit.reference is not None
-        return fit.reference
+        assert fit.thermal.reference is not None
+        return fit.thermal.reference
 
     path = follow()
     truth = trap(path.times) - trap(path.times).mean()

@@ -72,8 +72,8 @@ def drift(fit, angles):
 
 
 def number(fit):
-    assert isinstance(fit.diffusion, Estimate)
-    return fit.diffusion
+    assert isinstance(fit.thermal.diffusion, Estimate)
+    return fit.thermal.diffusion
 
 
 @pytest.mark.slow
@@ -83,7 +83,7 @@ def test_blur_and_error_do_not_bias_the_diffusion(fitted):
     assert diffusion.sd < 0.05 * DIFFUSION
     assert fitted.constants["diffusion"] == diffusion
     assert set(fitted.constants) == {"diffusion", "exposure", "error"}
-    assert fitted.checks.is_adequate, fitted.checks.statement
+    assert fitted.thermal.checks.is_adequate, fitted.thermal.checks.statement
 
 
 @pytest.mark.slow
@@ -105,7 +105,7 @@ def test_units_and_the_order_of_tracks_change_nothing(fitted):
     np.testing.assert_allclose(
         drift(other, 1000 * angles), expected, rtol=2e-3, atol=0.02
     )
-    (axes,), (before,) = other.observation, fitted.observation
+    (axes,), (before,) = other.thermal.observation, fitted.thermal.observation
     assert axes.exposure.value == pytest.approx(60 * before.exposure.value, rel=1e-2)
 
 

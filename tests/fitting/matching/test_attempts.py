@@ -15,7 +15,7 @@ from pinav.fitting import (
     fit_in_turns,
     fit_with_finer_steps,
 )
-from pinav.fitting.matching.attempts import _is_worse, _join, _shuffle
+from pinav.fitting.matching.recipes import _is_worse, _join, _shuffle
 from pinav.fitting.matching.state import Fit
 from pinav.forces import (
     GaussianBarrier,

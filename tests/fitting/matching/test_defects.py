@@ -15,7 +15,7 @@ from pinav.fitting import (
     defect_recipe,
     fit,
 )
-from pinav.fitting.matching.defects import DAMPINGS, full_step
+from pinav.fitting.matching.damped_steps import DAMPINGS, full_step
 from pinav.fitting.matching.gauss_newton import DampedState
 from pinav.fitting.matching.state import split_trainable
 from pinav.fitting.matching.windows import Windows

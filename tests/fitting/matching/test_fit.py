@@ -141,9 +141,6 @@ class Halving(AbstractPhase):
         size = sum(jnp.sum(leaf**2) for leaf in jax.tree.leaves(params))
         return params, size < 1e-6, jnp.zeros((), size.dtype)
 
-    def finish(self, loss, params, state):
-        return params
-
     def is_done(self, state):
         return state
 

@@ -26,8 +26,8 @@ from pinav.fitting import (
     fit,
     kernel_environment,
 )
-from pinav.fitting.matching.gauss_newton import low_rank
-from pinav.fitting.matching.members import run_chunk
+from pinav.fitting.matching.damped_steps import low_rank
+from pinav.fitting.matching.fit import run_chunk
 from pinav.fitting.matching.state import split_trainable
 from pinav.fitting.matching.windows import Windows
 from pinav.forces import (

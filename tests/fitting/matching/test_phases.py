@@ -28,8 +28,8 @@ def minimise(phase, loss, params):
             return tuple(carry), value
 
         carry = (params, phase.init(loss, params, loss(params)))
-        (params, state), values = jax.lax.scan(body, carry, length=phase.num_steps)
-        return phase.finish(loss, params, state), values
+        (params, _), values = jax.lax.scan(body, carry, length=phase.num_steps)
+        return params, values
 
     return everything(params)
 

@@ -10,6 +10,7 @@ import zlib
 import numpy as np
 import pyarrow
 import pytest
+from tests.defects import defects, told
 
 from pinav.errors import InputError
 from pinav.recordings import labels, read_recording
@@ -130,35 +131,23 @@ def test_a_chunk_that_is_not_stored_holds_the_fill_value(tmp_path):
 
 
 BLOSC = (
-    "0s$ci02u%P02u%P(*ytj6aWAK4FLcE|M36;1PKrsBr!lyWO<OO#NhxTL}`$@<Pkt|q}dQjguwtogvk(D"
-    "r13zJ<T;S(M4<p-#3_*ZWYIveB$*J21c3m71c?xtB(XrzWciRO#9;uTMCp(@<dHz}q*)Njgh2qogh>$D"
-    "q;WtI<hhV(L?Hm-#Ho;ZWKlpdBpDD11OWg61PKrsBr!lyWO<OO#NhxTL}`$@<Pkt|q}dQjguwtogvk(D"
-    "r13zJ<T;S(M4<p-#3_*ZWYIveB$*J21c3m71c?xtB(XrzWciRO#9;uTMCp(@<dHz}q*)Njgh2qogh>$D"
-    "q;WtI<hhV(L?Hm-#Ho;ZWKlpdBpDD11OWg6|Njb5*$_#D!4v}k02=@S01^QK01yHJ0Pz3+_X7h10|W#F"
-    "1O){J1qKEN2L}fT2nh)Z3JMAf3k(bm4Gs<u4-gO$5fTy;6BHB`6&4p47#SHF8XFuO9UdMZAR!?lBP1jx"
-    "CMPE-DJm-~EG;fCFflPQGc+|eH#j*uJ3Ku;KR`i3LqtVJM@UIZOH55pPf=1+R8>}2Sz23MU0+~fVq|4z"
-    "XK89{Y;JFGa&vTccX@hyeSUv|f`o;Kh>DAij*yX)l$Mv7nw*`VprWLur>Ux}t*^1Nw6?doyS=`^!o<bL"
-    "$;-^n(9+b^*V)_M-{Ioq=IH9|?(p*T_W1hz{s0051_%la4iFL)78n{F9w8$oCn+l}FfueYI6FN*K}1GK"
-    "N=;8uQ&w17U0-2jW@&3}aB_5ad3=6>gNBHUjgXR+mztcPp`@m%tFE!Lwz<2$z{AGK%g)f#*4f+M;pFD&"
-    "?C<gP_xk<+0tE;Q4iOU;85|!XB`7N{F*G+iJwQW7NlZ^tRajeIVPt1&ZE<vWdVPR{hl-7mlb4#Eprog&"
-    "t+BMXy1v20$ji>s)!E$N<L2q@@bvfl{sILF3=k6+8Xh4fC@e2CHab2*MM+FhQ&(GFVrFS=adminfP{yO"
-    "kCT>~o}#9yt+BPay}`uD%+S=>+~DNs?C|vX`~U<93=k9;93UhpEHE@UJV8ZCO;J@@USeiyZgY2ge}ssP"
-    "kd>L8p{A;?v$wmz#L3Ok*4p0V=j`zH`Thb23lJ0;9U>+xFEltkK}JhYR9RhOW@~VCd47V2jFFX^pQNa*"
-    "vbVdy#mdjq*xlmi?D6&b{{#sR6Br#LCoC~GJ3vKBPgGf6V`y!1cYJ|{i;<R_prxv>wYtB=$<Nf;-sI`-"
-    "^ZEV*2o4h%9wR6&GdVs(NlsH)USw%+bb5b<ijb9?pr)&_w!Fc|%+lE1<LU17`Tqq95EdIDCoM8KK14}R"
-    "Ra;<YY;t&ggNcuoo1vzxvbes)%Fx!_;^^-5`TzzD5*QvNDlj%YLP$<jT485xb9sM-jFOn1q^q&Fy*K~>"
-    "03QGW0PG(D0RUGY0s#O$9|HjZFdqZ~04W~@0RST(1_1yb9|r*d8y^S(02dz#0RRV32?+@a2@U`N03QGW"
-    "0RR903Qzz50000E0000V00991|Njb50000001f~E03QGW0RR903Qzz50000E0000V00991|Njb500000"
-    "01f~E03QGW0RR903Qzz50000"
+    "0s$ciKn4H+Kn4H+_yGU_6aWAK$N&HU009IE5E&#fKv86Qkg3Gs03k$akh$a$Kyjqm5J`l=06~Pw5Lu-0"
+    "K#}A*km*FB0Aa)_kojcMK(Qp55QzkV0D%OF5Sb*gK+$CRkSWAr0HH+bkU8X$K=Gtm5Xpo=0KtSw5ZR=0"
+    "KoR7*kZD9A0O7=`ka=WLKrtj45D5eU009IE5E&#fKv86Qkg3Gs03k$akh$a$Kyjqm5J`l=06~Pw5Lu-0"
+    "K#}A*km*FB0Aa)_kojcMK(Qp55QzkV0D%OF5Sb*gx&QzG8vp?S5&;1K5CQ=J@SOt#0|NvE1Ox>I1qB8M"
+    "1_uWR2nY!Y2?`1d3kwVk4Gj(s4-XI!5fKs+6B85^6%`g27Z@2C8X6lM9337WA0QziA|oUuB_<~)C@Cr{"
+    "D=aN8FEBANGBY$aHa9pqIy*c)K0iP~LPJDFMn_0VN=r;lPES!%Q&d$}S6NzHTwPyaVPa%uW@l+?Yiw?B"
+    "aB_2Wc6WJtdwqU?fr5mEhlq-cjgF9!la!X1nVJg#0018V0RXR10000001E&B03QGW0IyI0000003jhEB"
+    "9{>RWuTTI00000B0000V00986Pyhe`000XB0018V0RXR10000001E&B03QGW0IyI000000"
 )
-"""800 whole numbers of 8 bytes, the squares of 0, 1, 2..."""
+"""200 whole numbers of 8 bytes, the squares of 0, 1, 2..."""
 
 
 def test_an_array_of_version_2_with_blosc(tmp_path):
     (tmp_path / "a").mkdir()
     said = {
-        "shape": [800],
-        "chunks": [800],
+        "shape": [200],
+        "chunks": [200],
         "dtype": "<i8",
         "fill_value": 0,
         "order": "C",
@@ -166,38 +155,38 @@ def test_an_array_of_version_2_with_blosc(tmp_path):
     }
     (tmp_path / "a/.zarray").write_text(json.dumps(said))
     (tmp_path / "a/0").write_bytes(base64.b85decode(BLOSC))
-    squares = np.arange(800) ** 2
+    squares = np.arange(200) ** 2
     np.testing.assert_array_equal(Group(tmp_path).array("a"), squares)
 
 
-DAMAGE = {
-    "cut chunk": ("c/0", lambda b: b[:7], "ids: (damaged array|cannot read).*again"),
-    "no shape": (
+DAMAGE = [
+    ("c/0", lambda b: b[:7], "ids: (damaged array|cannot read).*again"),
+    (
         "zarr.json",
         lambda b: b.replace(b"shape", b"form"),
         "damaged array of Zarr: 'shape'; export it again",
     ),
-    "no JSON": ("zarr.json", lambda b: b[:20], "zarr.json: damaged Zarr"),
-    "no entries": ("zarr.json", lambda b: b"[]", "damaged Zarr: no entries"),
-    "unknown codec": (
+    ("zarr.json", lambda b: b[:20], "zarr.json: damaged Zarr"),
+    ("zarr.json", lambda b: b"[]", "damaged Zarr: no entries"),
+    (
         "zarr.json",
         lambda b: b.replace(b"zstd", b"sharding_indexed"),
         "ids: Zarr with the codec sharding_indexed is not read; write .* zstd",
     ),
-    "words": (
+    (
         "zarr.json",
         lambda b: b.replace(b"int64", b"U4"),
         "Zarr with values of <U4 is not read",
     ),
-    "shuffled bits": (
+    (
         "c/0",
         lambda b: b"\2\1\x24\x08" + bytes(100),
         "Blosc with its own compressor or with shuffled bits is not read",
     ),
-}
+]
 
 
-@pytest.mark.parametrize(("file", "damage", "message"), DAMAGE.values(), ids=DAMAGE)
+@defects("file, damage, message", DAMAGE)
 def test_damage_is_refused_in_one_line(tmp_path, file, damage, message):
     folder = write_graph(tmp_path / "a.geff")
     place = folder / "nodes/ids" / file
@@ -205,9 +194,8 @@ def test_damage_is_refused_in_one_line(tmp_path, file, damage, message):
         said = folder / "nodes/ids/zarr.json"
         said.write_bytes(said.read_bytes().replace(b"zstd", b"blosc"))
     place.write_bytes(damage(place.read_bytes()))
-    with pytest.raises(InputError, match=message) as caught:
+    with told(message):
         read_recording(folder)
-    assert "\n" not in str(caught.value)
 
 
 def test_filters_are_refused(tmp_path):

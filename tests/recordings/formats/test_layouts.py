@@ -7,9 +7,10 @@ import io
 
 import h5py
 import numpy as np
-import openpyxl
 import pytest
 from scipy.io import savemat
+from tests.defects import defects
+from tests.recordings.synthetic import npy, packed, workbook
 
 from pinav.errors import InputError
 from pinav.recordings import labels, read_recording
@@ -69,11 +70,9 @@ def sleap():
 
 
 def trex():
-    file = io.BytesIO()
     far = np.where(FRAMES == 2, np.inf, X * 1e-4)
     arrays = {"X#wcentroid": far, "Y#wcentroid": Y * 1e-4, "time": FRAMES / 4}
-    np.savez(file, **arrays, frame=FRAMES, missing=(FRAMES == 2) * 1.0)
-    return file.getvalue()
+    return packed(np.savez, **arrays, frame=FRAMES, missing=(FRAMES == 2) * 1.0)
 
 
 def utrack():
@@ -82,25 +81,7 @@ def utrack():
     kind = [("tracksCoordAmpCG", object), ("seqOfEvents", object)]
     cells = np.zeros((1, 1), kind)
     cells[0, 0] = (track["tracksCoordAmpCG"], np.array(track["seqOfEvents"], float))
-    file = io.BytesIO()
-    savemat(file, {"tracksFinal": cells})
-    return file.getvalue()
-
-
-def workbook(*rows, title="Tracking"):
-    book = openpyxl.Workbook()
-    book.active.title = title
-    for row in rows:
-        book.active.append(row)
-    file = io.BytesIO()
-    book.save(file)
-    return file.getvalue()
-
-
-def npy(values):
-    file = io.BytesIO()
-    np.save(file, values)
-    return file.getvalue()
+    return packed(savemat, {"tracksFinal": cells})
 
 
 SHEET = [[f / 4, x, y] for f, x, y in zip(FRAMES.tolist(), X, Y, strict=True)]
@@ -165,13 +146,13 @@ LAYOUTS = {
     ),
     "workbook with titles": (
         "a.xlsx",
-        workbook(["Experiment 7"], [], ["t", "x", "y"], *SHEET),
+        workbook({"Tracking": [["Experiment 7"], [], ["t", "x", "y"], *SHEET]}),
         {"columns": TXY, **UM},
         "table",
     ),
     "workbook with a row of units": (
         "a.xlsx",
-        workbook(["t", "x", "y"], ["s", "um", "um"], *SHEET),
+        workbook({"Tracking": [["t", "x", "y"], ["s", "um", "um"], *SHEET]}),
         {"columns": TXY},
         "table",
     ),
@@ -264,48 +245,36 @@ def test_a_wide_table_holds_several_particles(read):
     assert [label["particle"] for label in labels(data)] == ["1", "2"]
 
 
-DAMAGED = {
-    "project without tracks": (
-        "a.xml",
-        "<TrackMate><Model/></TrackMate>",
-        r"no spot belongs to a track",
-    ),
-    "project without a model": ("a.xml", "<TrackMate><a/></TrackMate>", r"no <Model>"),
-    "Icy without detections": (
-        "a.xml",
-        "<root><trackgroup/></root>",
-        r"element <trackgroup>: no <detection>",
-    ),
-    "Icy with a word": (
+DAMAGED = [
+    ("a.xml", "<TrackMate><Model/></TrackMate>", r"no spot belongs to a track"),
+    ("a.xml", "<TrackMate><a/></TrackMate>", r"no <Model>"),
+    ("a.xml", "<root><trackgroup/></root>", r"element <trackgroup>: no <detection>"),
+    (
         "a.xml",
         icy().replace('x="1.0"', 'x="wall"'),
         r"track 7, detection 1, attribute 'x': .* got 'wall'",
     ),
-    "MTrackJ without points": (
-        "a.mdf",
-        "MTrackJ 1.5.1\n",
-        r"no line begins with Point",
-    ),
-    "MTrackJ cut short": (
+    ("a.mdf", "MTrackJ 1.5.1\n", r"no line begins with Point"),
+    (
         "a.mdf",
         "MTrackJ 1.5.1\nPoint 1 2 3\n",
         r"line 2: expected Point index x y z frame, got 'Point 1 2 3'",
     ),
-    "MTrackJ with a word": (
+    (
         "a.mdf",
         "MTrackJ 1.5.1\nPoint 1 a 3 1 1 1\nPoint 2 1 3 1 2 1\n",
         r"line 2, column 'x': .* got 'a'",
     ),
-    "TRex cut short": ("a.npz", trex()[:-40], r"format is not known|damaged archive"),
-    "CellProfiler with half a frame": (
+    ("a.npz", trex()[:-40], r"format is not known|damaged archive"),
+    (
         "a.csv",
         LAYOUTS["CellProfiler"][1].replace("2,1,", "2.5,1,"),
         r"'ImageNumber': expected a whole number",
     ),
-}
+]
 
 
-@pytest.mark.parametrize(("name", "content", "message"), DAMAGED.values(), ids=DAMAGED)
+@defects("name, content, message", DAMAGED)
 def test_damage_is_named(read, name, content, message):
     with pytest.raises(InputError, match=message):
         read(content, name=name)

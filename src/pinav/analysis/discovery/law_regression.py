@@ -52,8 +52,6 @@ def fit_law(
     """Weighted nonlinear least squares from the best of several starts.
 
     Args:
-        law: the formula.
-        sample: the force, with the covariance of its errors.
         starts: constants to start from, whatever their amplitudes; those that the
             force itself suggests unless given.
     """
@@ -166,7 +164,7 @@ class _Regression(eqx.Module):
 
 
 def _bounds(law: AbstractLaw, sample: ForceSample) -> Bounds:
-    """Between which each constant is sought: wide, but finite numbers throughout."""
+    """Bounds of each constant: wide, but with finite numbers throughout."""
     low, high = sample.positions.min(axis=0), sample.positions.max(axis=0)
     reach, middle = 5 * sample.extent, (low + high) / 2
     corner = float(np.abs(middle).max())
@@ -219,12 +217,8 @@ def exchange_terms(
 ) -> list[FieldFit]:
     """Sums in which each term in turn is left out or exchanged for any law.
 
-    Laws that are added one after the other begin with a compromise between terms, whose
-    formula need not be that of any of them. Once the others are there, the right one
-    explains as much with fewer constants.
-
-    Returns:
-        The sums that were tried.
+    Laws that are added one by one begin as a compromise between terms. Once the others
+    are there, the right law explains as much with fewer constants.
     """
     made: list[FieldFit] = []
     count = len(fit.law.terms) if isinstance(fit.law, SumLaw) else 0
@@ -265,6 +259,6 @@ def screen_terms(terms: Sequence[TermLaws], sample: ForceSample) -> list[FieldFi
 
 
 def is_explained(fit: FieldFit, sample: ForceSample) -> bool:
-    """Whether a law leaves no more of a force than its errors are."""
+    """True if a law leaves no more of a force than its errors are."""
     free = max(sample.force.size - len(fit.constants), 1)
     return bool(scipy.special.chdtrc(free, fit.squares) > MISFIT_PROBABILITY)

@@ -28,7 +28,7 @@ from pinav.forces.formulas import (
 
 @dataclasses.dataclass(frozen=True)
 class Landscape:
-    """What the starts of a fit need to know of a force field.
+    """Features of a force field from which fits of laws start.
 
     Attributes:
         centers: where the centre of a central force may be [L].
@@ -54,8 +54,7 @@ class AbstractLaw(abc.ABC):
     of JAX or of SymPy.
 
     Attributes:
-        constants: its constants, in order.
-        turns: whether $U$ is a stream function.
+        turns: True if $U$ is a stream function.
     """
 
     name: str
@@ -79,7 +78,7 @@ class AbstractLaw(abc.ABC):
         return SumLaw((*terms_of(self), *terms_of(other)))
 
     def contains(self, other: "AbstractLaw") -> bool:
-        """Whether the other law is this one with special values of its constants.
+        """True if the other law is this one with special values of its constants.
 
         Such a law explains data as well, whatever they are, with more constants.
         """
@@ -90,7 +89,7 @@ class AbstractLaw(abc.ABC):
         yield self, c
 
     def indices(self, role: Role) -> list[int]:
-        """Which of the constants have a role."""
+        """Indices of the constants that have a role."""
         return [i for i, constant in enumerate(self.constants) if constant.role is role]
 
 
@@ -142,7 +141,7 @@ class SumLaw(AbstractLaw):
         return [sum((term.shapes(landscape)[0] for term in self.terms), ())]
 
     def contains(self, other: AbstractLaw) -> bool:
-        """Whether each term of the other law is one of this sum, or in one."""
+        """True if each term of the other law is one of this sum, or in one."""
         theirs = terms_of(other)
         return self != other and any(
             all(
@@ -174,11 +173,7 @@ def potential_of(
 
 
 class LawForce(AbstractForce):
-    """The force of a law with given constants; at home in the plane.
-
-    Attributes:
-        law: the formula; fixed.
-        constants: the values of its constants, in order: what trains.
+    """The force of a law in the plane; its constants train.
 
     Raises:
         InputError: there are more or fewer values than constants.

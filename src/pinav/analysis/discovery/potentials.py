@@ -222,7 +222,7 @@ POTENTIALS: tuple[AbstractLaw, ...] = (
 
 
 def wavenumbers(landscape: Landscape) -> list[float]:
-    """Of waves of which one half to six are within the data [rad L⁻¹]."""
+    """Wavenumbers of which one half to six waves are within the data [rad L⁻¹]."""
     numbers = (1, 2, 3, 4, 6, 8, 10, 12)
     return [math.pi * waves / landscape.extent for waves in numbers]
 
@@ -232,7 +232,7 @@ Pair = tuple[tuple[float, float], tuple[float, float]]
 
 
 def _wave_vectors(landscape: Landscape) -> list[Pair]:
-    """Those that are known, or squares of many sizes and directions."""
+    """Known wave vectors, or squares of many sizes and directions."""
     if landscape.wave_vectors:
         one, two = landscape.wave_vectors
         return [(one, two)]

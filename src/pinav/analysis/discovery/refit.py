@@ -96,14 +96,14 @@ class LinearisedModel(eqx.Module):
 
     @property
     def is_finite(self) -> bool:
-        """Whether the linearisation can be used."""
+        """True if the linearisation can be used."""
         linear = self.linear
         parts = (self.hessian, linear.gradient, linear.squares, linear.start_rows)
         return all(bool(np.all(np.isfinite(part))) for part in (*parts, self.states))
 
 
 class RefitProblem(eqx.Module):
-    """What all refits on the same trajectories share."""
+    """Data and settings that all refits on the same trajectories share."""
 
     observations: Observations
     states: Float[np.ndarray, "trajectory time state"]
@@ -205,7 +205,7 @@ def _step(
 def _reach(
     law: AbstractLaw, theta: Float[np.ndarray, " constant"], extent: float
 ) -> Float[np.ndarray, " constant"]:
-    """How far one step may go in each constant."""
+    """Largest change of each constant in one step."""
     size = np.abs(theta)
     by_role = {
         Role.AMPLITUDE: size + 0.5 * size.max(),
@@ -263,11 +263,7 @@ class LearnedOnPaths(eqx.Module):
     def of(
         cls, posterior: Posterior, trajectories: Trajectories, solver: FixedStep
     ) -> "LearnedOnPaths":
-        """Linearise the mean model about states that fulfil its dynamics.
-
-        Raises:
-            FitError: no such states were found.
-        """
+        """States that fulfil the dynamics of the mean model; FitError without any."""
         problem, local = _linearise(
             posterior.free, posterior.mean, trajectories, solver
         )
@@ -284,7 +280,7 @@ class LearnedOnPaths(eqx.Module):
         return cls(problem, squares, float(noise), effective)
 
     def is_explained_by(self, law: Refit) -> bool:
-        """Whether the misfit that a law adds is what chance may add."""
+        """True if the misfit that a law adds is what chance may add."""
         if law.outcome is Outcome.DIVERGED:
             return False
         excess = (law.squares - self.squares) / self.noise**2
@@ -303,12 +299,6 @@ def laplace_posterior(
 
     The prior of the parameters is normal about zero, as wide as their root mean
     square; the noise is that of the residuals.
-
-    Args:
-        model: fitted.
-        trajectories: those that it was fitted to.
-        trainable: selects its fitted parameters.
-        solver: steps between samples; `FixedStep()` unless given.
 
     Raises:
         FitError: the learned force does not explain the trajectories.
@@ -337,7 +327,6 @@ def _linearise(
     trajectories: Trajectories,
     solver: FixedStep,
 ) -> tuple[RefitProblem, LinearisedModel]:
-    """A model about states that fulfil its dynamics, the problem about them too."""
     with jax.enable_x64(new_val=True):
         states = smooth_states(trajectories, trajectories.dim)
         problem = RefitProblem.of(trajectories, states, solver)

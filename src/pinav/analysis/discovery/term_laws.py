@@ -73,12 +73,7 @@ class TermLaws(eqx.Module):
 def term_laws(
     terms: Sequence[AbstractTerm], sampling: Sampling
 ) -> tuple[TermLaws, ...] | None:
-    """The laws that each term may follow.
-
-    Returns:
-        Nothing known where there are no terms, more than `MOST_TERMS`, or one of a
-        kind for which there are no laws.
-    """
+    """The laws of each term; None without terms, or with too many or other ones."""
     kinds = [laws_of(term) for term in terms]
     if not 0 < len(terms) <= MOST_TERMS or not all(kinds):
         return None
@@ -121,7 +116,7 @@ def _swirls_of(laws: Sequence[AbstractLaw]) -> tuple[AbstractLaw, ...]:
 
 
 def term_landscape(term: AbstractTerm, sample: ForceSample) -> Landscape:
-    """What the geometry of a term tells the starts of fits."""
+    """Features of the geometry of a term from which fits of its laws start."""
     plain = sample.landscape
     if isinstance(term, AbstractProfileTerm):
         plain = dataclasses.replace(plain, lengths=_lengths(term, sample))

@@ -1,4 +1,4 @@
-r"""What each trajectory and each known constant does to a Bayesian fit.
+r"""Effect of each trajectory and each known constant on a Bayesian fit.
 
 At the solution the sum of squares of every trajectory $i$, its start eliminated, is a
 quadratic with $H_i = R_i^\top R_i$ and gradient $R_i^\top r_i$. With the covariance
@@ -73,12 +73,10 @@ class Influence(eqx.Module):
         changes: Float[np.ndarray, "change parameter"],
         time: float = 0.0,
     ) -> Float[np.ndarray, "change point dim"]:
-        """First-order change of the environment's force [L T⁻²] on a swimmer at rest.
+        """First-order change of the force [L T⁻²] on a swimmer at rest at points [L].
 
         Args:
-            points: where, one a row [L].
             changes: of the parameters, such as `removals`.
-            time: at which the force acts [T].
         """
         with jax.enable_x64(new_val=True):
             return np.asarray(
@@ -102,10 +100,7 @@ class Influence(eqx.Module):
         """First-order change of the last state of a rollout.
 
         Args:
-            y0: its start, which does not change.
-            ts: its times [T], increasing.
             changes: of the parameters, such as `removals`.
-            solver: how to integrate; `FixedStep()` unless given.
         """
         solver = FixedStep() if solver is None else solver
         with jax.enable_x64(new_val=True):
@@ -130,21 +125,15 @@ def influence(
     kernels: AbstractLearnedForce | None = None,
     solver: FixedStep | None = None,
 ) -> Influence:
-    """What each trajectory, and each constant, does to a fit of `fit_bayes`.
+    """Effect of each trajectory, and each constant, on a fit of `fit_bayes`.
 
     Hyperparameters are held: they would change a little, too.
 
     Args:
-        model: the fitted model.
-        trajectories: what it was fitted to.
-        states: the smoothed states of the fit.
-        hyperparameters: of the fit.
-        learn: as given to the fit.
         constants: numbers of the model by name, learned or not.
         kernels: of the process that is the prior of a network, with the terms beside
             them, from `fit.linear.weights.process`; those with which fits begin unless
             given.
-        solver: as given to the fit.
 
     Raises:
         InputError: there is one trajectory, or a constant is not a single number.
@@ -206,7 +195,7 @@ def _influence(
 
 
 def _learned_leaves(model: Any, learn: Pick) -> tuple[PyTree, ...]:
-    """What the fit learned: weights of the environment, and what `learn` picks."""
+    """Learned leaves: weights of the environment, and those that `learn` picks."""
     environment, picked = learned_environment(model), learn(model)
     weights = (
         () if environment is None else (environment.parameters, environment.geometry)
@@ -240,7 +229,6 @@ def _linearise_each(
 def _covariance(
     problem: BayesProblem, hessian: Hessian, chosen: Hyperparameters
 ) -> Hessian:
-    """Covariance of what was learned, given the hyperparameters."""
     nothing = np.zeros(len(hessian))
     whole = Quadratic(problem.theta, hessian, nothing, 0.0, problem.num_free, 0.0)
     quadratic, block = eliminate_flat(whole, problem.flat)

@@ -1,4 +1,4 @@
-r"""How the end of a rollout depends on its start.
+r"""Dependence of the end of a rollout on its start.
 
 $\Phi(T) = \partial y(T)/\partial y(0)$ follows from the Jacobians of all steps. Its
 block of positions says how far apart two swimmers end that start side by side with the
@@ -79,14 +79,11 @@ def _slopes(
 
 
 class LyapunovMap(eqx.Module):
-    r"""Finite-time Lyapunov exponents of positions over a grid of starts.
+    r"""Finite-time Lyapunov exponents of positions over a grid of starts [L].
 
     Attributes:
-        x: grid coordinates along x [L].
-        y: grid coordinates along y [L].
         separation: $s$, largest singular value of $\partial x(T)/\partial x(0)$; NaN
             where the rollout is not finite.
-        final: final positions [L].
         horizon: $T$ [T].
     """
 
@@ -132,16 +129,11 @@ def lyapunov_map(
     velocity: Callable[[Float[np.ndarray, " dim"]], ArrayLike] | None = None,
     solver: FixedStep | None = None,
 ) -> LyapunovMap:
-    """Finite-time Lyapunov exponents for starts on a grid.
+    """Finite-time Lyapunov exponents of a planar system for starts on a grid.
 
     Args:
-        dynamics: the system, planar.
-        x: starts along x [L].
-        y: starts along y [L].
-        ts: times [T], increasing.
         velocity: initial velocity [L T⁻¹] as a function of the starting position. None
             means that the position is the whole state.
-        solver: how to integrate; `FixedStep()` unless given.
     """
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     starts = points

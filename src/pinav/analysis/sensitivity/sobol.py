@@ -37,10 +37,6 @@ Indices = Float[np.ndarray, "outcome factor"]
 class Factor(eqx.Module):
     """A parameter that varies uniformly and independently of the others.
 
-    Attributes:
-        low: from where.
-        high: up to where.
-
     Raises:
         InputError: the range is empty or not finite.
     """
@@ -63,9 +59,6 @@ class SobolIndices(eqx.Module):
     """Sobol' indices of several outcomes, with confidence intervals.
 
     An outcome that does not vary has no indices: they are NaN.
-
-    Attributes:
-        first: first-order indices.
     """
 
     factors: tuple[str, ...] = eqx.field(static=True)
@@ -93,12 +86,7 @@ def sobol_indices(
     Args:
         function: outcomes, one column each, of parameters, one row a sample; called
             with samples x (factors + 2) rows in all.
-        factors: the parameters and their ranges.
-        outcomes: names of the columns.
         samples: a power of two.
-        confidence: level of the bootstrap intervals.
-        resamples: of the bootstrap.
-        seed: of sequence and bootstrap.
 
     Raises:
         InputError: there is no factor, `samples` is no power of two, `confidence` is
@@ -163,7 +151,6 @@ def _resample(
     Float[np.ndarray, "resample outcome factor"],
     Float[np.ndarray, "resample outcome factor"],
 ]:
-    """First-order and total indices of bootstrap samples."""
     samples = stacked.shape[1]
     draws = [
         _indices(stacked[:, generator.integers(0, samples, samples)])
@@ -208,7 +195,7 @@ OUTCOMES = ("final x", "final y", "displacement", "least distance", "arrival")
 
 
 class RolloutStudy(eqx.Module):
-    r"""One rollout of a planar swimmer, to be repeated with other parameters.
+    """One rollout of a planar swimmer, to be repeated with other parameters.
 
     Its outcomes are the final coordinates [L]; the displacement of the final position
     from the nominal one [L]; the least distance [L] on the way to a landmark; and
@@ -217,9 +204,7 @@ class RolloutStudy(eqx.Module):
     has them, and shifts [L] for the start.
 
     Attributes:
-        ts: times [T].
         landmark: such as the top of a barrier [L].
-        tolerance: of arrival [L].
     """
 
     swimmer: Swimmer
@@ -278,8 +263,6 @@ class RolloutStudy(eqx.Module):
 
         Args:
             factors: some of those of `factors`, with any ranges.
-            samples: a power of two.
-            seed: of sequence and bootstrap.
 
         Raises:
             InputError: a factor is not one of this study, or an outcome is not finite.

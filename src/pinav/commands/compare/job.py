@@ -260,7 +260,7 @@ def fit_model(
         swimmer = with_tensor_drag(swimmer, summary)
     model = build(choice, swimmer, summary)
     if known.thermal_energy is not None:
-        return fit_langevin(model, data).regression
+        return fit_langevin(model, data)
     with Reporter(folder, name) as report:
         return fit_bayes(
             model,

@@ -6,7 +6,6 @@ force of a structured fit is known far better than that of free kernels, and is 
 steps in all directions of the weights, on a finer grid.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -17,15 +16,18 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector
 from pinav.fitting.engine.constant_priors import ParametricModel, ravel_model
-from pinav.fitting.matching.gauss_newton import chord, damped_step, row_space
+from pinav.fitting.matching.damped_steps import (
+    NETWORK_DAMPING,
+    damped_step,
+    full_step,
+    pointwise,
+    row_space,
+)
 from pinav.forces import AbstractForce, kernel_centers
 from pinav.trajectories import Trajectories
 
 STEPS, RANK, CHORD_STEPS, NUM_DAMPINGS = 16, 256, 5, 5
 """Gauss-Newton steps, and the size of each."""
-
-DAMPING = 1e3
-"""Of the first step: with less, a third of the networks saturate and learn no more."""
 
 FULL_RANK, FULL_STEPS, FULL_CHORD_STEPS, FULL_DAMPINGS = 1536, 100, 4, (0.1, 1.0, 10.0)
 """The same of a close distillation, which takes all directions of a network that has no
@@ -85,13 +87,9 @@ def distillation_targets(
     """Values of a force at the samples, and on a grid around them.
 
     Args:
-        force: the force.
-        trajectories: when it was sampled.
-        states: at those times, smoothed.
         dim: how many of the states are positions.
         width: over which the force varies [L]; the grid is finer, and reaches
             `MARGIN` of them beyond the samples.
-        grid: how fine that is.
     """
     real = np.arange(states.shape[1]) < trajectories.lengths[:, None]
     times, samples = trajectories.times[real], states[real][:, :dim]
@@ -107,26 +105,22 @@ def distillation_targets(
     return DistillationTargets(when, where, forces(force, when, where))
 
 
-def distil(network: Any, targets: DistillationTargets) -> Any:
-    """The neural force after a regression on targets."""
-    free, theta = ravel_model(network, lambda force: force.parameters)
-    damping = jnp.asarray(DAMPING)
-    for _ in range(STEPS):
-        theta, damping = _step(free, theta, damping, targets)
-    return free(theta)
+def distil(network: Any, targets: DistillationTargets, *, closely: bool = False) -> Any:
+    """The neural force after a regression on targets.
 
-
-def distil_closely(network: Any, targets: DistillationTargets) -> Any:
-    """The same until the network is close to the targets, or can come no closer.
-
-    Where they can be reached `distil` leaves up to a hundred times as much.
+    Args:
+        network: untrained.
+        targets: what it is to learn.
+        closely: until it is close to them, or can come no closer. Where targets can be
+            reached the other way leaves up to a hundred times as much.
     """
     free, theta = ravel_model(network, lambda force: force.parameters)
-    damping, left = jnp.asarray(DAMPING), [np.inf]
-    while len(left) <= FULL_STEPS and left[-1] > CLOSE:
-        theta, damping, off = _full_step(free, theta, damping, targets)
+    damping, left = jnp.asarray(NETWORK_DAMPING), [np.inf]
+    while len(left) <= (FULL_STEPS if closely else STEPS):
+        theta, damping, off = _step(free, theta, damping, targets, closely=closely)
         left.append(float(off))
-        if len(left) > PATIENCE and left[-1] > SLOW * left[-PATIENCE]:
+        is_slow = len(left) > PATIENCE and left[-1] > SLOW * left[-PATIENCE]
+        if closely and (left[-1] <= CLOSE or is_slow):
             break
     return free(theta)
 
@@ -145,92 +139,49 @@ def _step(
     theta: Float[Array, " parameter"],
     damping: Float[Array, ""],
     targets: DistillationTargets,
-) -> tuple[Float[Array, " parameter"], Float[Array, ""]]:
-    """The best of several damped chord steps, and its damping."""
-    residuals, jacobian = _linearise(free, theta, targets)
-    step = damped_step(
-        residuals,
-        theta,
-        (residuals(theta), jacobian),
-        damping,
-        rank=RANK,
-        num_dampings=NUM_DAMPINGS,
-        chord_steps=CHORD_STEPS,
-    )
-    return step.theta, step.damping
-
-
-def _linearise(
-    free: ParametricModel,
-    theta: Float[Array, " parameter"],
-    targets: DistillationTargets,
-) -> tuple[
-    Callable[[Float[Array, " parameter"]], Float[Array, " residual"]],
-    Float[Array, "residual parameter"],
-]:
-    """What a network is off, relative to the forces, and its slopes at a point."""
-    size = jnp.sqrt(jnp.mean(targets.forces**2))
-    size = jnp.where(size > 0, size, 1.0)
-
-    def force(theta: Float[Array, " parameter"], t: Scalar, x: Vector) -> Vector:
-        return free(theta)(t, x, jnp.zeros_like(x)) / size
-
-    def residuals(theta: Float[Array, " parameter"]) -> Float[Array, " residual"]:
-        axes = (None, 0, 0)
-        computed = jax.vmap(force, axes)(theta, targets.times, targets.positions)
-        return (computed - targets.forces / size).reshape(-1)
-
-    jacobian = jax.vmap(jax.jacrev(force), (None, 0, 0))(
-        theta, targets.times, targets.positions
-    ).reshape(-1, theta.shape[0])
-    return residuals, jacobian
-
-
-@eqx.filter_jit
-def _full_step(
-    free: ParametricModel,
-    theta: Float[Array, " parameter"],
-    damping: Float[Array, ""],
-    targets: DistillationTargets,
+    *,
+    closely: bool,
 ) -> tuple[Float[Array, " parameter"], Float[Array, ""], Float[Array, ""]]:
     """The best of several damped steps, its damping, and what it leaves.
 
     What it leaves is a root mean square, relative to that of the forces.
     """
-    residuals, jacobian = _linearise(free, theta, targets)
-    residual = residuals(theta)
-    slopes, along = jacobian, lambda z: z
-    if len(theta) > FULL_RANK:
-        basis = row_space(jacobian, FULL_RANK)
-        slopes, along = jacobian @ basis, lambda z: basis @ z
-    normal = slopes.T @ slopes
 
-    def attempt(
-        damping: Float[Array, ""],
-    ) -> tuple[Float[Array, " direction"], Float[Array, ""]]:
-        factor = jax.scipy.linalg.cho_factor(normal + damping * jnp.eye(len(normal)))
+    def force(theta: Float[Array, " parameter"], t: Scalar, x: Vector) -> Vector:
+        return free(theta)(t, x, jnp.zeros_like(x))
 
-        def newton(
-            current: Float[Array, " residual"], z: Float[Array, " direction"]
-        ) -> Float[Array, " direction"]:
-            gradient = slopes.T @ current + damping * z
-            return z - jax.scipy.linalg.cho_solve(factor, gradient)
-
-        return chord(
-            lambda z: residuals(theta + along(z)),
-            residual,
-            jnp.zeros(len(normal)),
-            newton,
-            FULL_CHORD_STEPS,
-        )
-
-    # one after the other: side by side they would need several such factors at once
-    dampings = damping * jnp.asarray(FULL_DAMPINGS)
-    moves, costs = jax.lax.map(attempt, dampings)
-    best, cost = jnp.nanargmin(costs), residual @ residual
-    is_lower = costs[best] < cost
-    return (
-        jnp.where(is_lower, theta + along(moves[best]), theta),
-        jnp.where(is_lower, dampings[best], 100.0 * damping),
-        jnp.sqrt(jnp.where(is_lower, costs[best], cost) / len(residual)),
+    residuals, jacobian = pointwise(
+        force,
+        theta,
+        (targets.times, targets.positions),
+        targets.forces,
+        jnp.sqrt(jnp.mean(targets.forces**2)),
     )
+    residual = residuals(theta)
+    if not closely:
+        step = damped_step(
+            residuals,
+            theta,
+            (residual, jacobian),
+            damping,
+            rank=RANK,
+            num_dampings=NUM_DAMPINGS,
+            chord_steps=CHORD_STEPS,
+        )
+        after = step.theta
+    else:
+        slopes, along = jacobian, lambda z: z
+        if len(theta) > FULL_RANK:
+            basis = row_space(jacobian, FULL_RANK)
+            slopes, along = jacobian @ basis, lambda z: basis @ z
+        step = full_step(
+            lambda z: residuals(theta + along(z)),
+            jnp.zeros(slopes.shape[1]),
+            (residual, slopes),
+            damping,
+            dampings=FULL_DAMPINGS,
+            chord_steps=FULL_CHORD_STEPS,
+        )
+        after = theta + along(step.theta)
+    off = jnp.sqrt(step.left * jnp.mean(residual**2))
+    return after, step.damping, off

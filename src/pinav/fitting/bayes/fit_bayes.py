@@ -74,7 +74,6 @@ def fit_bayes(
         refine: when kernels turn out too coarse, and the fit begins anew on finer
             ones; None keeps them.
         max_iterations: after which the fit counts as stalled.
-        on_step: called after each step.
         teacher: of a network: a fit of the same data, of kernels with structured terms
             or without. Kernels of the same kind are fitted first unless given.
         throw: raise where the fit did not converge.
@@ -145,10 +144,10 @@ def _first_problem(
     if outcome is Outcome.DIVERGED:
         return specification.problem(model)
     teacher = Teacher.of_step(kernels, steps[-1])
-    distilled = specification.distill(teacher)
+    network, targets = specification.distill(teacher)
     if environment.is_static:
-        return specification.by_process(teacher, distilled)
-    return specification.by_weights(teacher, distilled)
+        return specification.by_process(teacher, network, targets)
+    return specification.by_weights(teacher, network)
 
 
 KERNEL_STEPS = 20
@@ -167,17 +166,17 @@ def _learn(
     it as its prior where the evidence does not prefer weights of one variance, as it
     does where the force changes.
     """
-    distilled = specification.distill(teacher)
-    still = specification.by_process(teacher, distilled)
+    network, targets = specification.distill(teacher)
+    still = specification.by_process(teacher, network, targets)
     outcome, steps = iterate(still, max_iterations, on_step)
-    if distilled.network.is_static:
+    if network.is_static:
         return still, outcome, steps
     best = _evidence(still, steps)
 
     def has_lost(step: Step) -> bool:
         return step.hyperparameters.log_evidence < best - CLEAR
 
-    free = specification.by_weights(teacher, distilled)
+    free = specification.by_weights(teacher, network)
     freed = iterate(free, max_iterations, on_step, has_lost)
     if outcome is not Outcome.DIVERGED and best >= _evidence(free, freed[1]):
         return still, outcome, steps

@@ -37,7 +37,7 @@ from pinav.fitting.engine.constant_priors import (
 from pinav.fitting.evidence.evidence import Hyperparameters, root
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, Inference, WeightPosterior
-from pinav.fitting.matching.gauss_newton import low_rank
+from pinav.fitting.matching.damped_steps import low_rank
 from pinav.forces import AbstractLearnedForce
 from pinav.forces.priors import AbstractPrior, Matrix, Shape
 
@@ -61,7 +61,6 @@ class Process(eqx.Module):
         kernels: what the process is made of; weights matter only beside a geometry.
         directions: $B$; `directions @ directions.T` is the covariance of the forces.
         shapes: changes of the forces by one standard deviation of the prior's shape.
-        chosen: noise, and shape and amplitude of the prior.
     """
 
     kernels: AbstractLearnedForce
@@ -83,9 +82,6 @@ class Process(eqx.Module):
         Args:
             kernels: an environment that is linear in its weights, fitted where it has a
                 geometry.
-            prior: of these weights.
-            chosen: its hyperparameters.
-            places: where the forces act.
             shapes: changes of the weights by a standard deviation of the shape.
         """
         free, theta = ravel_model(kernels, lambda force: force.trainable)
@@ -133,10 +129,8 @@ class TangentWeights(AbstractWeights):
     """Weights of a network whose forces have the prior of a process.
 
     Attributes:
-        free: the network as a function of its weights.
         point: weights about which it is linear.
         places: where its forces are compared.
-        process: their prior.
         misfit: standard deviation of each force about the process.
     """
 
@@ -161,9 +155,6 @@ class TangentWeights(AbstractWeights):
         its variance is raised by that ratio.
 
         Args:
-            network: the network.
-            places: where its forces are compared.
-            process: the prior.
             wanted: the field's forces there.
         """
         free, point = ravel_model(network, lambda force: force.parameters)
@@ -258,14 +249,7 @@ network is not linear over the long way that its weights would have to go."""
 
 
 class _Tangent(eqx.Module):
-    """A network about a point, and its prior there.
-
-    Attributes:
-        forces: changes of the scaled forces.
-        steps: the changes of the weights that make them.
-        precision: of the prior.
-        linear: half its gradient at the point.
-    """
+    """A network about a point, and its prior there."""
 
     forces: Float[np.ndarray, "force tangent"]
     steps: Float[np.ndarray, "weight tangent"]

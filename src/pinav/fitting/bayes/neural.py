@@ -21,7 +21,6 @@ from pinav.fitting.bayes.distillation import (
     DistillationGrid,
     DistillationTargets,
     distil,
-    distil_closely,
     distillation_targets,
 )
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
@@ -41,11 +40,7 @@ class FitSpecification(eqx.Module):
     """What is asked of a fit.
 
     Attributes:
-        model: dynamics with an environment.
-        trajectories: the data.
-        learn: the constants to learn; None where all is known.
         noise: standard deviation of the observations, where it is known.
-        solver: steps between samples.
     """
 
     model: Any
@@ -75,8 +70,8 @@ class FitSpecification(eqx.Module):
         kernels = self.kernels()
         return self.problem(eqx.tree_at(lambda m: m.environment, self.model, kernels))
 
-    def distill(self, teacher: "Teacher") -> "Distilled":
-        """The network, from the force of its teacher."""
+    def distill(self, teacher: "Teacher") -> tuple[Any, DistillationTargets]:
+        """The network, distilled from the force of its teacher, and that force."""
         force: Any = teacher.model.environment
         targets = distillation_targets(
             force,
@@ -86,29 +81,28 @@ class FitSpecification(eqx.Module):
             width=float(force.kernels.width),
             grid=_grid_of(force),
         )
-        teach = distil_closely if split_structure(force)[0] else distil
-        return Distilled(teach(self.model.environment, targets), targets)
+        closely = bool(split_structure(force)[0])
+        return distil(self.model.environment, targets, closely=closely), targets
 
-    def by_process(self, teacher: "Teacher", distilled: "Distilled") -> BayesProblem:
+    def by_process(
+        self, teacher: "Teacher", network: Any, targets: DistillationTargets
+    ) -> BayesProblem:
         """The fit of a network whose forces have the process of its teacher."""
-        force, targets = teacher.model.environment, distilled.targets
+        force = teacher.model.environment
         prior, chosen = force.prior(), teacher.chosen
         data = LinearisedObservations.of(teacher.linear.quadratic)
         shapes = shape_changes(data, prior, chosen, self.noise)
         process = Process.of(force, prior, chosen, targets, shapes)
         wanted = np.asarray(targets.forces).ravel()
-        weights = TangentWeights.of(distilled.network, targets, process, wanted)
-        return self._student(teacher, distilled, weights)
+        weights = TangentWeights.of(network, targets, process, wanted)
+        return self.by_weights(teacher, network, weights)
 
-    def by_weights(self, teacher: "Teacher", distilled: "Distilled") -> BayesProblem:
-        """The fit of a network whose weights have one variance."""
-        return self._student(teacher, distilled, None)
-
-    def _student(
-        self, teacher: "Teacher", distilled: "Distilled", weights: TangentWeights | None
+    def by_weights(
+        self, teacher: "Teacher", network: Any, weights: TangentWeights | None = None
     ) -> BayesProblem:
+        """The fit of a distilled network, its weights of one variance unless given."""
         return self.problem(
-            eqx.tree_at(lambda m: m.environment, teacher.model, distilled.network),
+            eqx.tree_at(lambda m: m.environment, teacher.model, network),
             states=teacher.states,
             weights=weights,
             teacher=teacher.linear,
@@ -120,26 +114,11 @@ def _grid_of(force: AbstractForce) -> DistillationGrid:
     return OF_STRUCTURE if split_structure(force)[0] else OF_KERNELS
 
 
-class Distilled(eqx.Module):
-    """A network that was taught a force, and what it was taught.
-
-    Attributes:
-        network: the neural force.
-        targets: the force of its teacher.
-    """
-
-    network: Any
-    targets: DistillationTargets
-
-
 class Teacher(eqx.Module):
     """A fit of kernels, with terms beside them or alone, that a network learns from.
 
     Attributes:
-        model: the fitted model.
         states: the smoothed states.
-        chosen: hyperparameters of the fit.
-        linear: the linear problem in which it ended.
     """
 
     model: Any
@@ -174,9 +153,7 @@ def function_prior(
     """The prior with which a static network was fitted, but for its shape's changes.
 
     Args:
-        request: the fit, with the fitted model.
         states: the smoothed states.
-        chosen: hyperparameters of the fit.
         kernels: of the process (`Process.kernels`); those with which every fit begins
             unless given.
     """

@@ -99,14 +99,7 @@ def constant_leaves(model: Any, learn: Learn) -> tuple:
 def constant_priors(
     model: Any, parametric: ParametricModel, theta: Parameters, learn: Learn
 ) -> ConstantPriors:
-    """The priors of constants that have one, and of the geometry of structured terms.
-
-    Args:
-        model: at which a fit begins.
-        parametric: the model as a function of its parameters.
-        theta: the parameters at which a fit begins.
-        learn: the constants.
-    """
+    """Priors of constants that have one, and of the geometry of structured terms."""
     force = learned_environment(model)
     scales = () if force is None else force.geometry_scales
     shaping = wide_priors(parametric, theta, geometry_leaves, scales)
@@ -156,8 +149,6 @@ def check_learned(
     """Of an environment with weights these and its geometry alone are learned.
 
     Args:
-        model: what is fitted.
-        names: of all parameters.
         flat: those that are neither weights nor geometry.
     """
     if learned_environment(model) is None:
@@ -176,7 +167,6 @@ def derive(
     """Values of a function of the model, with their standard deviations.
 
     Args:
-        posterior: of the model's parameters.
         quantity: from the model to a vector of numbers, differentiable.
     """
 

@@ -54,28 +54,18 @@ class LocalTrajectories(AbstractLocalModel):
     """Trajectories about states that need not fulfil the dynamics.
 
     Attributes:
-        theta: the parameters.
         quadratic: the sum of squares, the starts eliminated.
-        parametric: the model as a function of its parameters.
-        observations: the data.
-        solver: steps between samples.
-        states: about which the dynamics are linearised.
-        linear: the linearisation.
-        scale: spread of each channel.
     """
 
-    theta: Parameters
     quadratic: Quadratic
-    parametric: ParametricModel
-    observations: Observations
-    solver: FixedStep
+    problem: "BayesProblem"
     states: States
     linear: Linearisation
-    scale: Float[np.ndarray, " state"]
 
     def predict(self, theta: Parameters) -> Prediction:
-        inputs = on_device(theta), self.states, self.observations, self.solver
-        return predict(self.parametric, *inputs)
+        whole = self.problem
+        inputs = on_device(theta), self.states, whole.observations, whole.solver
+        return predict(whole.parametric, *inputs)
 
     def pull_back(self, residuals: Float[Array, "..."]) -> Parameters:
         return np.asarray(pull_back(self.linear, residuals))
@@ -85,28 +75,14 @@ class LocalTrajectories(AbstractLocalModel):
 
     def defect(self, mean: Parameters, noise: float) -> float:
         """The largest defect, relative to the spread of its channel."""
-        return float(np.max(np.asarray(self.linear.defects) / self.scale))
+        return float(np.max(np.asarray(self.linear.defects) / self.problem.scale))
 
 
 class BayesProblem(AbstractProblem):
     """The start of a fit of trajectories, and what does not change while it runs.
 
     Attributes:
-        parametric: the model as a function of its parameters.
-        theta: the parameters at the start.
-        states: about which the dynamics are linearised first.
-        weights: what is known of the weights before the data.
-        priors: what is known of the constants.
-        step_rule: how to step.
-        tolerance: change of the log evidence at which the fit ends.
-        names: of all parameters.
-        flat: which of them are no weights.
-        noise: standard deviation of the data, where it is known.
-        first_noise: a guess of it.
-        observations: the data.
         scale: spread of each channel.
-        solver: steps between samples.
-        teacher: the fit that chose the prior of the weights, where it was another.
         least_noise: none: an honest fit of exact data ends at rounding.
     """
 
@@ -197,7 +173,6 @@ class BayesProblem(AbstractProblem):
             return None
         diagonals = np.diagonal(np.asarray(linear.start_factor), axis1=1, axis2=2)
         return LocalTrajectories(
-            theta=theta,
             quadratic=Quadratic(
                 theta,
                 np.asarray(linear.hessian),
@@ -206,12 +181,9 @@ class BayesProblem(AbstractProblem):
                 num_free=self.num_free,
                 log_determinant=2 * float(np.log(np.abs(diagonals)).sum()),
             ),
-            parametric=self.parametric,
-            observations=self.observations,
-            solver=self.solver,
+            problem=self,
             states=states,
             linear=linear,
-            scale=self.scale,
         )
 
     def residual_series(

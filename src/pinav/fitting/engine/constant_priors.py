@@ -74,13 +74,7 @@ def known_model(model: Any) -> ParametricModel:
 def selected_entries(
     parametric: ParametricModel, count: int, select: Callable[[Any], PyTree]
 ) -> Bool[np.ndarray, " parameter"]:
-    """Which entries of the parameter vector belong to a selection of leaves.
-
-    Args:
-        parametric: the model.
-        count: length of the vector.
-        select: picks leaves of the model.
-    """
+    """Which entries of the parameter vector belong to a selection of leaves."""
     shapes = _shapes(parametric, count)
     marks = jax.tree.map(lambda leaf: np.zeros(leaf.shape, bool), shapes)
     leaves = jax.tree.leaves(select(marks))
@@ -92,12 +86,7 @@ def selected_entries(
 
 
 def parameter_names(parametric: ParametricModel, count: int) -> tuple[str, ...]:
-    """A name for every entry of the parameter vector: the path of its leaf.
-
-    Args:
-        parametric: the model.
-        count: length of the vector.
-    """
+    """A name for every entry of the parameter vector: the path of its leaf."""
     names = []
     leaves = jax.tree_util.tree_leaves_with_path(_shapes(parametric, count))
     for path, leaf in leaves:
@@ -117,12 +106,7 @@ ModelOfParameters = Callable[[Float[Array, " parameter"]], Any]
 
 
 class ConstantPriors(eqx.Module):
-    """Priors of some entries of the parameter vector.
-
-    Attributes:
-        entries: which entries have one.
-        priors: of each of them.
-    """
+    """Priors of some entries of the parameter vector."""
 
     entries: tuple[int, ...] = eqx.field(static=True, default=())
     priors: tuple[AbstractNumberPrior, ...] = ()
@@ -131,7 +115,6 @@ class ConstantPriors(eqx.Module):
         """The sum of squares with one more residual for each prior.
 
         Args:
-            quadratic: the sum of squares of the data.
             noise: last estimate of the standard deviation of the residuals.
         """
         if not self.entries:
@@ -196,8 +179,6 @@ def wide_priors(
     """Normal priors of some leaves about where a fit begins.
 
     Args:
-        parametric: the model as a function of its parameters.
-        theta: the parameters at which the fit begins.
         leaves: picks the leaves of a model.
         scales: of each leaf, the deviation of all of its numbers.
     """

@@ -33,9 +33,7 @@ class GoodnessOfFit(eqx.Module):
     Attributes:
         reduced_chi2: sum of squares per degree of freedom.
         lag1: correlation of neighbours in time.
-        num_free: degrees of freedom.
         num_fitted: p, residuals less degrees of freedom.
-        noise_known: whether the noise was given.
     """
 
     reduced_chi2: float
@@ -47,18 +45,11 @@ class GoodnessOfFit(eqx.Module):
     @property
     def is_adequate(self) -> bool:
         """Whether chance explains both statistics."""
-        return not (self._correlated or self._too_large)
-
-    @property
-    def _correlated(self) -> bool:
         chance = SIGNIFICANT / np.sqrt(self.num_free)
         least = -self.num_fitted / self.num_free - chance
-        return bool(not least <= self.lag1 <= chance)
-
-    @property
-    def _too_large(self) -> bool:
         excess = (self.reduced_chi2 - 1) * np.sqrt(self.num_free / 2)
-        return bool(self.noise_known and excess > SIGNIFICANT)
+        too_large = self.noise_known and excess > SIGNIFICANT
+        return bool(least <= self.lag1 <= chance and not too_large)
 
     @property
     def statement(self) -> str:
@@ -87,9 +78,7 @@ def goodness_of_fit(
     Args:
         series: residuals of each trajectory, in the order of time; NaN where nothing
             was observed.
-        noise: their standard deviation.
         num_free: their number less the parameters that the data determine.
-        noise_known: whether `noise` was given.
     """
     scale = max(noise, np.finfo(float).tiny)
     scaled = [np.asarray(residuals) / scale for residuals in series]
@@ -110,7 +99,6 @@ class EvidenceFit(eqx.Module):
     """A fitted model, and how well it is known.
 
     Attributes:
-        model: the model with its best parameters.
         outcome: how the fit ended; unless it converged, the rest is what was reached
             last.
         iterations: Gauss-Newton steps taken, on the last kernels.
@@ -124,6 +112,7 @@ class EvidenceFit(eqx.Module):
         linear: the linear problem in which the fit ended; see `model_evidence`.
         goodness: whether the residuals look like noise; None where they have no order
             in time.
+        thermal: the `ThermalResult` of thermal motion; None of other fits.
     """
 
     model: Any
@@ -135,6 +124,7 @@ class EvidenceFit(eqx.Module):
     states: Float[np.ndarray, "trajectory time state"] | None
     linear: LinearFit
     goodness: GoodnessOfFit | None = None
+    thermal: Any = None
 
 
 def evidence_fit(
@@ -148,9 +138,6 @@ def evidence_fit(
     """The result of an iteration.
 
     Args:
-        problem: in which it ended.
-        outcome: how.
-        steps: those taken.
         not_finite: what to say where there was no step at all.
         advice: what to raise for outcomes that do not count.
 

@@ -21,11 +21,7 @@ class EvidenceProgress(eqx.Module):
 
     Attributes:
         done: steps done, on the kernels as they are now.
-        total: steps at most.
-        parameters: number of weights and constants.
         defect: by which the states miss the dynamics, relative to their spread.
-        noise: standard deviation of the observations.
-        log_evidence: of the hyperparameters chosen.
         force: name of the force, where one fit tries several.
     """
 
@@ -51,9 +47,6 @@ def iterate(
     """Steps until they converge, diverge, run out, or are not worth going on with.
 
     Args:
-        problem: residuals and priors.
-        max_iterations: steps at most.
-        on_step: called after each step.
         enough: whether another problem is better, after `PROBES` steps or more.
     """
     move = Move(problem.theta, problem.states, problem.step_rule)

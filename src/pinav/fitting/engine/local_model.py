@@ -31,12 +31,15 @@ class AbstractLocalModel(eqx.Module):
     """Residuals as a function of the parameters, linearised about one point.
 
     Attributes:
-        theta: the parameters there.
-        quadratic: the sum of their squares.
+        quadratic: the sum of their squares, about the parameters there.
     """
 
-    theta: eqx.AbstractVar[Parameters]
     quadratic: eqx.AbstractVar[Quadratic]
+
+    @property
+    def theta(self) -> Parameters:
+        """The parameters of that point."""
+        return self.quadratic.point
 
     @abc.abstractmethod
     def predict(self, theta: Parameters) -> Prediction:
@@ -56,7 +59,6 @@ class AbstractLocalModel(eqx.Module):
 
         Args:
             mean: parameters that the linear model asks for.
-            noise: standard deviation of the residuals.
         """
 
 
@@ -64,7 +66,6 @@ class PenalisedSquares(eqx.Module):
     r"""The cost near a point: $|r|^2/\sigma^2 + \sum_i p_i \theta_i^2 + E(\theta)$.
 
     Attributes:
-        local: the residuals.
         precision: $p$, of the prior; zero for a flat one.
         noise: $\sigma$.
         energy: what the prior of the weights says beyond the precision.

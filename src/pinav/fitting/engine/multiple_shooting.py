@@ -327,7 +327,6 @@ def pull_back(
     r"""$J^\top r$ with the starts eliminated from $J$.
 
     Args:
-        linearisation: about the point where $J$ was taken.
         residuals: $r$, zero where nothing was observed.
     """
     state = residuals.shape[-1]

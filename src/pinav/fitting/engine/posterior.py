@@ -23,7 +23,6 @@ class Estimate(eqx.Module):
     """A learned number.
 
     Attributes:
-        value: its best value.
         sd: its standard deviation; NaN without a posterior.
         unit: of both; "?" where it is not known.
     """
@@ -53,9 +52,7 @@ class Band(eqx.Module):
     """A rollout and its uncertainty.
 
     Attributes:
-        ts: times [T].
         ys: states of the mean model at those times.
-        sd: standard deviation of each state.
     """
 
     ts: Float[np.ndarray, " time"]
@@ -144,12 +141,7 @@ class Posterior(eqx.Module):
     def force_jacobians(
         self, positions: ArrayLike | Sequence, time: float = 0.0
     ) -> Float[np.ndarray, "point dim parameter"]:
-        """Derivatives of the environment's force on a swimmer at rest by parameters.
-
-        Args:
-            positions: points, one a row [L].
-            time: at which the force acts [T].
-        """
+        """Derivatives of the environment's force on a swimmer at rest by parameters."""
         with jax.enable_x64(new_val=True):
             points = jnp.asarray(positions, jnp.float64)
             mean = on_device(self.mean)
@@ -171,8 +163,6 @@ class Posterior(eqx.Module):
         the field is varied, roll out `samples` instead.
 
         Args:
-            y0: start.
-            ts: times [T], increasing.
             start_sd: standard deviation of the start, a number or one per state.
             solver: how to integrate; `FixedStep()` unless given.
         """
@@ -212,15 +202,7 @@ def linear_rollout(
     ts: Float[Array, " time"],
     solver: FixedStep,
 ) -> tuple[Float[Array, "time state"], Float[Array, "time state column"]]:
-    """States of a rollout, and their derivatives as `Sensitivities` have them.
-
-    Args:
-        free: the model as a function of its parameters.
-        theta: the parameters.
-        y0: first state.
-        ts: times [T], increasing.
-        solver: how to integrate.
-    """
+    """States of a rollout, and their derivatives as `Sensitivities` have them."""
     ys, _ = solver.solve(free(theta), y0, ts)
     return ys, sensitivities(free, theta, ys, ts, solver).columns
 

@@ -39,13 +39,7 @@ EXPONENTS = range(-3, 2)
 
 
 class Move(eqx.Module):
-    """Where a step leads.
-
-    Attributes:
-        theta: the parameters.
-        states: about which to linearise next.
-        rule: how to go on.
-    """
+    """Where a step leads."""
 
     theta: Parameters
     states: States
@@ -201,11 +195,9 @@ class Step(eqx.Module):
 
     Attributes:
         defect: distance from a solution; see `AbstractLocalModel.defect`.
-        inference: hyperparameters and weights of the linear model.
         quadratic: the sum of squares, as a function of the weights.
         block: the other parameters, given the weights.
         covariance: of all parameters.
-        move: where the step led.
         weights: their prior, about the point of linearisation.
     """
 
@@ -234,14 +226,11 @@ class AbstractProblem(eqx.Module):
     """Residuals of a model with a prior: the start of a fit, and how it steps.
 
     Attributes:
-        parametric: the model as a function of its parameters.
         theta: the parameters at the start.
         states: about which dynamics are linearised first; None without dynamics.
         weights: what is known of the weights before the data.
         priors: what is known of the other parameters; flat unless given.
-        step_rule: how to move to the next point of linearisation.
         tolerance: change of the log evidence at which the fit ends.
-        names: of all parameters.
         flat: which of them are no weights.
         noise: standard deviation of the residuals, where it is known.
         first_noise: a guess of it, for the first step.
@@ -288,7 +277,6 @@ class AbstractProblem(eqx.Module):
         """One step; None where the residuals are not finite.
 
         Args:
-            move: where the step before led.
             before: the hyperparameters that it chose; None at the start.
         """
         local = self.linearise(move.theta, move.states)

@@ -18,16 +18,13 @@ from jaxtyping import Array, Bool, Float
 from pinav.dynamics import RK4, FixedStep, Swimmer
 from pinav.fitting.environments.force_regression import (
     KernelKind,
-    force_columns,
+    force_grids,
     regression_evidence,
 )
 from pinav.fitting.environments.gradient_matching import (
-    ACROSS,
-    MOST_KERNELS,
     RELIABLE,
     match_kernels,
 )
-from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.environments.rates import (
     MOST_SAMPLES,
     forces_beside_drag,
@@ -79,10 +76,6 @@ class Cause(enum.Enum):
 def diagnose(model: Swimmer, trajectories: Trajectories) -> Cause | None:
     """Why a fit to exact data failed.
 
-    Args:
-        model: as it was fitted.
-        trajectories: the data.
-
     Returns:
         The cause; None where samples are too few or too noisy to tell one.
     """
@@ -131,10 +124,6 @@ def largest_growth(model: Swimmer, trajectories: Trajectories) -> float:
 
     The largest singular value of $A_k \cdots A_0$, for positions [L] and velocities
     [L T⁻¹] alike, where $A_k$ is the derivative of a step of the model from sample k.
-
-    Args:
-        model: whose rollouts are meant.
-        trajectories: where they are linearised.
     """
     growth = 1.0
     for one in trajectories:
@@ -165,8 +154,6 @@ class _Fields(NamedTuple):
     """Evidence of the best grid of each kind of field, for each number [nats].
 
     Attributes:
-        potential: of a potential.
-        free: of a force without one.
         beside_drag: of the better one beside a force along and across the velocity.
     """
 
@@ -219,11 +206,7 @@ def _best_evidence(
 ) -> float:
     """Evidence of the forces by the best grid of kernels around places."""
     evidence = [-np.inf]
-    for across in ACROSS:
-        centers, width = surround_with_kernels(places, KernelGrid(across, 1.5, 2.0))
-        columns = force_columns(kind, positions, centers, width)
-        if columns.shape[2] > MOST_KERNELS:
-            break
+    for _, columns in force_grids(kind, places, positions):
         size = BROAD * np.sqrt(np.sum(columns**2, axis=(0, 1)).max())
         beside = size * extra / np.sqrt(np.sum(extra**2, axis=(0, 1)))
         columns = np.concatenate([columns, beside], axis=2)

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from pinav.arguments import on_device
 from pinav.fitting.environments.force_regression import KernelKind, regress
 from pinav.fitting.environments.kernels import (
+    MOST_MATCHED,
     KernelGrid,
     num_weights,
     surround_with_kernels,
@@ -60,8 +61,6 @@ class ForcePrior(eqx.Module):
     """The prior of an environment's weights by the forces at samples.
 
     Attributes:
-        environment: untrained, linear in its weights.
-        chosen: hyperparameters of highest evidence.
         missed: error of the mean at the samples, relative to the forces.
         white: standard deviation of each weight beside the smooth process.
     """
@@ -81,7 +80,6 @@ class ForcePrior(eqx.Module):
         """Search for the prior of highest evidence.
 
         Args:
-            environment: linear in its weights.
             positions: at which the force is known [L].
             forces: there [L T⁻²].
         """
@@ -119,11 +117,6 @@ def layers_root(
     standard deviations $s_l$ follow from the evidence by
     $s_l^2 \leftarrow \lVert m_l \rVert^2 / \gamma_l$, with the mean m of the weights
     and the number $\gamma_l$ of those that the forces determine.
-
-    Args:
-        environment: untrained.
-        positions: at which the force is known [L].
-        forces: there [L T⁻²].
 
     References:
         MacKay, Neural Computation 4, 415 (1992), eq. (21).
@@ -171,7 +164,7 @@ def _root_mean_square(values: Float[np.ndarray, "..."]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-AS_FINE_AS_FORCES = Refinement(max_weights=900, envelope=True)
+AS_FINE_AS_FORCES = Refinement(max_weights=MOST_MATCHED, envelope=True)
 """Asks for finer kernels where length scale or envelope end at a width."""
 
 
@@ -184,10 +177,7 @@ def lay_smooth_kernels(
     """The coarsest kernels of one width that suit the forces; None if none do.
 
     Args:
-        kind: of the kernels.
         places: which the kernels surround [L].
-        positions: at which the force is known [L].
-        forces: there [L T⁻²].
     """
     rule, across = AS_FINE_AS_FORCES, float(FIRST)
     laid = _lay(kind, places, across)

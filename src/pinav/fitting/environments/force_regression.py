@@ -1,10 +1,22 @@
-"""Regression of kernels on forces that are known at places."""
+"""Regression of kernels on forces that are known at places, on one grid or in layers.
+
+A grid of one width serves a hill that ends. One with a long tail acts wherever the
+swimmer goes, and a grid that is fine enough for its flanks has thousands of kernels:
+layers are finer where the force asks for it.
+"""
+
+from collections.abc import Iterator
 
 import numpy as np
 import scipy.linalg
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from pinav.forces import KernelForce, KernelPotential
+from pinav.fitting.environments.kernels import (
+    MOST_MATCHED,
+    KernelGrid,
+    surround_with_kernels,
+)
+from pinav.forces import KernelForce, KernelPotential, kernel_centers
 
 KernelKind = type[KernelPotential] | type[KernelForce]
 """Kernels whose forces are known in closed form."""
@@ -56,7 +68,6 @@ def regression_evidence(
     $-\ln e - 1.4$ less what its freedom costs.
 
     Args:
-        columns: force of each weight at each position.
         forces: to be explained, not all zero.
 
     References:
@@ -82,3 +93,115 @@ ROUNDING = 1e-14
 NOISES = 10.0 ** -np.arange(2.0, 13.0)
 """Variances of the noise that are tried, relative to the largest sum of squares of a
 column."""
+
+
+ACROSS = (6, 8, 11, 15, 20, 27, 36, 48)
+"""Intervals of the grids of kernels that are tried, along the extent of the data."""
+
+
+def match_grid(across: int) -> KernelGrid:
+    """A grid of kernels without a prior, which are wide and close to the data."""
+    return KernelGrid(across, width=1.5, margin=2.0)
+
+
+def force_grids(
+    kind: KernelKind,
+    places: Float[np.ndarray, "place dim"],
+    positions: Float[np.ndarray, "point dim"],
+) -> Iterator[tuple[KernelGrid, Float[np.ndarray, "point dim weight"]]]:
+    """Grids from coarse to fine until they are too many, with the force of each weight.
+
+    Args:
+        kind: of the kernels.
+        places: which the kernels surround [L].
+        positions: at which the force is known [L].
+    """
+    for across in ACROSS:
+        grid = match_grid(across)
+        centers, width = surround_with_kernels(places, grid)
+        each = 1 if kind is KernelPotential else places.shape[1]
+        if len(centers) * each > MOST_MATCHED:
+            return
+        yield grid, force_columns(kind, positions, centers, width)
+
+
+FIRST_LAYER = match_grid(ACROSS[0])
+"""The widest layer; others have the width and the margin in their own intervals."""
+
+MOST_LAYERS = 7
+"""Layers at most."""
+
+LAYERS_EXPLAIN = 1e-6
+"""Error of a force, relative to the largest one, that asks for no finer kernels."""
+
+SHARE = 0.3
+"""Forces whose error is above this share of the largest error ask for finer kernels.
+Others may miss because these do."""
+
+
+Layer = tuple[Float[np.ndarray, "_ dim"], float]
+"""Centres and width of kernels of one width [L]."""
+
+
+def lay_layers(
+    positions: Float[np.ndarray, "point dim"], forces: Float[np.ndarray, "point dim"]
+) -> tuple[Layer, ...]:
+    """Layers of kernels, each half as wide as the one before.
+
+    Each layer surrounds the positions whose force the wider ones leave unexplained.
+
+    Args:
+        positions: where the force is known, not all the same.
+    """
+    levels = np.zeros(len(positions), int)
+    layers = _layers_around(positions, levels)
+    largest = float(np.linalg.norm(forces, axis=1).max())
+    while True:
+        errors = _errors(layers, positions, forces)
+        asking = errors > max(LAYERS_EXPLAIN * largest, SHARE * errors.max())
+        if not asking.any():
+            return layers
+        levels = levels + asking
+        finer = _layers_around(positions, levels)
+        count = sum(len(centers) for centers, _ in finer)
+        if len(finer) > MOST_LAYERS or count > MOST_MATCHED:
+            return layers
+        layers = finer
+
+
+def _layers_around(
+    positions: Float[np.ndarray, "point dim"], levels: Int[np.ndarray, " point"]
+) -> tuple[Layer, ...]:
+    """Kernels of every level around the positions of this level or of finer ones."""
+    extent = float(np.ptp(positions, axis=0).max())
+    spacings = [
+        extent / FIRST_LAYER.across / 2.0**level for level in range(levels.max() + 1)
+    ]
+    return tuple(
+        (
+            kernel_centers(
+                positions[levels >= level],
+                spacing=spacing,
+                margin=FIRST_LAYER.margin * spacing,
+            ),
+            FIRST_LAYER.width * spacing,
+        )
+        for level, spacing in enumerate(spacings)
+    )
+
+
+def _errors(
+    layers: tuple[Layer, ...],
+    positions: Float[np.ndarray, "point dim"],
+    forces: Float[np.ndarray, "point dim"],
+) -> Float[np.ndarray, " point"]:
+    """Errors of the forces that the layers together make."""
+    # Times the width, so that a ridge holds back no layer more than another.
+    columns = np.concatenate(
+        [
+            width * force_columns(KernelPotential, positions, centers, width)
+            for centers, width in layers
+        ],
+        axis=2,
+    )
+    return np.linalg.norm(columns @ regress(columns, forces) - forces, axis=1)

@@ -27,10 +27,13 @@ from pinav.fitting.environments.force_prior import (
 )
 from pinav.fitting.environments.force_regression import (
     KernelKind,
+    Layer,
     force_columns,
+    force_grids,
+    lay_layers,
+    match_grid,
     regress,
 )
-from pinav.fitting.environments.kernel_layers import Layer, lay_layers
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.environments.rates import (
     DEGREE,
@@ -39,7 +42,7 @@ from pinav.fitting.environments.rates import (
     residual_forces,
     thin_rates,
 )
-from pinav.fitting.matching.defects import Rates
+from pinav.fitting.matching.gauss_newton import Rates
 from pinav.forces import (
     KernelForce,
     KernelPotential,
@@ -49,11 +52,8 @@ from pinav.forces import (
 )
 from pinav.trajectories import Trajectories, informative_rows
 
-ACROSS = (6, 8, 11, 15, 20, 27, 36, 48)
-"""Intervals of the grids of kernels that are tried, along the extent of the data."""
-
-MOST_KERNELS, MOST_MATCHED = 900, 300
-"""Kernels of a grid, and samples whose rates a network learns, at most."""
+MOST_RATES = 300
+"""Samples whose rates a network learns, at most."""
 
 GOOD_ENOUGH = 1e-6
 """Relative error of held-out samples that needs no finer kernels."""
@@ -68,7 +68,6 @@ def match_kernels(swimmer: Swimmer, rates: Rates) -> KernelPotential | KernelFor
 
     Args:
         swimmer: the known physics; its environment is left out.
-        rates: at observed states.
     """
     samples = _ForceSamples.of(swimmer, rates)
     best = _choose(_try_grids((KernelPotential, KernelForce), samples))
@@ -79,11 +78,6 @@ def lay_kernels_of(
     kind: KernelKind, swimmer: Swimmer, rates: Rates
 ) -> KernelPotential | KernelForce | None:
     """Untrained kernels with a prior that suits what the known physics leave.
-
-    Args:
-        kind: of the kernels.
-        swimmer: the known physics; its environment is left out.
-        rates: at observed states.
 
     Returns:
         The kernels; None where no grid of one width suits the force.
@@ -121,20 +115,16 @@ def match_potential(swimmer: Swimmer, rates: Rates) -> tuple[Layer, ...]:
 
     A grid of one width where one explains the force; a hill with a long tail asks for
     layers (`lay_layers`).
-
-    Args:
-        swimmer: the known physics; its environment is left out.
-        rates: at observed states.
     """
     samples = _ForceSamples.of(swimmer, rates)
     prior = lay_smooth_kernels(KernelPotential, *samples)
     laid = None if prior is None else prior.environment.kernels
     if laid is not None:
-        return (Layer(np.asarray(laid.centers), float(laid.width)),)
+        return ((np.asarray(laid.centers), float(laid.width)),)
     best = _choose(_try_grids((KernelPotential,), samples))
     if best.within > ONE_WIDTH:
         return lay_layers(samples.positions, samples.forces)
-    return (Layer(*surround_with_kernels(samples.places, _finer(best.grid))),)
+    return (surround_with_kernels(samples.places, _finer(best.grid)),)
 
 
 class _ForceSamples(NamedTuple):
@@ -143,7 +133,6 @@ class _ForceSamples(NamedTuple):
     Attributes:
         places: all positions at which a force acts [L].
         positions: of the samples that enter the regression [L].
-        forces: there.
     """
 
     places: Float[np.ndarray, "place dim"]
@@ -172,13 +161,7 @@ def _try_grids(kinds: Sequence[KernelKind], samples: _ForceSamples) -> "list[_Tr
     size = float(np.sqrt(np.mean(forces[held_out] ** 2))) or 1.0
     trials: list[_Trial] = []
     for kind in kinds:
-        for across in ACROSS:
-            grid = _grid(across)
-            centers, width = surround_with_kernels(places, grid)
-            weights_each = 1 if kind is KernelPotential else places.shape[1]
-            if len(centers) * weights_each > MOST_KERNELS:
-                break
-            columns = force_columns(kind, positions, centers, width)
+        for grid, columns in force_grids(kind, places, positions):
             weights = regress(columns[~held_out], forces[~held_out])
             missed = np.square(columns @ weights - forces)
             held, within = (
@@ -197,7 +180,7 @@ def _fit_grid(best: "_Trial", samples: _ForceSamples) -> KernelPotential | Kerne
     centers, width = surround_with_kernels(samples.places, _finer(best.grid))
     columns = force_columns(kind, samples.positions, centers, width)
     weights = regress(columns, samples.forces)
-    shape = _shape(kind, centers)
+    shape = centers.shape if kind is KernelForce else centers.shape[:1]
     return kind(jnp.asarray(weights.reshape(shape)), jnp.asarray(centers), width)
 
 
@@ -234,8 +217,6 @@ class _Trial(NamedTuple):
     Attributes:
         held_out: error at samples that were left out.
         within: error at the others.
-        kind: of the kernels.
-        grid: the grid.
     """
 
     held_out: float
@@ -277,12 +258,8 @@ FAR_BETTER, AS_GOOD = 10.0, 2.0
 """Factors in the error of held-out samples."""
 
 
-def _grid(across: int) -> KernelGrid:
-    return KernelGrid(across, width=1.5, margin=2.0)
-
-
 def _finer(grid: KernelGrid) -> KernelGrid:
-    return _grid(round(FINER * grid.across))
+    return match_grid(round(FINER * grid.across))
 
 
 FINER = 4 / 3
@@ -301,12 +278,7 @@ width do not explain them; the errors of splines are mostly below."""
 def simpler_models(
     swimmer: AbstractDynamics, trajectories: Trajectories
 ) -> dict[str, Swimmer]:
-    """Models without a network by their names: matched kernels, and physics alone.
-
-    Args:
-        swimmer: the known physics.
-        trajectories: what they are to explain.
-    """
+    """Models without a network by their names: matched kernels, and physics alone."""
     rates = observed_rates(trajectories)
     if rates is None or not isinstance(swimmer, Swimmer):
         return {}
@@ -323,10 +295,6 @@ def rates_to_match(model: Any, trajectories: Trajectories) -> Rates | None:
     model without known physics is asked for the same rates beside the states, too, so
     that its rollouts do not depart from each other.
 
-    Args:
-        model: whose unknown part is to be learned.
-        trajectories: what was observed.
-
     Returns:
         The rates, or None where samples are too few to tell them.
     """
@@ -341,13 +309,9 @@ def rates_to_match(model: Any, trajectories: Trajectories) -> Rates | None:
         offsets = BESIDE * spread * rng.normal(size=rates.states.shape)
         beside = dataclasses.replace(rates, states=rates.states + offsets)
         return jax.tree.map(lambda *a: np.concatenate(a), rates, beside)
-    rates = thin_rates(rates, MOST_MATCHED)
+    rates = thin_rates(rates, MOST_RATES)
     return dataclasses.replace(rates, rates=rates.rates[:, dim:])
 
 
 BESIDE = 0.02
 """Distance of states beside the paths, in standard deviations of each channel."""
-
-
-def _shape(kind: type, centers: Float[np.ndarray, "kernel dim"]) -> tuple[int, ...]:
-    return centers.shape if kind is KernelForce else centers.shape[:1]

@@ -66,6 +66,30 @@ WITHOUT_PRIOR = KernelGrid(across=10, width=1.5, margin=2.0)
 IN_TIME = KernelGrid(across=9, margin=2.0)
 """Fewer kernels: each of them has a weight for every spline in time."""
 
+IN_SPACE = KernelGrid(across=23, margin=2.0)
+"""The finest grid in space that is tried: that of a long, thin region has few kernels.
+"""
+
+MOST_WEIGHTS = 700
+"""Weights with which a fit begins at most, unless a grid is given. A plane never has as
+many; in space a twelfth of the extent makes thousands, and the search for the shape of
+their prior costs the cube of their number."""
+
+MOST_REFINED = 2000
+"""Weights at most of kernels that the evidence asks for."""
+
+MOST_IN_SPACE = 1000
+"""Weights at most of a refined grid in space that is less fine than was asked."""
+
+MOST_IN_TIME = 1200
+"""Weights of the part that changes, beside some 300 of the static one."""
+
+MOST_MATCHED = 900
+"""Weights at most of a regression on forces along exact paths."""
+
+MOST_POSSIBLE = 4000
+"""Weights beyond which a fit is refused: one step would take hours."""
+
 
 def kernel_environment(
     kind: type[Kernel],
@@ -83,7 +107,6 @@ def kernel_environment(
     begins; it lays finer ones where the evidence asks for them (`Refinement`).
 
     Args:
-        kind: `KernelForce`, `KernelPotential`, `KernelStream` or `KernelMixture`.
         trajectories: their channels are positions, then as many velocities.
         grid: its fineness; `KernelGrid()` unless given.
         dim: how many of their channels are positions; those called x, y and z unless
@@ -100,17 +123,12 @@ def kernel_environment(
     return made
 
 
-MOST_WEIGHTS = 700
-"""Weights with which a fit begins at most, unless a grid is given. A plane never has as
-many; in space a twelfth of the extent makes thousands, and the search for the shape of
-their prior costs the cube of their number."""
-
-
 def finest_kernels(
     make: Callable[[Float[np.ndarray, "kernel dim"], float], AbstractLearnedForce],
     trajectories: Trajectories,
     most: int,
     dim: int | None = None,
+    grid: KernelGrid = IN_SPACE,
 ) -> tuple[Float[np.ndarray, "kernel dim"], float]:
     """Centres and width of kernels on the finest grid near the data with few weights.
 
@@ -119,21 +137,13 @@ def finest_kernels(
         trajectories: around which they are laid.
         most: weights; there may be more on a grid of one interval.
         dim: see `kernel_environment`.
+        grid: the finest that is tried.
     """
-    for across in range(FINEST, 1, -1):
-        grid = KernelGrid(across, margin=IN_TIME.margin)
-        centers, width = lay_kernels(trajectories, grid, dim)
-        if num_weights(make(centers, width)) <= most:
-            return centers, width
-    return lay_kernels(trajectories, KernelGrid(1, margin=IN_TIME.margin), dim)
-
-
-FINEST = 23
-"""Intervals across the data of the finest grid in space: that of a long, thin region
-has few kernels."""
-
-LIMIT = 4000
-"""Weights beyond which a fit is refused: one step would take hours."""
+    centers, width = lay_kernels(trajectories, grid, dim)
+    if grid.across == 1 or num_weights(make(centers, width)) <= most:
+        return centers, width
+    coarser = KernelGrid(grid.across - 1, grid.width, grid.margin)
+    return finest_kernels(make, trajectories, most, dim, coarser)
 
 
 def num_weights(environment: AbstractLearnedForce) -> int:
@@ -146,14 +156,14 @@ def check_size(environment: AbstractLearnedForce | None) -> None:
     """Refuse an environment with more weights than can be fitted.
 
     Raises:
-        InputError: it has more than `LIMIT`.
+        InputError: it has more than `MOST_POSSIBLE`.
     """
     count = 0 if environment is None else num_weights(environment)
-    if count > LIMIT:
+    if count > MOST_POSSIBLE:
         raise InputError(
-            f"environment: expected at most {LIMIT} weights, got {count}; lay fewer "
-            "kernels, such as kernel_environment(..., KernelGrid(across=6)), or choose "
-            "a potential, which has one weight for each kernel"
+            f"environment: expected at most {MOST_POSSIBLE} weights, got {count}; lay "
+            "fewer kernels, such as kernel_environment(..., KernelGrid(across=6)), or "
+            "choose a potential, which has one weight for each kernel"
         )
 
 
@@ -171,11 +181,8 @@ def timed_kernel_environment(
     many, the grid in space is made coarser: a step costs the square of their number.
 
     Args:
-        trajectories: their channels are positions, then as many velocities.
         grid: its fineness at most; `IN_TIME` unless given.
         intervals: of the splines in time, positive.
-        max_weights: weights at most.
-        dim: see `kernel_environment`.
 
     Raises:
         InputError: `intervals` is not positive, `max_weights` is less than 100 for
@@ -188,17 +195,15 @@ def timed_kernel_environment(
             "timed_kernel_environment: expected one or more intervals and 100 weights "
             f"for each of 3 splines more, got {intervals} and {max_weights}"
         )
-    centers, width = lay_kernels(trajectories, grid, dim)
-    while len(centers) * splines > max_weights:
-        grid = KernelGrid(grid.across - 1, grid.width, grid.margin)
-        centers, width = lay_kernels(trajectories, grid, dim)
-    return TimedKernelPotential(
-        jnp.zeros((len(centers), splines)),
-        jnp.asarray(centers),
-        width,
-        float(trajectories.times.min()),
-        float(trajectories.times.max()),
-    )
+    first, last = float(trajectories.times.min()), float(trajectories.times.max())
+
+    def make(
+        centers: Float[np.ndarray, "kernel dim"], width: float
+    ) -> TimedKernelPotential:
+        weights = jnp.zeros((len(centers), splines))
+        return TimedKernelPotential(weights, jnp.asarray(centers), width, first, last)
+
+    return make(*finest_kernels(make, trajectories, max_weights, dim, grid))
 
 
 def changing_environment(
@@ -207,9 +212,7 @@ def changing_environment(
     """An untrained potential with a static part, and a part that changes with time.
 
     Args:
-        trajectories: their channels are positions, then as many velocities.
         intervals: of the splines in time, positive.
-        dim: see `kernel_environment`.
 
     Raises:
         InputError: see `timed_kernel_environment`.
@@ -219,10 +222,6 @@ def changing_environment(
         trajectories, intervals=intervals, max_weights=MOST_IN_TIME, dim=dim
     )
     return ChangingPotential(static, change)
-
-
-MOST_IN_TIME = 1200
-"""Weights of the part that changes, beside some 300 of the static one."""
 
 
 def profile_environment(
@@ -259,7 +258,6 @@ def warp_at_slow_end(trajectories: Trajectories, axis: int) -> Warp:
 
     Args:
         trajectories: their channels are the positions alone.
-        axis: the coordinate.
 
     Raises:
         InputError: fewer than a hundred samples follow one another.
@@ -350,8 +348,6 @@ class BasisSummary(msgspec.Struct, frozen=True):
     """A basis of kernels.
 
     Attributes:
-        axes: its coordinates.
-        spacings: of the kernels along each.
         centers: of the kernels, in spacings.
     """
 
@@ -381,8 +377,6 @@ class ProfileSummary(msgspec.Struct, frozen=True):
     """A force along some axes.
 
     Attributes:
-        basis: of its kernels.
-        along: the components that are learned.
         edition: what its weights mean, see `EDITION`.
     """
 
@@ -415,7 +409,6 @@ class MobilitySummary(msgspec.Struct, frozen=True):
     """A learned mobility.
 
     Attributes:
-        basis: of its kernels.
         groups: axes that share a process.
     """
 

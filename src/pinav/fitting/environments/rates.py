@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
 from pinav.dynamics import Swimmer
-from pinav.fitting.matching.defects import Rates
+from pinav.fitting.matching.gauss_newton import Rates
 from pinav.forces import ZeroForce
 from pinav.trajectories import Trajectories, Trajectory, informative_rows
 
@@ -36,9 +36,7 @@ class PathSpline(NamedTuple):
     """A trajectory between its samples.
 
     Attributes:
-        times: of the samples [T].
         states: at any times between the first and the last.
-        rates: of change of the states there.
         doubts: lengths of the difference of these rates from those of a spline of a
             degree less by two.
     """
@@ -141,10 +139,12 @@ MOST_SAMPLES = 600
 
 def observed_rates(trajectories: Trajectories) -> Rates | None:
     """Rates at all complete samples and midway between them; None where too few are."""
-    parts = [
-        _rates_along(path, _with_middles(path.times))
-        for path in path_splines(trajectories)
-    ]
+    parts = []
+    for path in path_splines(trajectories):
+        middles = 0.5 * (path.times[:-1] + path.times[1:])
+        times = np.insert(path.times, np.arange(1, len(path.times)), middles)
+        rates = path.states(times), path.rates(times), path.doubts(times)
+        parts.append(Rates(times, *rates))
     if not parts:
         return None
     return jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
@@ -156,23 +156,10 @@ def path_splines(trajectories: Trajectories) -> list[PathSpline]:
     return [path for path in paths if path is not None]
 
 
-def _rates_along(path: PathSpline, times: Float[np.ndarray, " point"]) -> Rates:
-    return Rates(times, path.states(times), path.rates(times), path.doubts(times))
-
-
-def _with_middles(times: Float[np.ndarray, " time"]) -> Float[np.ndarray, " point"]:
-    middles = 0.5 * (times[:-1] + times[1:])
-    return np.insert(times, np.arange(1, len(times)), middles)
-
-
 def thin_rates(rates: Rates, most: int) -> Rates:
     """The rates of the most informative samples: of states that differ, or their rates.
 
     Where a narrow force acts, rates change although states hardly do.
-
-    Args:
-        rates: at observed states.
-        most: samples that are kept.
     """
     rows = informative_rows(np.hstack([rates.states, rates.rates]), most)
     return jax.tree.map(lambda array: array[rows], rates)
@@ -188,13 +175,7 @@ def residual_forces(swimmer: Swimmer, rates: Rates) -> Float[np.ndarray, "point 
 def rates_of(
     model: Any, times: Float[np.ndarray, " point"], states: Float[np.ndarray, "point n"]
 ) -> Float[np.ndarray, "point n"]:
-    """Rates of change by a model.
-
-    Args:
-        model: swimmer or black box.
-        times: of the states [T].
-        states: where it is asked.
-    """
+    """Rates of change by a model."""
     with jax.enable_x64(new_val=True):
         return np.asarray(_all_rates(model, on_device(times), on_device(states)))
 
@@ -227,7 +208,6 @@ def force_region(
     varies over the right distance, however far the swimmer coasts beyond it.
 
     Args:
-        rates: at observed states.
         forces: there, that nothing known explains.
 
     Returns:
@@ -253,7 +233,6 @@ def forces_beside_drag(
     that acts in few places must not bend them.
 
     Args:
-        velocities: at which the forces are known [L T⁻¹].
         forces: all of them, or those that known physics leave [L T⁻²].
     """
     columns = np.insert(velocities, 0, 1.0, axis=1)
@@ -280,11 +259,7 @@ LEAST_RADIUS = 0.02
 
 
 def substeps_for(trajectories: Trajectories) -> int:
-    """Steps between two samples whose derivatives a fit can trust, a power of two.
-
-    Args:
-        trajectories: without noise.
-    """
+    """Steps between two samples whose derivatives a fit can trust, a power of two."""
     errors = [quadrature_error(path) for path in path_splines(trajectories)]
     finer = np.log2(max([*errors, STEP_ERROR]) / STEP_ERROR) / ORDER
     return min(2 ** int(np.ceil(finer)), MOST_SUBSTEPS)

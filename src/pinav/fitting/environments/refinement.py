@@ -16,6 +16,8 @@ from pinav.errors import InputError
 from pinav.fitting.engine.iterate import EvidenceProgress, iterate
 from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.environments.kernels import (
+    MOST_IN_SPACE,
+    MOST_REFINED,
     KernelGrid,
     finest_kernels,
     lay_kernels,
@@ -46,7 +48,7 @@ class Refinement(eqx.Module):
 
     factor: float = 1.5
     shortest: float = 1.0
-    max_weights: int = 2000
+    max_weights: int = MOST_REFINED
     envelope: bool = False
 
     def __check_init__(self) -> None:
@@ -60,7 +62,6 @@ class Refinement(eqx.Module):
         """Whether the kernels are too coarse; never without a grid of kernels to learn.
 
         Args:
-            environment: what was fitted.
             shape: of its prior, as the evidence chose it; empty where its weights were
                 known.
         """
@@ -81,10 +82,6 @@ class Refinement(eqx.Module):
         as those of `KernelGrid()`; where these are too many in space, less far, and
         there are `MOST_IN_SPACE` at most. The part that changes with time stays as it
         is.
-
-        Args:
-            environment: one whose kernels are too coarse.
-            trajectories: what it is fitted to.
         """
         dim, kernels = environment.dim, environment.kernels
         if kernels is None:
@@ -95,7 +92,7 @@ class Refinement(eqx.Module):
         made = environment.kernels_on(*lay_kernels(trajectories, grid, dim))
         if num_weights(made) <= self.max_weights:
             return made
-        if dim < SPACE:  # in a plane kernels keep how far they reach
+        if dim < 3:  # in a plane kernels keep how far they reach
             return None
         most = min(self.max_weights, MOST_IN_SPACE)
         make = environment.kernels_on
@@ -104,9 +101,9 @@ class Refinement(eqx.Module):
         return make(centers, width) if is_finer else None
 
 
-SPACE, MOST_IN_SPACE, WORTH = 3, 1000, 1.1
-"""Dimension; weights at most of a grid that is less fine than was asked, and the factor
-by which its spacing must be smaller."""
+WORTH = 1.1
+"""Factor by which the spacing of a grid that is less fine than was asked must be
+smaller."""
 
 
 AS_FINE_AS_ASKED = Refinement()
@@ -131,12 +128,8 @@ def iterate_refined(
     kernels diverge the coarser ones are fitted to their end.
 
     Args:
-        problem: the fit on the first kernels.
         begin: the problem of another model, linearised about given `states`.
-        refine: when and how far kernels are refined; None keeps them.
-        trajectories: what they are laid around.
         max_iterations: steps at most on each grid.
-        on_step: called after each step.
     """
     environment = problem.parametric.static.environment
 

@@ -7,12 +7,12 @@ import msgspec
 import numpy as np
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.fitting.environments.force_regression import Layer
 from pinav.fitting.environments.gradient_matching import (
     lay_kernels_of,
     match_kernels,
     match_potential,
 )
-from pinav.fitting.environments.kernel_layers import Layer
 from pinav.fitting.environments.kernels import (
     WITHOUT_PRIOR,
     KernelGrid,
@@ -66,7 +66,6 @@ class ModelChoice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         name: of `MODELS`.
         seed: of the network's initial weights.
         width: neurons of each hidden layer.
-        depth: number of hidden layers.
         learn: constants of the swimmer that are learned too, by their names in
             `CONSTANTS` or by the path of a leaf, such as `propulsion.gain`.
     """
@@ -102,8 +101,6 @@ class Change(msgspec.Struct, frozen=True):
     """Kernels and splines of a potential that changes with time.
 
     Attributes:
-        centers: of the kernels [L].
-        width: of the kernels [L].
         splines: number of functions of time.
         times: first and last time [T].
     """
@@ -115,12 +112,7 @@ class Change(msgspec.Struct, frozen=True):
 
 
 class KernelLayer(msgspec.Struct, frozen=True):
-    """Kernels of one width.
-
-    Attributes:
-        centers: of the kernels [L].
-        width: of the kernels [L].
-    """
+    """Kernels of one width."""
 
     centers: list[list[float]]
     width: float
@@ -130,11 +122,9 @@ class DataSummary(msgspec.Struct, frozen=True):
     """The numbers that an untrained model takes from the data.
 
     Attributes:
-        dim: number of coordinates.
         mean: of each observed state, then of time.
         std: standard deviation of each of them; 1 where it is zero.
         centers: of the kernels around the data [L].
-        kernel_width: of these kernels [L].
         change: the part that changes with time, where the model has one.
         finer: further layers of kernels, each finer than the one before.
         terms: with a structure, beside the kernels.
@@ -173,7 +163,6 @@ def summarise_data(
     """The summary of trajectories for a model without a prior.
 
     Args:
-        data: the trajectories.
         grid: how kernels are laid around them; that of `kernel_environment` where None.
     """
     is_observed = data.observed
@@ -199,11 +188,6 @@ def summarise_for_matching(
 
     Kernels are as fine as the data ask for, and the positions that a network sees are
     standardised where the force acts.
-
-    Args:
-        choice: the model.
-        swimmer: the known physics.
-        data: the trajectories.
     """
     summary = summarise_data(data)
     rates = observed_rates(data) if isinstance(swimmer, Swimmer) else None
@@ -233,21 +217,14 @@ def summarise_for_matching(
 
 
 def _with_layers(summary: DataSummary, layers: tuple[Layer, ...]) -> DataSummary:
-    first, *finer = (
-        KernelLayer(layer.centers.tolist(), layer.width) for layer in layers
-    )
+    first, *finer = (KernelLayer(centers.tolist(), width) for centers, width in layers)
     return msgspec.structs.replace(
         summary, centers=first.centers, kernel_width=first.width, finer=tuple(finer)
     )
 
 
 def summarise_for(choice: ModelChoice, data: Trajectories) -> DataSummary:
-    """The summary of trajectories for a model with a prior, and its kernels.
-
-    Args:
-        choice: the model.
-        data: the trajectories.
-    """
+    """The summary of trajectories for a model with a prior, and its kernels."""
     summary = summarise_data(data, None)
     if choice.name != TIMED:
         return summary

@@ -47,8 +47,6 @@ class TermSummary(msgspec.Struct, frozen=True):
 
     Attributes:
         kind: name of its class, in `TERMS`.
-        shapes: of its arrays, by name.
-        rotational: whether it is turned.
         law: name of the law that its profile follows, in `FITTED`, if any.
     """
 

@@ -193,8 +193,6 @@ def best_hyperparameters(
     """The hyperparameters of highest evidence, by L-BFGS-B from `start`.
 
     Args:
-        data: what the weights are to explain.
-        prior: of the weights.
         start: shape at which the search begins, each entry scaled to order one.
         noise: standard deviation of the residuals; estimated unless given.
         tolerance: change of the log evidence, relative to it, at which the search ends.
@@ -229,10 +227,7 @@ def shape_slope(
     r"""Derivative of $\log Z$ by the shape, at its best amplitude and noise.
 
     Args:
-        data: what the weights are to explain.
         white: the same under the prior of this shape.
-        chosen: the shape, and amplitude and noise of highest evidence.
-        prior: of the weights.
     """
     return prior.pullback(chosen.shape, covariance_pull(data, white, chosen))
 
@@ -321,7 +316,6 @@ def evidence_of_scales(
     Nearly all of the work is that of the prior. What is kept of it is small.
 
     Args:
-        data: what the weights are to explain.
         prior: covariance of the weights for unit amplitude.
     """
     by_ratio = _by_ratio(data, Whitened.of(data, prior))

@@ -1,5 +1,11 @@
-r"""What the uncertainty of a prior's shape adds to that of the weights."""
+r"""Uncertainty of a prior's shape: its share in the weights, and a mixture of shapes.
 
+With few data the evidence does not tell one length scale or envelope from another. A
+normal distribution about the best shape then makes bands too sure: the best shape may
+lie at an edge of what is possible, or be one maximum of several.
+"""
+
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -7,9 +13,11 @@ from pinav.fitting.evidence.evidence import (
     Hyperparameters,
     LinearisedObservations,
     Whitened,
+    at_shape,
     best_amplitude,
     posterior_mean,
     shape_slope,
+    weight_posterior,
 )
 from pinav.forces.priors import AbstractPrior, Matrix, Shape, WeightPrior
 from pinav.threads import map_on_cores
@@ -28,7 +36,7 @@ def shape_covariance(
     chosen: Hyperparameters,
     noise: float | None = None,
 ) -> Matrix:
-    r"""What the uncertainty of the prior's shape adds to the weights' covariance.
+    r"""The share of the prior's shape in the weights' covariance.
 
     $M A^{-1} M^\top$: see `shape_changes`.
     """
@@ -107,3 +115,120 @@ def is_confined(prior: AbstractPrior, shape: Shape) -> bool:
     if not isinstance(prior, WeightPrior) or len(shape) != len(prior.bounds):
         return False
     return bool(np.any(shape[:2] <= prior.bounds[:2, 0] + STEP))
+
+
+DRAWS = (64, 64, 64)
+"""Shapes drawn in each of the stages, of which each draws where the ones before found
+the evidence."""
+
+WIDER, LATER_WIDER = 1.5, 1.2
+"""Factors in the standard deviations of what the first stage draws from, and the later
+ones: the evidence has longer tails than a normal distribution."""
+
+FEW = 10.0
+"""Effective number of draws below which the next stage trusts their weights less."""
+
+
+class ShapeMixture(eqx.Module):
+    """A mixture of normal distributions of the weights, one for each shape drawn.
+
+    Attributes:
+        covariance: within the distributions and between their means.
+        num_effective: how many equally likely draws would know the mixture as well.
+    """
+
+    mean: Float[np.ndarray, " weight"]
+    covariance: Matrix
+    num_effective: float
+
+
+def mix_shapes(
+    data: LinearisedObservations,
+    prior: AbstractPrior,
+    chosen: Hyperparameters,
+    noise: float | None = None,
+) -> ShapeMixture:
+    r"""The weights over all shapes within the bounds, each as likely as its evidence.
+
+    $p(w) = \sum_k \pi_k\, p(w \mid s_k)$ with $\pi_k \propto Z(s_k) / q(s_k)$:
+    importance sampling in stages, in which q is the mixture of the normal distributions
+    of all stages so far. The first is that of Laplace's method about the best shape.
+    Amplitude and noise are the best ones of each shape.
+
+    Args:
+        prior: of the weights; without a shape there is nothing to mix.
+        chosen: hyperparameters of highest evidence, about which shapes are drawn first.
+        noise: standard deviation of the residuals; that of each shape unless given.
+
+    References:
+        Cappe, Guillin, Marin and Robert, J. Comput. Graph. Stat. 13, 907 (2004); Owen
+        and Zhou, J. Am. Stat. Assoc. 95, 135 (2000).
+    """
+    if not len(chosen.shape):
+        only = weight_posterior(data, prior.covariance(chosen.shape), chosen)
+        return ShapeMixture(*only, num_effective=1.0)
+    rng = np.random.default_rng(0)
+    low, high = prior.bounds.T
+    first = WIDER * shape_spread(data, prior, chosen, noise)
+    stages, fits, shares = [(chosen.shape, first)], [chosen], np.ones(1)
+    for count in DRAWS:
+        middle, spread = stages[-1]
+        drawn = middle + rng.standard_normal((count, len(middle))) @ spread.T
+        for shape in drawn[np.all((drawn >= low) & (drawn <= high), axis=1)]:
+            fits.append(at_shape(data, prior.covariance, shape, noise))
+        shapes = np.array([fit.shape for fit in fits])
+        shares = _shares(np.array([fit.log_evidence for fit in fits]), shapes, stages)
+        stages.append(_next_stage(shapes, shares))
+    kept = np.flatnonzero(shares > LEAST_SHARE)
+    shares = shares[kept] / shares[kept].sum()
+    means, within = [], np.zeros(2 * (data.rows.shape[1],))
+    for share, index in zip(shares, kept, strict=True):
+        covariance = prior.covariance(fits[index].shape)
+        mean, given = weight_posterior(data, covariance, fits[index])
+        means.append(mean)
+        within += share * given
+    mean = shares @ np.array(means)
+    offsets = np.array(means) - mean
+    covariance = within + (offsets.T * shares) @ offsets
+    return ShapeMixture(mean, covariance, float(1 / (shares**2).sum()))
+
+
+LEAST_SHARE = 1e-4
+"""Of a draw that counts."""
+
+Stage = tuple[Shape, Float[np.ndarray, "shape shape"]]
+"""Mean of a normal distribution, and a root of its covariance."""
+
+
+def _shares(
+    log_evidence: Float[np.ndarray, " draw"],
+    shapes: Float[np.ndarray, "draw shape"],
+    stages: list[Stage],
+) -> Float[np.ndarray, " draw"]:
+    """How likely each draw is, from what it was drawn from and its evidence."""
+    densities = []
+    for (middle, spread), count in zip(stages, DRAWS, strict=False):
+        scaled = np.linalg.solve(spread, (shapes - middle).T)
+        size = np.linalg.slogdet(spread)[1]
+        # Each draw is weighed by the density of all stages together, which bounds the
+        # weight of one that its own stage would seldom have made.
+        densities.append(np.log(count) - size - 0.5 * (scaled**2).sum(axis=0))
+    # In logarithms: evidences differ by hundreds of nats.
+    logs = log_evidence - np.logaddexp.reduce(densities, axis=0)
+    shares = np.exp(logs - logs.max())
+    return shares / shares.sum()
+
+
+def _next_stage(
+    shapes: Float[np.ndarray, "draw shape"], shares: Float[np.ndarray, " draw"]
+) -> Stage:
+    """A normal distribution like the draws, flattened where few of them count."""
+    least = 1e-3
+    if 1 / (shares**2).sum() < FEW:
+        # A few draws outweigh all others: tempered, they do not collapse the next
+        # stage.
+        shares, least = np.sqrt(shares) / np.sqrt(shares).sum(), 1e-2
+    middle = shares @ shapes
+    offsets = shapes - middle
+    covariance = (offsets.T * shares) @ offsets + least * np.eye(len(middle))
+    return middle, LATER_WIDER * np.linalg.cholesky(covariance)

@@ -52,7 +52,6 @@ class LinearFit(eqx.Module):
 
     Attributes:
         quadratic: sum of squares as a function of the weights.
-        weights: their prior.
         noise: standard deviation of the residuals, where it was given.
         num_observed: number of residuals of the data; those that stand for priors of
             constants do not count, as these are charged like flat ones.
@@ -92,10 +91,6 @@ class ModelEvidence(eqx.Module):
 def model_evidence(linear: LinearFit, chosen: Hyperparameters) -> ModelEvidence:
     """Evidence for comparing models of the same data.
 
-    Args:
-        linear: the problem of the fit.
-        chosen: its best hyperparameters.
-
     The prior of a distilled network is the process of its kernel model, and is charged
     that model's correction.
     """
@@ -128,7 +123,6 @@ def evidence_without_second(linear: LinearFit, chosen: Hyperparameters) -> float
 
     Args:
         linear: the problem of the fit, whose prior is a `MixturePrior`.
-        chosen: its best hyperparameters.
     """
     weights = linear.weights
     assert isinstance(weights, GaussianWeights)
@@ -203,8 +197,6 @@ def curvature(
 
     Args:
         value: the function; it is called n (n + 1) + 1 times, by several threads.
-        point: where.
-        step: of the differences.
     """
     steps = step * np.eye(len(point))
     middle = value(point)

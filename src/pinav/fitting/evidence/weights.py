@@ -27,13 +27,7 @@ WeightPosterior = tuple[Float[np.ndarray, " weight"], Matrix]
 
 
 class Inference(eqx.Module):
-    """Hyperparameters and, given them, the weights.
-
-    Attributes:
-        hyperparameters: the chosen ones.
-        mean: of the weights.
-        covariance: of the weights.
-    """
+    """Hyperparameters and, given them, the weights."""
 
     hyperparameters: Hyperparameters
     mean: Float[np.ndarray, " weight"]
@@ -96,7 +90,6 @@ class GaussianWeights(AbstractWeights):
     """Weights with a Gaussian prior, chosen by the evidence.
 
     Attributes:
-        prior: its covariance.
         tolerance: of the evidence; see `best_hyperparameters`.
     """
 

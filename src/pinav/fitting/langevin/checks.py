@@ -29,8 +29,6 @@ class ThinnedDiffusion(eqx.Module):
     """Diffusion learned from every second or third sample, relative to that of all.
 
     Attributes:
-        every: which samples were taken.
-        axes: the axes of the group.
         ratio: to the diffusion of all samples.
     """
 
@@ -45,8 +43,6 @@ class LangevinChecks(eqx.Module):
     Attributes:
         correlations: $\rho_1$ to $\rho_5$ of the innovations along each axis.
         counts: increments along each axis.
-        thinned: the diffusion of thinned data.
-        observation: exposure and error of each group of axes.
     """
 
     correlations: Float[np.ndarray, "lag axis"]
@@ -146,7 +142,6 @@ def thinned_diffusion(
     Args:
         residuals: increments of each track less their mean, in the order of time [L].
         expected: $D\tau$ of each of them [L²].
-        groups: the axes that share a diffusion.
         every: how many intervals make a step.
 
     Returns:
@@ -259,9 +254,6 @@ class IncrementVerdict(eqx.Module):
 
 def judge_increments(trajectories: Trajectories) -> IncrementVerdict:
     """The verdict on trajectories whose channels are positions.
-
-    Args:
-        trajectories: the paths.
 
     Raises:
         InputError: no trajectory has two samples with all positions observed.

@@ -33,7 +33,6 @@ class Tridiagonal(eqx.Module):
     """A symmetric tridiagonal matrix for each row.
 
     Attributes:
-        diagonal: the variances.
         beside: of each increment with the next one; the last is without effect.
     """
 
@@ -84,7 +83,6 @@ def cut(bands: Tridiagonal, mask: Rows) -> Tridiagonal:
     """The bands with unit variance and no neighbours where there is no increment.
 
     Args:
-        bands: of padded rows.
         mask: one where there is an increment, else zero.
     """
     # Padding is independent and of unit variance: it adds nothing to the likelihood.

@@ -72,12 +72,9 @@ class ThermalMotion(eqx.Module):
     r"""Diffusion and observation, as functions of numbers of order one.
 
     Attributes:
-        diffusion: D [L² T⁻¹].
         log_odds: of the exposure as a share of the interval, for each group.
         log_errors: logarithm of the variance of the error over its unit.
-        interval: the median interval [T].
         units: of the variances of errors: $D\tau$ at the start [L²].
-        known: the observation, where it is known.
     """
 
     diffusion: KernelTensor
@@ -117,9 +114,7 @@ def begin_motion(
     whatever blur and error are.
 
     Args:
-        diffusion: what it may be.
         observation: what is known of it; exact positions unless given.
-        increments: of the paths.
 
     Raises:
         InputError: the groups are not those of the channels.
@@ -194,11 +189,7 @@ class DiffusionField(eqx.Module):
             return np.asarray(jax.vmap(self.tensor.diagonal)(points))
 
     def log_sd(self, positions: ArrayLike) -> Float[np.ndarray, "point axis"]:
-        """Standard deviation of the logarithm: of D, relative to D.
-
-        Args:
-            positions: points, one a row [L].
-        """
+        """Standard deviation of the logarithm: of D, relative to D."""
         with jax.enable_x64(new_val=True):
             points = jnp.asarray(positions, jnp.float64)
             values = np.asarray(jax.vmap(self.tensor.basis)(points))
@@ -214,11 +205,7 @@ class DiffusionField(eqx.Module):
         return sds[:, self.tensor.group_of_axis]
 
     def sd(self, positions: ArrayLike) -> Float[np.ndarray, "point axis"]:
-        """Standard deviation of the diffusion along each axis [L² T⁻¹].
-
-        Args:
-            positions: points, one a row [L].
-        """
+        """Standard deviation of the diffusion along each axis [L² T⁻¹]."""
         return self(positions) * self.log_sd(positions)
 
     def samples(self, count: int, seed: int = 0) -> list[KernelTensor]:
@@ -257,7 +244,6 @@ def observed_axes(
     """The observation of each group with its deviations.
 
     Args:
-        motion: what was fitted.
         odds_sd: deviations of `log_odds`; zero where the observation is known.
         errors_sd: those of `log_errors`.
     """

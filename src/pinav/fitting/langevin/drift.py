@@ -18,13 +18,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.dynamics import OverdampedSwimmer, with_dtype
+from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
 from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.engine.problem import FullStep, Step
 from pinav.fitting.environments.refinement import Refinement, iterate_refined
 from pinav.fitting.evidence.evidence import LinearisedObservations
-from pinav.fitting.evidence.shape_mixture import mix_shapes
+from pinav.fitting.evidence.hyperparameter_uncertainty import mix_shapes
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.langevin.covariance import TridiagonalFactor, whiten
 from pinav.fitting.langevin.increments import Increments, Padding, Relation
@@ -37,42 +37,35 @@ class WhitenedIncrements(eqx.Module):
     """Innovations as residuals of a model of the drift.
 
     Attributes:
-        times: at the start of each increment [T].
-        positions: there, from the reference [L].
+        increments: positions from the reference.
         targets: increments less all of their mean that is not the model's [L].
-        intervals: duration [T].
-        factor: of their covariance.
-        padding: the layout.
-        counts: increments of each trajectory.
+        factor: root of their covariance.
     """
 
-    times: Float[Array, " increment"]
-    positions: Float[Array, "increment dim"]
+    increments: Increments
     targets: Float[Array, "increment dim"]
-    intervals: Float[Array, " increment"]
     factor: TridiagonalFactor
     padding: Padding
-    counts: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def log_determinant(self) -> float:
+        r"""$\log\det$ of the change from innovations to displacements."""
+        return float(self.factor.log_determinant)
 
     def __call__(self, model: OverdampedSwimmer) -> Float[Array, " residual"]:
         """Predicted less observed innovations, of variance one."""
-        drift = jax.vmap(model)(self.times, self.positions)
-        return self.innovations(drift * self.intervals[:, None]).reshape(-1)
-
-    def innovations(
-        self, means: Float[Array, "increment dim"]
-    ) -> Float[Array, "increment dim"]:
-        """The same for given means of the increments [L]."""
+        rows = self.increments
+        drift = jax.vmap(model)(jnp.asarray(rows.times), jnp.asarray(rows.positions))
+        means = drift * jnp.asarray(rows.intervals)[:, None]
         residuals = self.padding.pad(means - self.targets)
         whitened = whiten(self.factor, residuals * self.padding.mask[..., None])
-        return self.padding.flatten(whitened)
+        return self.padding.flatten(whitened).reshape(-1)
 
     def in_time(
         self, residuals: Float[np.ndarray, " residual"]
     ) -> list[Float[np.ndarray, "_ channel"]]:
         """Residuals of each trajectory in the order of time."""
-        rows = residuals.reshape(len(self.times), -1)
-        return np.split(rows, np.cumsum(self.counts)[:-1])
+        return self.increments.in_time(residuals)
 
 
 class SecondOrder(eqx.Module):
@@ -121,9 +114,7 @@ def second_order(
 
     Args:
         swimmer: its force, and its mobility where Einstein's relation does not hold.
-        tensor: the diffusion [L² T⁻¹].
         increments: positions from the reference.
-        relation: how drift and diffusion hang together.
     """
 
     def at(row: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -195,88 +186,74 @@ def divergence(tensor: KernelTensor, x: Float[Array, " dim"]) -> Float[Array, " 
 
 
 @eqx.filter_jit
+def at_each(function: Any, *rows: Array) -> Array:
+    """A function of positions, or of times and positions, at many of them."""
+    return jax.vmap(function)(*rows)
+
+
 def divergences(
     tensor: KernelTensor, positions: Float[Array, "increment dim"]
 ) -> Float[Array, "increment dim"]:
     """The divergence at many positions."""
-    return jax.vmap(lambda x: divergence(tensor, x))(positions)
+    return at_each(eqx.Partial(divergence, tensor), positions)
 
 
-@eqx.filter_jit
-def innovations_of(
-    increments: WhitenedIncrements, model: OverdampedSwimmer
-) -> Float[Array, " residual"]:
-    """Predicted less observed innovations of a model."""
-    return increments(model)
-
-
-@eqx.filter_jit
-def drifts(
-    model: OverdampedSwimmer,
-    times: Float[Array, " increment"],
-    positions: Float[Array, "increment dim"],
-) -> Float[Array, "increment dim"]:
-    """The model's drift at many positions."""
-    return jax.vmap(model)(times, positions)
-
-
-def fit_euler(
+def fit_force(
     swimmer: OverdampedSwimmer,
-    trajectories: Trajectories,
-    increments: Increments,
-    diffusion: float | None,
+    residuals: Increments | WhitenedIncrements,
+    noise: float | None,
     refine: Refinement | None,
-) -> EvidenceFit:
-    """Fit the force, and one diffusion coefficient unless it is known.
+    trajectories: Trajectories,
+) -> tuple[EvidenceFit, Step]:
+    """The force that explains residuals, and the step that led to it.
 
     Args:
         swimmer: its environment is made of kernels.
-        trajectories: around which kernels are laid.
-        increments: of the paths.
-        diffusion: D [L² T⁻¹] where it is known.
+        residuals: of a model of the drift.
+        noise: their standard deviation; estimated where it is None.
         refine: when kernels turn out too coarse.
+        trajectories: around which they are laid.
+
+    Raises:
+        FitError: the drift is not finite at the positions.
     """
-    noise = None if diffusion is None else float(np.sqrt(2 * diffusion))
 
     def begin(model: OverdampedSwimmer, states: None = None) -> Regression:
-        environment: Any = model.environment
-        return Regression.of(
-            without_weights(model),
-            increments,
-            weights=lambda m: m.environment.parameters,
-            weights_prior=GaussianWeights(environment.prior()),
-            noise=noise,
-            step_rule=FullStep(),
-            is_linear=True,
-            log_determinant=increments.log_determinant,
-        )
+        return force_problem(model, residuals, noise)
 
-    with jax.enable_x64(new_val=True):
-        problem = begin(with_dtype(swimmer, jnp.float64))
-        ended = iterate_refined(problem, begin, refine, trajectories, max_iterations=1)
-        fit = mix_over_shapes(evidence_fit(*ended, not_finite=NOT_FINITE, advice={}))
-    return eqx.tree_at(
-        lambda f: f.constants, fit, {"diffusion": _diffusion(ended[2][-1], diffusion)}
+    problem, outcome, steps = iterate_refined(
+        begin(swimmer), begin, refine, trajectories, max_iterations=1
+    )
+    fit = evidence_fit(problem, outcome, steps, not_finite=NOT_FINITE, advice={})
+    return fit, steps[-1]
+
+
+def force_problem(
+    model: OverdampedSwimmer,
+    residuals: Increments | WhitenedIncrements,
+    noise: float | None,
+) -> Regression:
+    """The regression of a force; it is linear, and solved about no force."""
+    environment: Any = model.environment
+    # about zero no digits cancel
+    zeros = jax.tree.map(jnp.zeros_like, environment.parameters)
+    return Regression.of(
+        eqx.tree_at(lambda m: m.environment.parameters, model, zeros),
+        residuals,
+        weights=lambda m: m.environment.parameters,
+        weights_prior=GaussianWeights(environment.prior()),
+        noise=noise,
+        step_rule=FullStep(),
+        is_linear=True,
+        log_determinant=residuals.log_determinant,
     )
 
 
 NOT_FINITE = "its drift is not finite at the observed positions; check the known forces"
 
 
-def without_weights(model: OverdampedSwimmer) -> OverdampedSwimmer:
-    """The model with an environment whose weights are zero.
-
-    The regression is linear: it is solved about zero, where no digits cancel.
-    """
-    environment: Any = model.environment
-    zeros = jax.tree.map(jnp.zeros_like, environment.parameters)
-    return eqx.tree_at(lambda m: m.environment.parameters, model, zeros)
-
-
-def _diffusion(step: Step, known: float | None) -> Estimate:
+def diffusion_of(step: Step) -> Estimate:
     """Diffusion from the noise; its deviation from the degrees of freedom left."""
-    if known is not None:
-        return Estimate(known, 0.0)
     variance = step.hyperparameters.noise**2
     # Each direction that the data determine takes one observation from the variance.
     left = max(step.quadratic.num_free - step.num_determined, 1.0)

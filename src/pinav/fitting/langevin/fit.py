@@ -1,5 +1,7 @@
 r"""`fit_langevin`: forces, diffusion and observation from paths that heat kicks."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -17,6 +19,7 @@ from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.environments.kernels import check_size
 from pinav.fitting.environments.refinement import AS_FINE_AS_BUMPS, Refinement
+from pinav.fitting.langevin.checks import LangevinChecks
 from pinav.fitting.langevin.diffusion import (
     ConstantDiffusion,
     Diffusion,
@@ -25,16 +28,14 @@ from pinav.fitting.langevin.diffusion import (
     begin_motion,
     observed_axes,
 )
-from pinav.fitting.langevin.drift import fit_euler, mix_over_shapes
+from pinav.fitting.langevin.drift import diffusion_of, fit_force, mix_over_shapes
 from pinav.fitting.langevin.increments import (
     Increments,
     LearnedObservation,
     Observation,
     ObservedAxes,
-    Padding,
     Relation,
 )
-from pinav.fitting.langevin.result import LangevinFit
 from pinav.fitting.langevin.rounds import (
     LATER_STEPS,
     SCORING_STEPS,
@@ -46,6 +47,7 @@ from pinav.fitting.langevin.rounds import (
     motion_covariance,
 )
 from pinav.fitting.langevin.tracking import (
+    ReferencePath,
     SlowReference,
     first_path,
     from_reference,
@@ -53,6 +55,27 @@ from pinav.fitting.langevin.tracking import (
 )
 from pinav.forces import as_learned_force
 from pinav.trajectories import Trajectories
+
+
+class ThermalResult(eqx.Module):
+    """The findings of a fit of thermal motion, beside the force.
+
+    Attributes:
+        diffusion: D [L² T⁻¹]: one number, or a field along the axes that is called with
+            points, one a row, and has `sd`.
+        observation: exposure and error of each group of axes; empty where positions
+            count as exact.
+        reference: the path of the frame of reference, where it drifts.
+        checks: of the innovations; None where positions count as exact.
+        thermal_energy: $k_BT$ [F L] where Einstein's relation was used.
+    """
+
+    diffusion: Estimate | DiffusionField
+    observation: tuple[ObservedAxes, ...] = ()
+    reference: ReferencePath | None = None
+    checks: LangevinChecks | None = None
+    thermal_energy: float | None = None
+
 
 ROUNDS = 5
 """Turns of diffusion and drift at most."""
@@ -71,7 +94,7 @@ def fit_langevin(
     einstein: bool = True,
     reference: SlowReference | None = None,
     refine: Refinement | None = AS_FINE_AS_BUMPS,
-) -> LangevinFit:
+) -> EvidenceFit:
     r"""Fit the force, and the diffusion, to stochastic paths.
 
     $$dX = v\,dt + \sqrt{2D}\,dW,\qquad v = u + \beta D F + \nabla\cdot D
@@ -116,10 +139,8 @@ def fit_langevin(
             None keeps them. Those of a `KernelProfile` stay.
 
     Returns:
-        `LangevinFit`: `model` with force and mobility, `posterior` (bands of the
-        force), `diffusion` (an `Estimate`, or a `DiffusionField` that is called with
-        points, one a row, and has `sd`), `observation` (exposure and error of each
-        group of axes), `reference` (a `ReferencePath`), `checks`.
+        The fit, of force and mobility; its posterior is that of the force and holds the
+        share of the diffusion, its `thermal` is a `ThermalResult`.
 
     Raises:
         InputError: the model is none of these, its environment is not linear in its
@@ -137,83 +158,78 @@ def fit_langevin(
     swimmer = _first_order_swimmer(model, trajectories)
     _check_diffusion(diffusion)
     increments = Increments.of(trajectories)
-    exact = observation is None and reference is None
-    if exact and (diffusion is None or isinstance(diffusion, float | int)):
-        number = None if diffusion is None else float(diffusion)
-        fit = fit_euler(swimmer, trajectories, increments, number, refine)
-        return LangevinFit(fit, fit.constants["diffusion"])
-    learned = observation if isinstance(observation, LearnedObservation) else None
+    known = float(diffusion) if isinstance(diffusion, float | int) else None
+    is_number = diffusion is None or known is not None
+    if is_number and observation is None and reference is None:
+        return _fit_exact(swimmer, increments, known, refine, trajectories)
     relation = Relation(
         thermal_energy=_thermal_energy(model) if einstein else None,
-        learn_diffusion=not isinstance(diffusion, float | int),
-        observation=learned,
+        learn_diffusion=known is None,
+        observation=observation
+        if isinstance(observation, LearnedObservation)
+        else None,
     )
     kind = ConstantDiffusion() if diffusion is None else diffusion
-    with jax.enable_x64(new_val=True):
-        return _fit_in_turns(
-            with_dtype(swimmer, jnp.float64),
-            trajectories,
-            kind,
-            observation,
-            relation,
-            reference,
-            refine,
-        )
-
-
-def _fit_in_turns(
-    swimmer: OverdampedSwimmer,
-    trajectories: Trajectories,
-    diffusion: Diffusion,
-    observation: Observation | LearnedObservation | None,
-    relation: Relation,
-    reference: SlowReference | None,
-    refine: Refinement | None,
-) -> LangevinFit:
-    periods = _periods(swimmer, diffusion)
-    increments = Increments.of(trajectories).wrap(periods)
-    padding = Padding.of(increments.counts)
+    increments = increments.wrap(_periods(swimmer, kind))
     path = None if reference is None else first_path(reference, increments)
     first = increments if path is None else from_reference(increments, path)
-    motion = begin_motion(diffusion, observation, first)
-    belief = RoundResult.first(swimmer, motion, first)
-    turns = 0
-    while True:
-        before, turns = belief, turns + 1
-        most = SCORING_STEPS if turns == 1 else LATER_STEPS
-        belief, problem, step = fit_motion(belief, relation, padding, most)
-        belief, fit = fit_drift(belief, relation, padding, refine, trajectories)
-        if turns == ROUNDS or belief.moved_from(before) < NEGLIGIBLE:
-            break
-        if reference is not None and path is not None:
-            belief, path = track_reference(
-                belief, relation, padding, increments, reference, path
-            )
-    covariance, *spreads = motion_covariance(problem, step, belief.motion)
-    field = DiffusionField(belief.motion.diffusion, covariance)
-    fit = diffusion_share(belief, relation, padding, mix_over_shapes(fit), field)
-    observed = () if observation is None else observed_axes(belief.motion, *spreads)
-    return LangevinFit(
-        regression=_with_numbers(fit, field, observed),
-        diffusion=_simplest(field),
-        observation=observed,
-        reference=path,
-        checks=langevin_checks(belief, relation, padding, observed),
-        thermal_energy=relation.thermal_energy,
-    )
+    with jax.enable_x64(new_val=True):
+        motion = begin_motion(kind, observation, first)
+        swimmer = with_dtype(swimmer, jnp.float64)
+        belief = RoundResult.first(swimmer, motion, first, relation)
+        turns = 0
+        while True:
+            before, turns = belief, turns + 1
+            most = SCORING_STEPS if turns == 1 else LATER_STEPS
+            belief, problem, step = fit_motion(belief, most)
+            belief, fit = fit_drift(belief, refine, trajectories)
+            if turns == ROUNDS or belief.moved_from(before) < NEGLIGIBLE:
+                break
+            if reference is not None and path is not None:
+                belief, path = track_reference(belief, increments, reference, path)
+        covariance, *spreads = motion_covariance(problem, step, belief.motion)
+        tensor = belief.motion.diffusion
+        field = DiffusionField(tensor, covariance)
+        varies = tensor.weights.size or len(tensor.levels) > 1
+        fit = diffusion_share(belief, mix_over_shapes(fit), field)
+        observed = () if observation is None else observed_axes(belief.motion, *spreads)
+        result = ThermalResult(
+            diffusion=field if varies else field.estimates()[0],
+            observation=observed,
+            reference=path,
+            checks=langevin_checks(belief, observed),
+            thermal_energy=relation.thermal_energy,
+        )
+        constants = fit.constants | _numbers(field, observed)
+        return dataclasses.replace(fit, constants=constants, thermal=result)
 
 
-def _simplest(field: DiffusionField) -> DiffusionField | Estimate:
-    """One number where diffusion is one, else the field."""
-    if field.tensor.weights.size or len(field.tensor.levels) > 1:
-        return field
-    return field.estimates()[0]
-
-
-def _with_numbers(
-    fit: EvidenceFit, field: DiffusionField, observed: tuple[ObservedAxes, ...]
+def _fit_exact(
+    swimmer: OverdampedSwimmer,
+    increments: Increments,
+    diffusion: float | None,
+    refine: Refinement | None,
+    trajectories: Trajectories,
 ) -> EvidenceFit:
-    """The fit with diffusion, exposure and error among its constants."""
+    """The force, and one diffusion coefficient unless it is known, in one step.
+
+    Without blur and error all increments over the root of their interval have the
+    variance 2D, so that the evidence chooses D as it chooses the noise elsewhere.
+    """
+    noise = None if diffusion is None else float(np.sqrt(2 * diffusion))
+    with jax.enable_x64(new_val=True):
+        exact = with_dtype(swimmer, jnp.float64)
+        fit, step = fit_force(exact, increments, noise, refine, trajectories)
+        fit = mix_over_shapes(fit)
+    value = diffusion_of(step) if diffusion is None else Estimate(diffusion, 0.0)
+    constants = {"diffusion": value}
+    return dataclasses.replace(fit, constants=constants, thermal=ThermalResult(value))
+
+
+def _numbers(
+    field: DiffusionField, observed: tuple[ObservedAxes, ...]
+) -> dict[str, Estimate]:
+    """Diffusion where it is the same everywhere, exposure and error of each group."""
     groups = field.tensor.groups
     several = len(groups) > 1
     marks = [f"[{','.join(map(str, axes))}]" if several else "" for axes in groups]
@@ -223,7 +239,7 @@ def _with_numbers(
         numbers = {f"diffusion{mark}": value for mark, value in pairs}
     for mark, axes in zip(marks, observed, strict=False):
         numbers |= {f"exposure{mark}": axes.exposure, f"error{mark}": axes.error}
-    return eqx.tree_at(lambda f: f.constants, fit, fit.constants | numbers)
+    return numbers
 
 
 def _periods(swimmer: OverdampedSwimmer, diffusion: Diffusion) -> dict[int, float]:

@@ -71,7 +71,6 @@ class ObservedAxes(eqx.Module):
     """What a fit says of the observation of some axes.
 
     Attributes:
-        axes: which coordinates.
         exposure: T [T].
         error: standard deviation of the error [L].
         interval: the median interval [T], beyond which no exposure lasts.
@@ -88,8 +87,6 @@ class Relation(eqx.Module):
 
     Attributes:
         thermal_energy: $k_BT$ of Einstein's relation; None for a free drift.
-        learn_diffusion: whether D is not known.
-        observation: priors of exposure and error, where they are learned.
     """
 
     thermal_energy: float | None
@@ -124,7 +121,6 @@ class Increments(eqx.Module):
         positions: there [L].
         steps: displacement [L].
         intervals: duration [T].
-        counts: how many each trajectory has.
     """
 
     times: Float[np.ndarray, " increment"]
@@ -138,7 +134,6 @@ class Increments(eqx.Module):
         """All increments; one spans the gap where samples are missing.
 
         Args:
-            trajectories: their channels are positions.
             every: take every so many of the observed samples.
 
         Raises:

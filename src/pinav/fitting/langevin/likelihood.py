@@ -62,9 +62,7 @@ class Fluctuations(eqx.Module):
         residuals: increments less their mean, time first [L]; zero in the padding.
         offsets: of the logarithm of 2D over the increment, from the terms of second
             order at level and weights of zero.
-        intervals: duration [T].
         design: derivatives of that logarithm by level and weights of each group.
-        padding: the layout.
     """
 
     residuals: Float[Array, "time track dim"]
@@ -105,14 +103,7 @@ class DiffusionProblem(AbstractProblem):
         learn_diffusion: bool,
         observation: LearnedObservation | None,
     ) -> "DiffusionProblem":
-        """The problem that begins at a motion.
-
-        Args:
-            motion: where to begin.
-            fluctuations: the increments about their mean.
-            learn_diffusion: whether D is not known.
-            observation: priors of exposure and error, where they are learned.
-        """
+        """The problem that begins at a motion."""
         varies = bool(motion.diffusion.weights.size) and learn_diffusion
 
         def constants(m: ThermalMotion) -> tuple:
@@ -164,7 +155,7 @@ class DiffusionProblem(AbstractProblem):
             num_free=count * dim,
             log_determinant=0.0,
         )
-        return LocalLikelihood(theta, quadratic)
+        return LocalLikelihood(quadratic)
 
     def flat_information(self) -> tuple[int, float]:
         count = self.fluctuations.padding.places.shape[0]
@@ -176,11 +167,9 @@ class LocalLikelihood(AbstractLocalModel):
     """The likelihood about one point, to second order.
 
     Attributes:
-        theta: the parameters there.
         quadratic: minus twice its logarithm.
     """
 
-    theta: Parameters
     quadratic: Quadratic
 
     def predict(self, theta: Parameters) -> Prediction:
@@ -217,7 +206,6 @@ class LocalTerms(eqx.Module):
     """What each increment says of the axes of one group.
 
     Attributes:
-        value: log likelihood.
         by_log: its derivative by log D at the start of each increment.
         by_observation: by exposure and variance.
         information: of each on log D, exposure and variance: the upper half.
@@ -232,13 +220,7 @@ class LocalTerms(eqx.Module):
 
 
 class GroupTerms(eqx.Module):
-    """What the axes of one group say of level, weights, log odds and log error.
-
-    Attributes:
-        value: log likelihood.
-        gradient: of it.
-        information: its expected curvature.
-    """
+    """What the axes of one group say of level, weights, log odds and log error."""
 
     value: Float[Array, ""]
     gradient: Float[Array, " parameter"]
@@ -249,14 +231,7 @@ class GroupTerms(eqx.Module):
 def local_terms(
     motion: ThermalMotion, group: int, axes: tuple[int, ...], data: Fluctuations
 ) -> LocalTerms:
-    """The likelihood of one group of axes, increment by increment.
-
-    Args:
-        motion: diffusion and observation.
-        group: which.
-        axes: its coordinates.
-        data: the increments about their mean.
-    """
+    """The likelihood of one group of axes, increment by increment."""
     columns, padding = np.array(axes), data.padding
     levels, weights = motion.diffusion.levels, motion.diffusion.weights
     exposure, variance = motion.exposures[group], motion.variances[group]
@@ -346,8 +321,6 @@ def _entries(marks: Any, motion: ThermalMotion, group: int) -> np.ndarray:
 
     Args:
         marks: leaves that hold one more than their place; None where not learned.
-        motion: for the shapes.
-        group: which.
     """
     count = motion.diffusion.weights.shape[1]
 

@@ -1,5 +1,6 @@
 """Diffusion, drift and reference in turns, each by its likelihood given the others."""
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -10,11 +11,10 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import FitError
-from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
+from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.engine.iterate import iterate
-from pinav.fitting.engine.problem import FullStep, Step
-from pinav.fitting.environments.refinement import Refinement, iterate_refined
-from pinav.fitting.evidence.weights import GaussianWeights
+from pinav.fitting.engine.problem import Step
+from pinav.fitting.environments.refinement import Refinement
 from pinav.fitting.langevin.checks import (
     LangevinChecks,
     innovation_correlations,
@@ -23,14 +23,13 @@ from pinav.fitting.langevin.checks import (
 from pinav.fitting.langevin.covariance import cut, factorise, increment_bands
 from pinav.fitting.langevin.diffusion import DiffusionField, ThermalMotion
 from pinav.fitting.langevin.drift import (
-    NOT_FINITE,
     SecondOrder,
     WhitenedIncrements,
+    at_each,
     divergences,
-    drifts,
-    innovations_of,
+    fit_force,
+    force_problem,
     second_order,
-    without_weights,
 )
 from pinav.fitting.langevin.increments import (
     Increments,
@@ -39,8 +38,6 @@ from pinav.fitting.langevin.increments import (
     Relation,
 )
 from pinav.fitting.langevin.likelihood import DiffusionProblem, Fluctuations
-from pinav.fitting.least_squares import Regression
-from pinav.forces import KernelTensor
 from pinav.trajectories import Trajectories
 
 SCORING_STEPS, LATER_STEPS = 10, 3
@@ -51,11 +48,9 @@ class RoundResult(eqx.Module):
     """What is known after a round.
 
     Attributes:
-        swimmer: with the best force so far.
-        motion: diffusion and observation.
-        second: corrections for steps that are not short.
         means: of the increments [L].
         increments: with positions from the reference.
+        relation: what is learned, and how drift and diffusion hang together.
     """
 
     swimmer: OverdampedSwimmer
@@ -63,14 +58,32 @@ class RoundResult(eqx.Module):
     second: SecondOrder
     means: Float[Array, "increment dim"]
     increments: Increments
+    relation: Relation
+    padding: Padding
 
     @classmethod
     def first(
-        cls, swimmer: OverdampedSwimmer, motion: ThermalMotion, increments: Increments
+        cls,
+        swimmer: OverdampedSwimmer,
+        motion: ThermalMotion,
+        increments: Increments,
+        relation: Relation,
     ) -> "RoundResult":
         """Constant diffusion and no drift."""
         second = SecondOrder.none(increments, motion.diffusion)
-        return cls(swimmer, motion, second, second.means, increments)
+        padding = Padding.of(increments.counts)
+        return cls(swimmer, motion, second, second.means, increments, relation, padding)
+
+    def follow(self, swimmer: Any) -> "RoundResult":
+        """With another force, and the means and corrections that follow from it."""
+        increments, diffusion = self.increments, self.motion.diffusion
+        second = second_order(swimmer, diffusion, increments, self.relation)
+        positions = jnp.asarray(increments.positions)
+        speeds = at_each(swimmer, jnp.asarray(increments.times), positions)
+        if self.relation.einstein:
+            speeds = speeds + divergences(diffusion, positions)
+        means = speeds * jnp.asarray(increments.intervals)[:, None] + second.means
+        return dataclasses.replace(self, swimmer=swimmer, second=second, means=means)
 
     def moved_from(self, before: "RoundResult") -> float:
         """Squared change of all means, in variances of the increments."""
@@ -82,22 +95,15 @@ class RoundResult(eqx.Module):
     def local_diffusion(self) -> Float[np.ndarray, "increment dim"]:
         """Diffusion at the start of each increment [L² T⁻¹]."""
         positions = jnp.asarray(self.increments.positions)
-        return np.asarray(_diagonals(self.motion, positions))
+        return np.asarray(at_each(self.motion.diffusion.diagonal, positions))
 
 
-@eqx.filter_jit
-def _diagonals(
-    motion: ThermalMotion, positions: Float[Array, "increment dim"]
-) -> Float[Array, "increment dim"]:
-    return jax.vmap(motion.diffusion.diagonal)(positions)
-
-
-def fluctuations(belief: RoundResult, padding: Padding) -> Fluctuations:
+def fluctuations(belief: RoundResult) -> Fluctuations:
     """Increments about the means of a belief."""
-    increments, second = belief.increments, belief.second
+    increments, second, padding = belief.increments, belief.second, belief.padding
     tensor = belief.motion.diffusion
     residuals = padding.pad(jnp.asarray(increments.steps) - belief.means)
-    kernels = _kernels(tensor, jnp.asarray(increments.positions))
+    kernels = at_each(tensor.basis, jnp.asarray(increments.positions))
     ones = jnp.ones((len(kernels), 1))
     design = jnp.concatenate([ones, kernels], axis=1)[:, None] + second.slopes
     start = jnp.concatenate([tensor.levels[:, None], tensor.weights], axis=1)
@@ -113,33 +119,23 @@ def fluctuations(belief: RoundResult, padding: Padding) -> Fluctuations:
     )
 
 
-@eqx.filter_jit
-def _kernels(
-    tensor: KernelTensor, positions: Float[Array, "increment dim"]
-) -> Float[Array, "increment kernel"]:
-    """Kernels of log D at positions."""
-    return jax.vmap(tensor.basis)(positions)
-
-
 def fit_motion(
-    belief: RoundResult, relation: Relation, padding: Padding, max_steps: int
+    belief: RoundResult, max_steps: int
 ) -> tuple[RoundResult, DiffusionProblem | None, Step | None]:
     """Diffusion and observation given the drift; unchanged where both are known.
 
     Args:
-        belief: where the steps begin.
-        relation: what is learned.
-        padding: the layout.
         max_steps: of Fisher's scoring at most.
 
     Raises:
         FitError: the likelihood is not finite.
     """
+    relation = belief.relation
     if not relation.learn_diffusion and relation.observation is None:
         return belief, None, None
     problem = DiffusionProblem.of(
         belief.motion,
-        fluctuations(belief, padding),
+        fluctuations(belief),
         learn_diffusion=relation.learn_diffusion,
         observation=relation.observation,
     )
@@ -150,28 +146,20 @@ def fit_motion(
     return eqx.tree_at(lambda b: b.motion, belief, motion), problem, steps[-1]
 
 
-def whiten_increments(
-    belief: RoundResult, relation: Relation, padding: Padding
-) -> WhitenedIncrements:
+def whiten_increments(belief: RoundResult) -> WhitenedIncrements:
     """The increments as innovations of the belief's thermal motion."""
     increments, motion = belief.increments, belief.motion
     positions = jnp.asarray(increments.positions)
     intervals = jnp.asarray(increments.intervals)
     targets = jnp.asarray(increments.steps) - belief.second.means
-    if relation.einstein:
+    if belief.relation.einstein:
         spread = divergences(motion.diffusion, positions)
         # With Ito's convention a mobility that varies in space adds its divergence to
         # the drift.
         targets = targets - spread * intervals[:, None]
-    return WhitenedIncrements(
-        times=jnp.asarray(increments.times),
-        positions=positions,
-        targets=targets,
-        intervals=intervals,
-        factor=_factor(motion, positions, intervals, belief.second.factors, padding),
-        padding=padding,
-        counts=increments.counts,
-    )
+    factors, padding = belief.second.factors, belief.padding
+    factor = _factor(motion, positions, intervals, factors, padding)
+    return WhitenedIncrements(increments, targets, factor, padding)
 
 
 @eqx.filter_jit
@@ -193,85 +181,32 @@ def _factor(
 
 
 def fit_drift(
-    belief: RoundResult,
-    relation: Relation,
-    padding: Padding,
-    refine: Refinement | None,
-    trajectories: Trajectories,
+    belief: RoundResult, refine: Refinement | None, trajectories: Trajectories
 ) -> tuple[RoundResult, EvidenceFit]:
     """The force given diffusion and observation, and what follows from it.
 
     Raises:
         FitError: the drift is not finite at the positions.
     """
-    residuals = whiten_increments(belief, relation, padding)
-    swimmer = relation.swimmer_in(belief.swimmer, belief.motion.diffusion)
-
-    def begin(model: OverdampedSwimmer, states: None = None) -> Regression:
-        return _drift_problem(model, residuals)
-
-    ended = iterate_refined(
-        begin(swimmer), begin, refine, trajectories, max_iterations=1
-    )
-    fit = evidence_fit(*ended, not_finite=NOT_FINITE, advice={})
-    return follow(belief, relation, fit.model), fit
-
-
-def _drift_problem(
-    swimmer: OverdampedSwimmer, residuals: WhitenedIncrements
-) -> Regression:
-    environment: Any = swimmer.environment
-    return Regression.of(
-        without_weights(swimmer),
-        residuals,
-        weights=lambda m: m.environment.parameters,
-        weights_prior=GaussianWeights(environment.prior()),
-        noise=1.0,
-        step_rule=FullStep(),
-        is_linear=True,
-        log_determinant=float(residuals.factor.log_determinant),
-    )
-
-
-def follow(belief: RoundResult, relation: Relation, swimmer: Any) -> RoundResult:
-    """The belief with a force, and the means and corrections that follow from it."""
-    increments, motion = belief.increments, belief.motion
-    second = second_order(swimmer, motion.diffusion, increments, relation)
-    positions = jnp.asarray(increments.positions)
-    speeds = drifts(swimmer, jnp.asarray(increments.times), positions)
-    if relation.einstein:
-        speeds = speeds + divergences(motion.diffusion, positions)
-    means = speeds * jnp.asarray(increments.intervals)[:, None] + second.means
-    return RoundResult(swimmer, motion, second, means, increments)
+    swimmer = belief.relation.swimmer_in(belief.swimmer, belief.motion.diffusion)
+    innovations = whiten_increments(belief)
+    fit, _ = fit_force(swimmer, innovations, 1.0, refine, trajectories)
+    return belief.follow(fit.model), fit
 
 
 def diffusion_share(
-    belief: RoundResult,
-    relation: Relation,
-    padding: Padding,
-    fit: EvidenceFit,
-    field: DiffusionField,
+    belief: RoundResult, fit: EvidenceFit, field: DiffusionField
 ) -> EvidenceFit:
-    """The fit whose posterior counts the uncertainty of D, by refits of draws.
-
-    Args:
-        belief: the last one.
-        relation: how drift and diffusion hang together.
-        padding: the layout.
-        fit: the force given the diffusion.
-        field: the diffusion with its covariance.
-    """
+    """The fit whose posterior counts the uncertainty of D, by refits of draws."""
+    relation = belief.relation
     if not (relation.einstein and relation.learn_diffusion):
         return fit
     weights, chosen = fit.linear.weights, fit.hyperparameters
-    start = without_weights(fit.model)
     means = []
     for tensor in field.samples(DRAWS):
         there = eqx.tree_at(lambda b: b.motion.diffusion, belief, tensor)
-        problem = _drift_problem(
-            relation.swimmer_in(start, there.motion.diffusion),
-            whiten_increments(there, relation, padding),
-        )
+        swimmer = relation.swimmer_in(fit.model, tensor)
+        problem = force_problem(swimmer, whiten_increments(there), 1.0)
         local = problem.linearise(problem.theta, None)
         if local is not None:
             means.append(weights.posterior(local.quadratic, chosen)[0])
@@ -288,22 +223,12 @@ known to a third, and it is the smaller part."""
 
 
 def langevin_checks(
-    belief: RoundResult,
-    relation: Relation,
-    padding: Padding,
-    observation: tuple[ObservedAxes, ...],
+    belief: RoundResult, observation: tuple[ObservedAxes, ...]
 ) -> LangevinChecks:
-    """What the innovations say of a belief.
-
-    Args:
-        belief: the last one.
-        relation: how it was learned.
-        padding: the layout.
-        observation: exposure and error of each group of axes.
-    """
+    """What the innovations say of a belief."""
     increments = belief.increments
-    white = whiten_increments(belief, relation, padding)
-    innovations = white.in_time(np.asarray(innovations_of(white, belief.swimmer)))
+    white = whiten_increments(belief)
+    innovations = white.in_time(np.asarray(eqx.filter_jit(white)(belief.swimmer)))
     residuals = increments.in_time(np.asarray(increments.steps - belief.means).ravel())
     expected = belief.local_diffusion * increments.intervals[:, None]
     motions = increments.in_time(expected.ravel())

@@ -21,13 +21,9 @@ from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.langevin.drift import divergence
-from pinav.fitting.langevin.increments import Increments, Padding, Relation
+from pinav.fitting.langevin.increments import Increments
 from pinav.fitting.langevin.likelihood import local_terms
-from pinav.fitting.langevin.rounds import (
-    RoundResult,
-    fluctuations,
-    follow,
-)
+from pinav.fitting.langevin.rounds import RoundResult, fluctuations
 from pinav.forces import KernelTensor
 from pinav.forces.priors import StationaryPrior
 from pinav.trajectories import Trajectories
@@ -40,7 +36,6 @@ class SlowReference(eqx.Module):
     fields are learned with it.
 
     Attributes:
-        axis: which coordinate.
         knots: number of them, over all the time of the data.
         scale: standard deviation of w [L]; chosen by the evidence unless given.
         start: w at the knots where the fit begins [L]; at rest unless given.
@@ -84,7 +79,6 @@ def slow_reference(trajectories: Trajectories, axis: int) -> SlowReference:
 
     Args:
         trajectories: their channels are the positions, their times those of one clock.
-        axis: the coordinate that drifts.
 
     Raises:
         InputError: there are no increments, or the coordinate never changes.
@@ -109,10 +103,8 @@ class ReferencePath(eqx.Module):
     """The path of a frame of reference.
 
     Attributes:
-        axis: which coordinate.
         times: of the knots [T].
         values: there [L], of mean zero.
-        covariance: of the values.
     """
 
     axis: int = eqx.field(static=True)
@@ -150,7 +142,6 @@ def from_reference(increments: Increments, path: ReferencePath) -> Increments:
 
     Args:
         increments: as recorded.
-        path: of the reference.
     """
     positions = increments.positions.copy()
     positions[:, path.axis] -= path(increments.times)
@@ -159,8 +150,6 @@ def from_reference(increments: Increments, path: ReferencePath) -> Increments:
 
 def track_reference(
     belief: RoundResult,
-    relation: Relation,
-    padding: Padding,
     recorded: Increments,
     reference: SlowReference,
     path: ReferencePath,
@@ -169,13 +158,9 @@ def track_reference(
 
     Args:
         belief: about which the likelihood is expanded.
-        relation: how drift and diffusion hang together.
-        padding: the layout.
         recorded: increments with their positions as recorded.
-        reference: what is known of the path.
-        path: where it is so far.
     """
-    slope, information = _by_height(belief, relation, padding, reference.axis)
+    slope, information = _by_height(belief, reference.axis)
     columns = _hats(path.times, recorded.times)
     quadratic = Quadratic(
         point=path.values,
@@ -198,23 +183,21 @@ def track_reference(
         reference.axis, path.times, values - values.mean(), covariance
     )
     there = eqx.tree_at(lambda b: b.increments, belief, from_reference(recorded, moved))
-    return follow(there, relation, belief.swimmer), moved
+    return there.follow(belief.swimmer), moved
 
 
-def _by_height(
-    belief: RoundResult, relation: Relation, padding: Padding, axis: int
-) -> tuple[np.ndarray, np.ndarray]:
+def _by_height(belief: RoundResult, axis: int) -> tuple[np.ndarray, np.ndarray]:
     """Slope of the log likelihood by the coordinate of each increment; information."""
     motion, increments = belief.motion, belief.increments
     positions = jnp.asarray(increments.positions)
-    data = fluctuations(belief, padding)
+    data = fluctuations(belief)
     by_logs, by_drift = _slopes(
         belief.swimmer,
         motion.diffusion,
         jnp.asarray(increments.times),
         positions,
         axis,
-        einstein=relation.einstein,
+        einstein=belief.relation.einstein,
     )
     by_means = np.asarray(by_drift) * increments.intervals[:, None]
     spread = 2 * belief.local_diffusion * increments.intervals[:, None]

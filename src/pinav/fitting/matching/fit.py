@@ -1,7 +1,11 @@
-"""`fit`: a recipe of phases applied to one model, or to many at once."""
+"""`fit`: a recipe of phases applied to one model, or to many at once.
+
+The members of a fit take their steps side by side or one after the other.
+"""
 
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,13 +16,6 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Shaped
 from pinav.arguments import on_device
 from pinav.dynamics import AbstractDynamics, with_dtype
 from pinav.errors import FitError, InputError
-from pinav.fitting.matching.members import (
-    Problem,
-    begin_phase,
-    finish_phase,
-    member_losses,
-    run_chunk,
-)
 from pinav.fitting.matching.phases import AbstractPhase
 from pinav.fitting.matching.state import (
     AbstractCheckpoint,
@@ -33,6 +30,97 @@ from pinav.fitting.matching.state import (
 )
 from pinav.fitting.outcome import Outcome
 from pinav.trajectories import Trajectories
+
+
+class Problem(eqx.Module):
+    """What is minimised, as a function of the parameters alone.
+
+    Attributes:
+        static: the model without the leaves that train.
+    """
+
+    static: PyTree
+    observations: Observations
+    objective: AbstractObjective
+
+    def model(self, params: PyTree) -> Any:
+        """The model with these parameters."""
+        return eqx.combine(params, self.static)
+
+    def __call__(self, params: PyTree) -> Float[Array, ""]:
+        """Loss of these parameters."""
+        return self.objective(self.model(params), self.observations)
+
+
+def _for_each(
+    function: Callable[..., PyTree],
+    problem: Problem,
+    members: tuple[PyTree, ...],
+    at_once: int | None,
+) -> PyTree:
+    """`function(problem, *member)` for all members, `at_once` of them side by side."""
+    count = jax.tree.leaves(members)[0].shape[0]
+    observations = problem.observations
+    shared = observations.times.shape[0] == 1
+
+    def one(own: Observations, *member: PyTree) -> PyTree:
+        return function(eqx.tree_at(lambda p: p.observations, problem, own), *member)
+
+    if shared:
+        observations = jax.tree.map(lambda leaf: leaf[0], observations)
+    if at_once is None or at_once >= count:
+        axes = (None if shared else 0, *(0 for _ in members))
+        return jax.vmap(one, axes)(observations, *members)
+    # In a batch of one, both branches of a condition would still be computed.
+    size = None if at_once == 1 else at_once
+    if shared:
+        return jax.lax.map(lambda m: one(observations, *m), members, batch_size=size)
+    return jax.lax.map(lambda m: one(*m), (observations, *members), batch_size=size)
+
+
+_compiled_for_each = eqx.filter_jit(_for_each)
+
+
+def _loss(problem: Problem, params: PyTree) -> Float[Array, ""]:
+    return problem(params)
+
+
+@eqx.filter_jit
+def run_chunk(
+    problem: Problem,
+    phase: AbstractPhase,
+    params: PyTree,
+    minimiser: PyTree,
+    losses: Float[Array, "member step"],
+    position: Int[Array, "2"],
+    at_once: int | None = None,
+) -> tuple[PyTree, PyTree, Float[Array, "member step"], Bool[Array, ""]]:
+    """Take `count` steps from `offset`: traced numbers, so that one compile serves.
+
+    Phases that differ in their arrays alone, such as the window of `GaussNewton`,
+    share the compiled function too.
+
+    Args:
+        position: `offset` and `count`.
+
+    Returns:
+        The three of them after the chunk, and whether all members are done.
+    """
+    offset, count = position
+
+    def body(
+        index: Int[Array, ""], carry: tuple[PyTree, PyTree, Float[Array, "member step"]]
+    ) -> tuple[PyTree, PyTree, Float[Array, "member step"]]:
+        params, minimiser, losses = carry
+        params, minimiser, values = _for_each(
+            phase.step, problem, (params, minimiser), at_once
+        )
+        losses = losses.at[:, offset + index].set(values.astype(losses.dtype))
+        return params, minimiser, losses
+
+    carry = jax.lax.fori_loop(0, count, body, (params, minimiser, losses))
+    return *carry, jnp.all(jax.vmap(phase.is_done)(carry[1]))
+
 
 Recipe = Sequence[AbstractPhase]
 
@@ -90,7 +178,6 @@ def fit_many(
         models: starts of the fit, such as one network per seed.
         trajectories: what is observed; one for each model, such as draws of the noise
             or resamples (`pinav.trajectories.bootstrap`), or one that all share.
-        recipe: phases, run one after the other.
         trainable: picks the leaves that train, such as
             `lambda m: (m.environment.network, m.drag.damping)`.
         objective: what is minimised; `TrajectoryLoss()` unless given.
@@ -99,7 +186,6 @@ def fit_many(
             given, all of them, but on a CPU one after the other where the phase says so
             (`GaussNewton`): a fit that is done then costs nothing more.
         checkpoint: where the state is kept after each chunk, and found again.
-        on_chunk: called after each chunk of steps.
 
     Returns:
         One `Fit` per model; a diverged one says so in its `outcome`.
@@ -178,9 +264,12 @@ class _FitTask(eqx.Module):
         """State of the minimiser at the start of a phase; outcomes after the last."""
         if phase == len(self.recipe):
             return jnp.zeros(jax.tree.leaves(params)[0].shape[0], int)
-        values = member_losses(self.problem, params, self.at_once)
-        members = (params, values)
-        return begin_phase(self.problem, self.recipe[phase], members, self.at_once)
+        values = self.for_each(_loss, params)
+        return self.for_each(self.recipe[phase].init, params, values)
+
+    def for_each(self, function: Callable[..., PyTree], *members: PyTree) -> PyTree:
+        """A function of the problem and of each member's values, for all members."""
+        return _compiled_for_each(function, self.problem, members, self.at_once)
 
     def compile_after(self, phase: int) -> None:
         """Compile the steps of all phases after this one, by taking none of them.
@@ -228,13 +317,12 @@ class _FitTask(eqx.Module):
         params, minimiser, losses, done = self.take_steps(state, count)
         starts, taken = state.starts, state.taken + count
         if count == left or bool(done):
-            params = finish_phase(self.problem, phase, params, minimiser, self.at_once)
             starts = (*starts, taken)
             outcomes = _outcomes(phase, minimiser)
             minimiser = self.begin(len(starts) - 1, params)
             if len(starts) > len(self.recipe):
                 minimiser = outcomes.astype(minimiser.dtype)
-                final = member_losses(self.problem, params, self.at_once)
+                final = self.for_each(_loss, params)
                 losses = losses.at[:, taken].set(final.astype(losses.dtype))
         chunk = np.asarray(losses)[:, state.taken : taken]
         state = FitState(params, minimiser, losses, starts, taken)

@@ -8,7 +8,7 @@ some tens, so one random projection captures it, and any damping costs nothing m
 """
 
 import abc
-from collections.abc import Callable
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -16,42 +16,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
-from pinav.dynamics import FixedStep
+from pinav.arguments import Scalar, State
+from pinav.dynamics import RK4, FixedStep
 from pinav.errors import InputError
+from pinav.fitting.matching.damped_steps import (
+    DAMPINGS,
+    NETWORK_DAMPING,
+    DampedStep,
+    damped_step,
+    full_step,
+    pointwise,
+)
 from pinav.fitting.matching.phases import AbstractPhase, Loss
 from pinav.fitting.matching.windows import Windows
 from pinav.fitting.outcome import Outcome
-
-
-class DampedStep(eqx.Module):
-    """Where the best of several damped steps leads.
-
-    Attributes:
-        theta: the parameters; those before where no step lowers the squares.
-        damping: of that step, or of the next one to try.
-        left: share of the sum of squares that is left.
-        promised: share of the squares that the linear model promised to save.
-    """
-
-    theta: Float[Array, " parameter"]
-    damping: Float[Array, ""]
-    left: Float[Array, ""]
-    promised: Float[Array, ""]
 
 
 class DampedState(eqx.Module):
     """Where a phase of damped steps stands.
 
     Attributes:
-        damping: of the step taken last.
         slow: steps in a row that gained little.
         value: the loss that the phase reports.
-        promised: share of the squares that the linear model promised to save.
         coloured: whether neighbouring residuals of the full rollout are alike.
         exact: whether the full rollout is good enough.
-        done: whether the phase has ended.
     """
 
     damping: Float[Array, ""]
@@ -70,6 +60,10 @@ class DampedState(eqx.Module):
         return cls(damping, none, value, jnp.ones_like(value), yes, ~yes, ~yes)
 
 
+def _number(value: ArrayLike) -> Float[Array, ""]:
+    return jnp.asarray(value, float)
+
+
 class AbstractDampedPhase(AbstractPhase):
     """A phase whose steps are damped, and which no longer moves once it has ended."""
 
@@ -77,13 +71,7 @@ class AbstractDampedPhase(AbstractPhase):
     def take_step(
         self, problem: Any, params: PyTree, state: DampedState
     ) -> tuple[PyTree, DampedState]:
-        """Parameters and state after a step of a phase that has not ended.
-
-        Args:
-            problem: the `Problem` of the fit.
-            params: the parameters that train.
-            state: of the phase.
-        """
+        """Parameters and state after a step of a phase that has not ended."""
 
     @property
     def side_by_side(self) -> bool:
@@ -97,9 +85,6 @@ class AbstractDampedPhase(AbstractPhase):
             lambda: (params, state, state.value),
             lambda: (*self.take_step(loss, params, state), state.value),
         )
-
-    def finish(self, loss: Loss, params: PyTree, state: DampedState) -> PyTree:
-        return params
 
     def is_done(self, state: DampedState) -> Bool[Array, ""]:
         return state.done
@@ -119,7 +104,6 @@ class AbstractRolloutPhase(AbstractDampedPhase):
         patience: slow steps in a row after which it ends.
         converged: residual of the full rollout below which a fit that ended counts as
             converged, whatever ended it.
-        steps: number of steps at most.
         linearisation: solver of the Jacobian and of the trial points. It may be
             cruder than that of the objective, which decides where the solution is.
     """
@@ -206,14 +190,10 @@ class GaussNewton(AbstractRolloutPhase):
     """
 
     window: Int[Array, ""] = eqx.field(converter=jnp.asarray)
-    target: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float))
+    target: Float[Array, ""] = eqx.field(converter=_number)
     patience: Int[Array, ""] = eqx.field(converter=jnp.asarray, default=2)
-    converged: Float[Array, ""] = eqx.field(
-        converter=lambda x: jnp.asarray(x, float), default=0.0
-    )
-    damping: Float[Array, ""] = eqx.field(
-        converter=lambda x: jnp.asarray(x, float), default=1e-2
-    )
+    converged: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
+    damping: Float[Array, ""] = eqx.field(converter=_number, default=1e-2)
     steps: int = eqx.field(static=True, default=20)
     rank: int = eqx.field(static=True, default=64)
     chord_steps: int = eqx.field(static=True, default=5)
@@ -246,143 +226,159 @@ class GaussNewton(AbstractRolloutPhase):
         )
 
 
-def damped_step(
-    residuals: Callable[[Float[Array, " parameter"]], Float[Array, " residual"]],
-    theta: Float[Array, " parameter"],
-    linear: tuple[Float[Array, " residual"], Float[Array, "residual parameter"]],
-    damping: Float[Array, ""],
-    *,
-    rank: int,
-    num_dampings: int,
-    chord_steps: int,
-) -> DampedStep:
-    """The best of several damped Gauss-Newton steps with chord iterations.
+class DefectMatching(AbstractRolloutPhase):
+    r"""Damped Gauss-Newton steps on propagated defects, with the whole Jacobian.
 
-    Args:
-        residuals: as a function of the parameters.
-        theta: the parameters.
-        linear: the residuals there, and their Jacobian.
-        damping: of the last step.
-        rank: of the random projection.
-        num_dampings: tried at once, a factor of ten apart.
-        chord_steps: iterations with the Jacobian held.
+    Errors begin anew at zero where a window begins.
+
+    Attributes:
+        samples: the (trajectory, step) whose errors count; all unless given. A few
+            hundred tell what a network can represent.
+        prior_root: $C$ with $C C^\top$ the prior covariance of the parameters; steps
+            are then damped in units of the prior, so that what the data do not
+            determine stays as smooth as the prior says.
+        least_damping: below which no step is damped, the square of the residuals'
+            numerical error where there is a prior.
+
+    Raises:
+        InputError: `steps` is not positive.
     """
-    residual, jacobian = linear
-    left, scale, right = low_rank(jacobian, rank)
-    # All smaller but the last two: a step that works is followed by a bolder one.
-    exponents = jnp.arange(num_dampings) - (num_dampings - 2)
-    dampings = damping * 10.0 ** exponents.astype(theta.dtype)
 
-    def attempt(
-        damping: Float[Array, ""],
-    ) -> tuple[Float[Array, " direction"], Float[Array, ""]]:
-        def newton(
-            current: Float[Array, " residual"], z: Float[Array, " direction"]
-        ) -> Float[Array, " direction"]:
-            gradient = scale * (left.T @ current) + damping * z
-            return z - gradient / (scale**2 + damping)
+    window: Int[Array, ""] = eqx.field(converter=jnp.asarray)
+    target: Float[Array, ""] = eqx.field(converter=_number)
+    samples: Int[Array, "sample 2"] | None = None
+    prior_root: Float[Array, "parameter direction"] | None = None
+    least_damping: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
+    damping: Float[Array, ""] = eqx.field(converter=_number, default=1e-2)
+    patience: Int[Array, ""] = eqx.field(converter=jnp.asarray, default=3)
+    converged: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
+    steps: int = eqx.field(static=True, default=20)
+    linearisation: FixedStep = FixedStep(RK4)
 
-        return chord(
-            lambda z: residuals(theta + right @ z),
-            residual,
-            jnp.zeros_like(scale),
-            newton,
-            chord_steps + 1,
+    def __check_init__(self) -> None:
+        if self.steps < 1:
+            raise InputError(f"DefectMatching.steps: expected >= 1, got {self.steps}")
+
+    @property
+    def name(self) -> str:
+        return f"Defects, L = {int(self.window)}"
+
+    def best_step(
+        self, windows: Windows, theta: Float[Array, " parameter"], state: DampedState
+    ) -> DampedStep:
+        errors = windows.propagated_defects(theta)
+        starts = windows.problem.observations.states[:, :-1]
+        jacobian = self._rows_that_count(windows, windows.jacobian(theta, starts))
+
+        def residuals(theta: Float[Array, " parameter"]) -> Float[Array, " row"]:
+            return self._rows_that_count(windows, errors(theta))
+
+        damping = jnp.maximum(state.damping, self.least_damping / DAMPINGS[0])
+        root = self.prior_root
+        if root is None or root.shape[0] != theta.shape[0]:  # or constants train, too
+            return full_step(residuals, theta, (residuals(theta), jacobian), damping)
+
+        def move(z: Float[Array, " direction"]) -> Float[Array, " parameter"]:
+            return theta + root @ z
+
+        step = full_step(
+            lambda z: residuals(move(z)),
+            jnp.zeros(root.shape[1], theta.dtype),
+            (residuals(theta), jacobian @ root),
+            damping,
         )
+        return dataclasses.replace(step, theta=move(step.theta))
 
-    moves, costs = jax.vmap(attempt)(dampings)
-    best, cost = jnp.argmin(costs), residual @ residual
-    lower = costs[best] < cost
-    return DampedStep(
-        theta=jnp.where(lower, theta + right @ moves[best], theta),
-        # Where no damping lowers the cost all were too small.
-        damping=jnp.where(lower, dampings[best], 100.0 * damping),
-        left=costs[best] / cost,
-        promised=_predicted_decrease(residual, left, scale, dampings[0]) / cost,
-    )
-
-
-def low_rank(
-    jacobian: Float[Array, "residual parameter"], rank: int
-) -> tuple[
-    Float[Array, "residual direction"],
-    Float[Array, " direction"],
-    Float[Array, "parameter direction"],
-]:
-    """U, S, V of a random projection of the row space; exact up to its rank."""
-    basis = row_space(jacobian, rank)
-    left, triangle = jnp.linalg.qr(jacobian @ basis)
-    inner, scale, outer = jnp.linalg.svd(triangle)
-    return left @ inner, scale, basis @ outer.T
+    def _rows_that_count(
+        self, windows: Windows, rows: Float[Array, "residual ..."]
+    ) -> Float[Array, "row ..."]:
+        """The rows of the samples that count."""
+        if self.samples is None:
+            return rows
+        data = windows.problem.observations.states[:, 1:]
+        each = rows.reshape(*data.shape, *rows.shape[1:])
+        return each[tuple(self.samples.T)].reshape(-1, *rows.shape[1:])
 
 
-def row_space(
-    jacobian: Float[Array, "residual parameter"], rank: int
-) -> Float[Array, "parameter direction"]:
-    """Orthonormal directions of the parameters that matter, `rank` of them at most."""
-    rows, columns = jacobian.shape
-    if columns <= rank:
-        return jnp.eye(columns, dtype=jacobian.dtype)
-    # A random projection of the rows finds the directions that matter without the
-    # decomposition of the whole Jacobian.
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (rank, rows))
-    return _orthonormal((jnp.asarray(signs, jacobian.dtype) @ jacobian).T)
+class Rates(eqx.Module):
+    """Rates of change of states.
 
-
-def _orthonormal(
-    columns: Float[Array, "row column"],
-) -> Float[Array, "row column"]:
-    """Orthonormal basis by two rounds of the Gram matrix: quicker than a QR here."""
-    # Twice: the first pass leaves what the rounding of a Gram matrix hides.
-    for floor in (1e-11, 1e-15):
-        values, vectors = jnp.linalg.eigh(columns.T @ columns)
-        lengths = jnp.sqrt(jnp.maximum(values, floor * values[-1]))
-        columns = columns @ vectors / lengths[None]
-    return columns
-
-
-def _predicted_decrease(
-    residual: Float[Array, " residual"],
-    left: Float[Array, "residual direction"],
-    scale: Float[Array, " direction"],
-    damping: Float[Array, ""],
-) -> Float[Array, ""]:
-    """By how much the linear model says that a damped step lowers the squares."""
-    along = left.T @ residual
-    # The share of the residual along each direction that a damped step leaves.
-    kept = damping / (scale**2 + damping)
-    return along @ along - (kept * along) @ (kept * along)
-
-
-def chord(
-    residuals: Callable[[Float[Array, " direction"]], Float[Array, " residual"]],
-    residual: Float[Array, " residual"],
-    zero: Float[Array, " direction"],
-    newton: Callable[
-        [Float[Array, " residual"], Float[Array, " direction"]],
-        Float[Array, " direction"],
-    ],
-    num_steps: int,
-) -> tuple[Float[Array, " direction"], Float[Array, ""]]:
-    """Best of several steps with the Jacobian held, and its sum of squares.
-
-    Args:
-        residuals: as a function of the coordinates of the step.
-        residual: their values at no step.
-        zero: the coordinates of no step.
-        newton: the next coordinates, from the residuals and the coordinates.
-        num_steps: number of steps.
+    Attributes:
+        rates: of change of the last channels; of a swimmer's velocity alone.
+        doubts: estimated error of all rates of a state, where it is known.
     """
 
-    def iterate(state: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], None]:
-        z, current, best, lowest = state
-        z = newton(current, z)
-        current = residuals(z)
-        cost = current @ current
-        lower = cost < lowest
-        best, lowest = jnp.where(lower, z, best), jnp.where(lower, cost, lowest)
-        return (z, current, best, lowest), None
+    times: Float[np.ndarray, " point"]
+    states: Float[np.ndarray, "point state"]
+    rates: Float[np.ndarray, "point channel"]
+    doubts: Float[np.ndarray, " point"] | None = None
 
-    start = (zero, residual, zero, jnp.asarray(jnp.inf, zero.dtype))
-    (_, _, best, lowest), _ = jax.lax.scan(iterate, start, length=num_steps)
-    return best, lowest
+
+class RateMatching(AbstractDampedPhase):
+    """Damped Gauss-Newton steps on rates of change, which need no rollout.
+
+    Rollouts of a random network depart from the data after a few samples. Its rates
+    at observed states are functions of the parameters alone, without a solver, and
+    steps with the whole Jacobian learn them to some millionths.
+
+    Attributes:
+        patience: steps in a row that gain less than a tenth, after which it ends.
+
+    Raises:
+        InputError: `steps` is not positive.
+    """
+
+    targets: Rates = eqx.field(converter=lambda rates: jax.tree.map(jnp.asarray, rates))
+    steps: int = eqx.field(static=True, default=40)
+    patience: int = eqx.field(static=True, default=3)
+
+    def __check_init__(self) -> None:
+        if self.steps < 1:
+            raise InputError(f"RateMatching.steps: expected >= 1, got {self.steps}")
+
+    @property
+    def name(self) -> str:
+        return "Rates"
+
+    @property
+    def num_steps(self) -> int:
+        return self.steps
+
+    @property
+    def chunk_steps(self) -> int:
+        return 5
+
+    def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> DampedState:
+        damping = jnp.asarray(NETWORK_DAMPING, value.dtype)
+        return DampedState.begin(damping, value)
+
+    def outcome(self, state: DampedState) -> Int[Array, ""]:
+        return jnp.asarray(Outcome.COMPLETED)
+
+    def take_step(
+        self, problem: Any, params: PyTree, state: DampedState
+    ) -> tuple[PyTree, DampedState]:
+        theta, unravel = ravel_pytree(params)
+        targets = jnp.asarray(self.targets.rates)
+
+        def rate(theta: Float[Array, " parameter"], t: Scalar, y: State) -> State:
+            return problem.model(unravel(theta))(t, y)[-targets.shape[1] :]
+
+        points = jnp.asarray(self.targets.times), jnp.asarray(self.targets.states)
+        size = jnp.sqrt(jnp.mean(targets**2, axis=0))
+        residuals, jacobian = pointwise(rate, theta, points, targets, size)
+        step = full_step(residuals, theta, (residuals(theta), jacobian), state.damping)
+        slow = jnp.where(step.left < SLOW_RATES, 0, state.slow + 1)
+        error = jnp.sqrt(jnp.mean(residuals(step.theta) ** 2))
+        done = (slow >= self.patience) | (error < MATCHED)
+        after = (step.damping, slow, done)
+        state = eqx.tree_at(lambda s: (s.damping, s.slow, s.done), state, after)
+        return unravel(step.theta), state
+
+
+SLOW_RATES = 0.95
+"""Share of the squares that a slow step leaves: steps are cheap, and networks that see
+the whole state gain a few per cent for twenty steps before they gain the rest."""
+
+MATCHED = 1e-6
+"""Relative error of the rates that needs no further step: splines are less exact."""

@@ -20,17 +20,17 @@ Loss = Callable[[PyTree], Float[Array, ""]]
 
 
 class AbstractPhase(eqx.Module):
-    """An iterative minimiser written as a start, a step and an end."""
+    """An iterative minimiser written as a start and steps."""
+
+    @property
+    @abc.abstractmethod
+    def num_steps(self) -> int:
+        """Number of steps at most."""
 
     @property
     @abc.abstractmethod
     def name(self) -> str:
         """What progress bars and reports call the phase."""
-
-    @property
-    @abc.abstractmethod
-    def num_steps(self) -> int:
-        """Number of steps."""
 
     @abc.abstractmethod
     def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> PyTree:
@@ -41,10 +41,6 @@ class AbstractPhase(eqx.Module):
         self, loss: Loss, params: PyTree, state: PyTree
     ) -> tuple[PyTree, PyTree, Float[Array, ""]]:
         """Next parameters, next state, and the loss at the *given* parameters."""
-
-    @abc.abstractmethod
-    def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
-        """Parameters that the phase hands on."""
 
     @abc.abstractmethod
     def is_done(self, state: PyTree) -> Bool[Array, ""]:
@@ -70,20 +66,13 @@ class AbstractPhase(eqx.Module):
 
 
 class AbstractGradientPhase(AbstractPhase):
-    """Many small steps along gradients, all of which are taken.
-
-    Attributes:
-        steps: number of steps.
-    """
+    """Many small steps along gradients, all of which are taken."""
 
     steps: eqx.AbstractVar[int]
 
     @property
     def num_steps(self) -> int:
         return self.steps
-
-    def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
-        return params
 
     def is_done(self, state: PyTree) -> Bool[Array, ""]:
         return jnp.zeros((), bool)
@@ -98,10 +87,6 @@ class AbstractGradientPhase(AbstractPhase):
 
 class Adam(AbstractGradientPhase):
     """Adam at a constant learning rate.
-
-    Attributes:
-        learning_rate: step size, positive.
-        steps: number of steps.
 
     Raises:
         InputError: `learning_rate` or `steps` is not positive.
@@ -143,7 +128,6 @@ class LBFGS(AbstractGradientPhase):
     program: optax's zoom search does so at five, and each would be compiled.
 
     Attributes:
-        steps: number of steps.
         memory: number of past steps that shape the curvature.
         max_evaluations: loss gradients per step at most.
 
@@ -234,7 +218,8 @@ def _weak_wolfe_search(
         enough = point_value <= value + 1e-4 * length * slope
         flat = jnp.asarray(optax.tree.vdot(point_gradient, direction)) >= 0.9 * slope
         candidate = (point, point_value, point_gradient)
-        best = _where(enough & (point_value <= best[1]), candidate, best)
+        is_better = enough & (point_value <= best[1])
+        best = jax.tree.map(lambda a, b: jnp.where(is_better, a, b), candidate, best)
         low, high = jnp.where(enough, length, low), jnp.where(enough, high, length)
         # Doubled until it is too long, then bisected between both conditions.
         length = jnp.where(jnp.isinf(high), 2.0 * low, 0.5 * (low + high))
@@ -243,8 +228,3 @@ def _weak_wolfe_search(
     zero, one = jnp.zeros_like(value), jnp.ones_like(value)
     state = (zero, one * jnp.inf, one, start, jnp.asarray(0), jnp.zeros((), bool))
     return jax.lax.while_loop(unfinished, evaluate, state)[3]
-
-
-def _where(condition: Bool[Array, ""], chosen: PyTree, otherwise: PyTree) -> PyTree:
-    """Leafwise choice between two trees of the same shape."""
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), chosen, otherwise)

@@ -22,10 +22,8 @@ class Fit(eqx.Module):
 
     Attributes:
         model: the model with its trained leaves, in the precision of the fit.
-        initial_model: the model before the first step.
         losses: loss before each step and after the last one.
         phases: name of each phase and the step at which it began.
-        outcome: how the last phase ended.
     """
 
     model: AbstractDynamics
@@ -44,7 +42,6 @@ class FitState(eqx.Module):
         losses: loss of each member before each step taken so far; NaN beyond.
         starts: number of steps taken before each phase that has begun; the last one
             is in progress, unless there is one more than phases: then all are done.
-        taken: steps taken, over all phases.
     """
 
     params: PyTree
@@ -63,9 +60,7 @@ class FitProgress(eqx.Module):
     """What a progress bar shows after each chunk.
 
     Attributes:
-        phase: name of the phase.
         done: steps done, over all phases.
-        total: steps of the whole recipe.
         losses: loss of each member before each step of the chunk.
     """
 
@@ -97,20 +92,22 @@ def split_trainable(
     """The model as (leaves that train, everything else), to be recombined.
 
     Args:
-        model: the model.
         trainable: picks a subtree or a tuple of subtrees; their inexact arrays and
             Python floats train.
-        dtype: floating-point type of the leaves that train.
 
     Raises:
         InputError: the selection holds no number that could train.
     """
 
     def as_array(leaf: Any) -> Any:
-        return jnp.asarray(leaf, dtype) if _is_number(leaf) else leaf
+        is_number = isinstance(leaf, float) or eqx.is_inexact_array(leaf)
+        return jnp.asarray(leaf, dtype) if is_number else leaf
 
     def subtrees(model: Any) -> list[PyTree]:
-        return _without_nesting(trainable(model))
+        # nested tuples in one list, as `eqx.tree_at` needs them
+        return jax.tree.leaves(
+            trainable(model), is_leaf=lambda part: not isinstance(part, tuple | list)
+        )
 
     chosen = jax.tree.map(as_array, subtrees(model))
     model = eqx.tree_at(subtrees, model, chosen)
@@ -122,15 +119,6 @@ def split_trainable(
             "pick leaves of the model, such as lambda m: m.environment"
         )
     return eqx.partition(model, spec)
-
-
-def _without_nesting(selection: PyTree) -> list[PyTree]:
-    """Subtrees of nested tuples in one list, as `eqx.tree_at` needs them."""
-    return jax.tree.leaves(selection, is_leaf=lambda s: not isinstance(s, tuple | list))
-
-
-def _is_number(leaf: Any) -> bool:
-    return isinstance(leaf, float) or eqx.is_inexact_array(leaf)
 
 
 class Observations(eqx.Module):

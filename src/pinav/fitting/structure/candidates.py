@@ -109,8 +109,7 @@ class Candidates(eqx.Module):
     def add_term(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
         """Structures with one scanned term more than there are, polished.
 
-        A linear force stands beside the first: where swimmers are flung out, nothing
-        else explains anything without it.
+        A linear force is added beside the first: swimmers that are flung out need it.
         """
         linear, *kinds = scanned_terms(self.region, self.summits, rotational=rotational)
         beside = terms or tuple(linear)
@@ -190,9 +189,9 @@ class Candidates(eqx.Module):
     def beside_walls(
         self, proposals: Sequence[Proposal], linear: AbstractTerm
     ) -> Iterator[Terms]:
-        """Structures of an ellipse anywhere beside the walls of the best pairs.
+        """Structures with an ellipse anywhere beside the walls of the best pairs.
 
-        A pair of other terms may have the wall of the true one, and nothing else of it.
+        The wall may be the only right term of a pair.
         """
         places = np.concatenate([self.region.grid(GRID[2]), self.summits])
         starts = ellipses(self.region, places, turned_shears())
@@ -212,7 +211,7 @@ class Candidates(eqx.Module):
     def _ellipses(
         self, terms: Terms, fitted: Sequence[AbstractTerm]
     ) -> Iterator[Terms]:
-        """Structures with an ellipse more, about the most likely summits.
+        """Structures with one more ellipse, about the most likely summits.
 
         The one that is scanned moves towards whatever its wrong axes explain best. So
         those about single summits are polished from there, too. A long one explains
@@ -231,10 +230,10 @@ class Candidates(eqx.Module):
         yield from (one.terms for one in scanned[:PROMISING])
 
     def exchange(self, proposal: Proposal, *, rotational: bool) -> Proposal:
-        """The structure with earlier terms in place of which another explains more.
+        """The structure with earlier terms exchanged for others that explain more.
 
-        The first of several terms is found while the others are not there, and takes
-        what it can of them: an ellipse stands for a hill and a wall.
+        The first of several terms also fits what the later ones explain: one ellipse
+        may stand for a hill and a wall.
         """
         is_enough = self.is_enough([proposal])
         for index, term in enumerate(proposal.terms[:-1]):
@@ -268,17 +267,17 @@ class Candidates(eqx.Module):
         return np.concatenate([self.region.places(), self.summits])
 
     def is_enough(self, proposals: Sequence[Proposal]) -> bool:
-        """Whether one of them leaves so little that nothing else is sought."""
+        """True if one of them leaves so little that nothing else is sought."""
         return any(one.noise < self.enough * self.noise for one in proposals)
 
     def is_hopeless(self, proposals: Sequence[Proposal]) -> bool:
-        """Whether each of them leaves so much that none like them is sought."""
+        """True if each of them leaves so much that none like them is sought."""
         return all(one.noise > HOPELESS * self.noise for one in proposals)
 
     def _polish_each(
         self, structures: Sequence[Terms], again: int = 1
     ) -> list[Proposal]:
-        """Each polished, and again where that may explain more of what is left."""
+        """Proposals, polished, and again where that may explain more."""
         between = ENOUGH * self.noise, HOPELESS * self.noise
         made = [
             polish(terms, self.response, again=again, between=between)
@@ -329,7 +328,6 @@ class Candidates(eqx.Module):
         return term
 
     def _best(self, starts: Sequence[AbstractTerm], terms: Terms) -> "_Scanned":
-        """The term that explains most beside those that there are."""
         values = quick_evidences(starts, terms, self.response)
         index = int(np.argmax(values))
         return _Scanned((*terms, starts[index]), values[index])

@@ -66,16 +66,9 @@ def fit_structured(
     Args:
         model: dynamics whose environment is a `KernelPotential`, a `KernelForce` or a
             `KernelMixture`, or a network.
-        trajectories: what was observed.
-        learn: constants to learn too.
-        noise: standard deviation of the observations; estimated unless given.
-        solver: steps between samples; `FixedStep()` unless given.
-        max_iterations: after which a fit counts as stalled.
-        on_step: called after each step.
         weigh_rotation: fit a `KernelMixture` in place of a `KernelPotential` where the
             evidence of planar data, however few, prefers a rotational part, or the
             potential alone diverges. Of a network its kind decides.
-        throw: raise where the fit did not converge.
 
     Raises:
         FitError: as `fit_bayes` does.
@@ -145,8 +138,8 @@ def kernels_of_teacher(
 ) -> tuple[AbstractLearnedForce, bool]:
     """Untrained kernels for a network to learn from; whether to weigh a rotation.
 
-    Components of a force that are independent of each other have no structure to be
-    found, so that where a rotation can be weighed a potential is the first choice.
+    A potential comes first where a rotation can be weighed, since a force of
+    independent components has no structure to find.
     """
     kernels: Any = specification.kernels()
     if kernels.is_conservative or kernels.dim != PLANE:
@@ -162,9 +155,9 @@ PLANE = 2
 def survey_first_steps(search: Search) -> tuple[Search, Survey, bool]:
     """A survey about the first steps of the free fit, and the search from there.
 
-    Smoothed states miss the path of quick swimmers, and the data linearised about them
-    ask for forces that are not there. They stay where free kernels do not explain the
-    data, as a potential does not those of a swirl.
+    Smoothed states miss the path of quick swimmers, so that data linearised about them
+    suggest spurious forces. They are kept where free kernels do not explain the data,
+    as a potential cannot those of a swirl.
     """
     specification, smooth = search.specification, search.free()
     survey = Survey.of(specification, smooth)
@@ -180,7 +173,7 @@ def survey_first_steps(search: Search) -> tuple[Search, Survey, bool]:
 
 
 def _explains(free: EvidenceFit, survey: Survey) -> bool:
-    """Whether the fit of free kernels explains the data nearly to the noise."""
+    """True if the fit of free kernels explains the data nearly to the noise."""
     is_good = free.outcome in (Outcome.CONVERGED, Outcome.UNDER_RESOLVED)
     return is_good and free.hyperparameters.noise <= EXPLAINED * survey.noise
 
@@ -272,7 +265,7 @@ def _potential(
 
 
 def _weigh_few(search: Search) -> StructuredFit:
-    """The fit of a potential or that of a mixture, of data too few for a search.
+    """The fit of a potential or of a mixture, to data too few for a search.
 
     A potential that is refined may follow a few trajectories whatever the force is, so
     that nothing linearised about it asks for more. A mixture on the kernels with which

@@ -49,7 +49,7 @@ errors count against all others. So many hills are judged at the end alone: thei
 costs little, and before it coarse kernels that need not be there count against them."""
 
 COARSE = KernelGrid(across=12, margin=2.0)
-"""Where those kernels are."""
+"""Places of those kernels."""
 
 LENGTH = 1.2
 """Length scale of the coarse kernels, in their widths."""
@@ -198,7 +198,6 @@ class _Landscape(eqx.Module):
         return -0.5 * float(left @ left) - alone.kernel_volume
 
     def with_share(self, share: float) -> "_Landscape":
-        """The same for another deviation of the coarse kernels."""
         return self.with_deviation(share * self.height)
 
     def with_deviation(self, deviation: float) -> "_Landscape":
@@ -288,7 +287,7 @@ class _Landscape(eqx.Module):
     def _project(
         self, values: Float[np.ndarray, "residual ..."]
     ) -> Float[np.ndarray, "row ..."]:
-        """What the coarse kernels leave of residuals, and what that costs."""
+        """Residuals that the coarse kernels leave, and their cost."""
         count = len(values)
         explained = self.basis @ (self.basis[:count].T @ values)
         explained[:count] -= values
@@ -318,7 +317,7 @@ def _log_places(positions: Float[np.ndarray, "point 2"], hills: Hills) -> float:
 
 
 def _deviations(hills: Hills) -> Hills:
-    """Of the priors of the numbers of hills; see `PLACE`."""
+    """Prior deviations of the numbers of hills; see `PLACE`."""
     sizes, height = np.exp(hills[:, 3]), np.median(np.abs(hills[:, 0]))
     ones = np.ones(len(hills))
     return np.stack(
@@ -345,7 +344,7 @@ def _scores(hills: Hills, first: Hills) -> Float[np.ndarray, " number"]:
 def _hill_forces(
     points: Float[Array, "trajectory group 2"], hill: Float[Array, "6"]
 ) -> Float[Array, "trajectory group 2"]:
-    """Of one hill, so that any number of them shares a compilation."""
+    """Forces of one hill, so that any number of them shares a compilation."""
     return _forces(hill, points)
 
 

@@ -49,17 +49,14 @@ where the evidence cannot tell, the formula is simpler than kernels that explain
 much, and says more where no swimmer went."""
 
 BEYOND = 0.2
-"""How far beyond the data a law may have its place at first, as a share of theirs."""
+"""Distance beyond the data, over their extent, where a law may be placed at first."""
 
 
 def follow_laws(terms: Terms, response: ForceResponse, noise: float) -> Proposal | None:
     """Terms whose profiles follow laws; None where the evidence is for none.
 
-    Args:
-        terms: of a fit.
-        response: of the data to forces, about that fit.
-        noise: of the observations. Terms that leave more to free kernels beside them
-            are not asked: their profiles are no laws.
+    Profiles that leave more than the noise to free kernels are no laws and are not
+    tried.
     """
     first = best = polish(terms, response)
     if first is None or first.noise > LAWFUL * noise:
@@ -102,9 +99,8 @@ def _with_law_of(
 ) -> Proposal | None:
     """The structure in which a profile follows the most likely law.
 
-    A law is polished alone, and keeps those numbers: beside kernels they would not move
-    where kernels carry what is wrong with them, and where the states are wrong they
-    would move to explain that.
+    A law is polished alone and keeps those numbers. Beside kernels it would not move
+    where these carry its misfit, and it would follow errors of the states.
     """
     terms, noise = structure.terms, structure.noise
     before, (term, *after) = terms[:index], terms[index:]
@@ -150,7 +146,7 @@ def _nearest(
     def misfits(
         numbers: Float[np.ndarray, "law number"],
     ) -> Float[np.ndarray, "law place"]:
-        """What is left of the profile, with the height that leaves least."""
+        """Misfits of laws to the profile, each with its best height."""
         stacked = jax.tree.unflatten(kind, list(map(on_device, numbers.T)))
         forces = np.nan_to_num(np.asarray(_law_forces(stacked, on_device(z))))
         squares = np.maximum((forces**2).sum(axis=1), np.finfo(float).tiny)
@@ -173,14 +169,13 @@ def _profile(
 def _law_forces(
     laws: FittedLaw, z: Float[Array, " place"]
 ) -> Float[Array, "law place"]:
-    """Of laws whose numbers are stacked, for unit height."""
+    """Forces of laws of unit height whose numbers are stacked."""
     return jax.vmap(lambda law: jax.vmap(law.force)(z))(laws)
 
 
 def _laws(
     term: AbstractProfileTerm, z: Float[np.ndarray, " place"]
 ) -> Iterator[FittedLaw]:
-    """Laws of each kind that a profile may follow, their numbers stacked."""
     low, extent = z.min(), np.ptp(z)
     width = float(term.width)
     sizes = np.log(np.geomspace(width, max(0.5 * extent, 2 * width), SIZES))

@@ -110,11 +110,7 @@ def _wave_vector(wall: WallTerm) -> Float[np.ndarray, "2"]:
 
 
 class PotentialMap(eqx.Module):
-    """The potential that free kernels have in the linearised data.
-
-    Attributes:
-        heights: of the potential at the places of a grid [L² T⁻²].
-    """
+    """The potential [L² T⁻²] that free kernels have in the linearised data."""
 
     places: Float[np.ndarray, "row column 2"]
     heights: Float[np.ndarray, "row column"]
@@ -138,9 +134,6 @@ class PotentialMap(eqx.Module):
         """The map of a potential.
 
         Args:
-            potential: of kernels.
-            positions: where there are data [L].
-            points: along each side of the map.
             reach: distance from the data, in widths of the kernels, up to which the
                 potential counts as seen.
         """
@@ -159,7 +152,7 @@ class PotentialMap(eqx.Module):
     def peaks(
         self, heights: Float[np.ndarray, "row column"], apart: int, least: float
     ) -> Float[np.ndarray, "peak 2"]:
-        """Where heights over the map have peaks, the highest first [L]."""
+        """Places of peaks of heights over the map, the highest first [L]."""
         seen = np.where(self.is_seen, heights, 0.0)
         is_peak = (seen == maximum_filter(seen, size=apart)) & (
             seen > least * seen.max()
@@ -168,7 +161,7 @@ class PotentialMap(eqx.Module):
         return self.places[is_peak][order]
 
     def summits(self) -> Float[np.ndarray, "place 2"]:
-        """Where the potential differs most from that of a linear force [L]."""
+        """Places where the potential differs most from that of a linear force [L]."""
         x, y = np.moveaxis(self.places, -1, 0)
         columns = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
         seen = columns[self.is_seen], self.heights[self.is_seen]
@@ -320,7 +313,6 @@ class _Products(eqx.Module):
         )
 
     def evidences(self, one: int, other: int) -> Float[np.ndarray, "one other"]:
-        """Log evidence of each of one kind beside each of another."""
         (fixed,), *kinds = self.places
         first, second = kinds[one], kinds[other]
         pairs = np.argwhere(np.ones((len(first), len(second)), bool))

@@ -51,9 +51,8 @@ def propose(
 ) -> Proposal | None:
     """The structure of highest evidence; None where no term explains anything.
 
-    Terms are added while the data are not explained to the noise, the evidence gains,
-    and the last term explained a good part of what was left. Terms that a later one
-    made needless are removed.
+    Terms are added while data are unexplained, the evidence gains, and the last term
+    explained a good part of the rest. Terms that later ones made needless are removed.
     """
     candidates = Candidates.of(response, region, noise, enough)
     best: Proposal | None = None
@@ -95,7 +94,7 @@ def propose(
 def is_hopeless(
     response: ForceResponse, region: Region, noise: float, *, rotational: bool
 ) -> bool:
-    """Whether no centre, wall or linear force explains much of the data on its own."""
+    """True if no centre, wall or linear force explains much of the data on its own."""
     candidates = Candidates.of(response, region, noise, HOPELESS)
     return candidates.is_hopeless(candidates.add_term((), rotational=rotational))
 
@@ -105,8 +104,8 @@ def refine(
 ) -> Proposal:
     """Lay kernels of profiles closer to each other where they are too coarse.
 
-    Kernels that are coarser than the process asks for know of fewer profiles than
-    there are, and their band is too sure. So finer ones need not gain.
+    Kernels coarser than the process span too few profiles, and their band is too
+    narrow; finer ones therefore need not gain evidence.
     """
     for _ in range(halvings):
         finer = proposal.finer
@@ -147,8 +146,8 @@ def _simpler(terms: Terms) -> Iterator[Terms]:
 def fallbacks(terms: Terms) -> Iterator[Terms]:
     """Structures to fit in place of one that no fit carries.
 
-    One centre in place of obstacles, which errors of the smoothed states may ask for
-    about a single one; all but the term that was added last.
+    One centre in place of obstacles, which errors of the smoothed states about it may
+    suggest; or all terms but the one added last.
     """
     for index, term in enumerate(terms):
         if isinstance(term, ObstaclesTerm):

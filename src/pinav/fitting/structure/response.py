@@ -1,4 +1,4 @@
-r"""What the observations say of any force, linearised about a fit.
+r"""Response of the observations to any force, linearised about a fit.
 
 About the states of a fit whose force is $F_0$, another force $F$ changes the residuals
 by $G\,(F - F_0)$ with the forces at the states: the response $G$ is computed once, and
@@ -85,7 +85,7 @@ class ForceResponse(eqx.Module):
     def change(
         self, forces: Float[np.ndarray, "trajectory group dim *all"]
     ) -> Float[np.ndarray, " datum *all"]:
-        """What forces change of the residuals."""
+        """Change of the residuals by forces."""
         others = forces.shape[3:]
         flat = forces.reshape(len(forces), self.rows.shape[2], -1)
         return (self.rows @ flat).reshape(-1, *others)
@@ -109,7 +109,7 @@ def columns(
 
 
 def force_quadratic(parts: Sequence[Linear], response: ForceResponse) -> Quadratic:
-    """What the data say of the weights of forces that act together."""
+    """Quadratic form of the data in the weights of forces that act together."""
     rows = np.concatenate([columns(part, response) for part in parts], axis=1)
     offset = response.residuals_of_none
     return _about_none(rows.T @ rows, rows.T @ offset, offset, response)
@@ -120,7 +120,7 @@ def term_quadratics(
     beside: tuple[AbstractTerm, ...],
     response: ForceResponse,
 ) -> list[Quadratic]:
-    """What the data say of the weights of each of several terms, beside others."""
+    """Quadratic form in the weights of each of several terms, beside others."""
     offset = response.residuals_of_none
     others = [columns(term, response) for term in beside]
     kept = np.concatenate([np.zeros((len(offset), 0)), *others], axis=1)
@@ -222,7 +222,7 @@ def _forces_by_weight(
     times: Float[Array, "trajectory group"],
     points: Float[Array, "trajectory group dim"],
 ) -> Float[Array, "term trajectory group dim weight"]:
-    """Of stacked terms, which are linear in their weights."""
+    """Forces of stacked terms by weight, in which they are linear."""
 
     def one(term: AbstractTerm) -> Float[Array, "trajectory group dim weight"]:
         def at(weights: Float[Array, " weight"], t: Scalar, x: Vector) -> Vector:
@@ -264,7 +264,6 @@ def force_response(
 
 
 def _grouped(steps: int) -> tuple[Int[np.ndarray, " step"], int]:
-    """The group of each step, and their number."""
     size = -(-steps // MOST_GROUPS)
     return np.arange(steps) // size, -(-steps // size)
 
@@ -292,7 +291,7 @@ def _normal_equations(
     Float[Array, "trajectory force"],
     Float[Array, " trajectory"],
 ]:
-    """Of each trajectory, by the forces in each group of steps, starts eliminated."""
+    """Normal equations of each trajectory by force, starts eliminated."""
     spread = jax.nn.one_hot(group, groups, dtype=states.dtype)
 
     def step(push: Vector, y: State, t0: Scalar, t1: Scalar) -> tuple[State, State]:

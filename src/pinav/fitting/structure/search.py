@@ -96,11 +96,7 @@ class StructuredFit(eqx.Module):
 
 
 class Search(eqx.Module):
-    """Fits of one kind of free kernels, with structured terms and without.
-
-    Attributes:
-        states: about which fits begin; smoothed ones unless given.
-    """
+    """Fits of free kernels with structured terms and without, begun at `states`."""
 
     specification: FitSpecification
     max_iterations: int
@@ -163,10 +159,6 @@ class Search(eqx.Module):
         The free fit begins where the other ended, and ends early where it cannot win.
         Where the evidence cannot tell, terms that need nothing beside them are
         preferred: they are simpler, and say more where there are no data.
-
-        Args:
-            proposal: of a structure, if there is one.
-            fit_free: `fit_free` unless given, as where it has been asked before.
         """
         fit_free = self.fit_free if fit_free is None else fit_free
         proposed = None if proposal is None else self._fit_proposal(proposal)
@@ -205,10 +197,9 @@ class Search(eqx.Module):
     def fit_free(self) -> StructuredFit:
         """The fit of kernels as fine as the evidence asks for, or of hills.
 
-        Where kernels must be finer than those with which fits begin, the detail may be
-        in a few places: hills and wells beside coarse kernels are then the simpler
-        model, and the quicker one. They must be clearly better, because the evidence of
-        their fit is not charged for their places, which the data chose before.
+        Detail finer than the first kernels may be in a few places: hills and wells
+        beside coarse kernels are then simpler and quicker. They must win clearly, since
+        their evidence is not charged for places that the data chose.
         """
         quiet = dataclasses.replace(self, throw=False)
         rough = quiet.fit(self.free(), AS_FINE_AS_HILLS_NEED)
@@ -347,10 +338,10 @@ class Search(eqx.Module):
         return fit if is_good and is_whole else None
 
     def _without_absent(self, fit: EvidenceFit) -> EvidenceFit:
-        """The fit without terms that it left next to nothing to do.
+        """The fit without terms whose force is negligible.
 
-        About the first steps, which are rough, they may have seemed needed. Where the
-        free remainder does something it may have taken their place, and they stay.
+        They may have seemed needed about the rough first steps. They stay if the free
+        remainder is not negligible, since it may have taken their place.
         """
         if fit.outcome is Outcome.DIVERGED:
             return fit
@@ -368,7 +359,6 @@ class Search(eqx.Module):
     def _with_laws(
         self, fit: EvidenceFit, evidence: float
     ) -> tuple[EvidenceFit, float]:
-        """The fit of terms whose profiles follow laws, where it explains the data."""
         survey = Survey.of(self.specification, self.free(), fit)
         noise = fit.hyperparameters.noise
         lawful = follow_laws(fit.model.environment.terms, survey.response, noise)
@@ -390,10 +380,10 @@ class Search(eqx.Module):
 
 
 def needs_no_search(force: AbstractForce) -> bool:
-    """Whether a rugged force is known so well that no other structure is sought.
+    """True if a rugged force is so well known that no other structure is sought.
 
-    By obstacles of one kind, or many hills. A few may be a sum of other terms, and
-    those that overlap parts of a ring or of a wall.
+    Namely obstacles of one kind or many separate hills. A few hills may be a sum of
+    other terms, and overlapping ones parts of a ring or of a wall.
     """
     terms, _ = split_structure(force)
     return any(
@@ -409,10 +399,7 @@ the distance of each from the others, in its own sizes."""
 
 
 def _relative_forces(fit: EvidenceFit) -> list[float]:
-    """Of each term of a fit, and of the remainder: its force, relative to the greatest.
-
-    Forces are those at the samples.
-    """
+    """Force of each term and the remainder at the samples, over the greatest."""
     states, force = np.asarray(fit.states), fit.model.environment
     places = states[..., : force.dim].reshape(-1, force.dim)
     times = np.zeros(len(places))
@@ -422,7 +409,7 @@ def _relative_forces(fit: EvidenceFit) -> list[float]:
 
 
 def _is_as_good(fit: EvidenceFit, begun: EvidenceFit) -> bool:
-    """Whether a fit of other terms explains the data nearly as well as one that began.
+    """True if a fit of other terms explains the data nearly as well as one that began.
 
     The evidence about states that have not converged is too rough for more.
     """
@@ -437,7 +424,7 @@ def evidence_of(fit: EvidenceFit) -> float:
 
 
 def stands_alone(fit: EvidenceFit) -> bool:
-    """Whether terms explain the data without free kernels, and no force does not."""
+    """True if terms explain the data without free kernels, and no force does not."""
     whole = model_evidence(fit.linear, fit.hyperparameters).log_evidence
     nothing = LinearisedObservations.of(fit.linear.quadratic).log_evidence_without
     is_a_force = fit.hyperparameters.log_evidence > nothing + CLEAR

@@ -85,12 +85,12 @@ class Region(eqx.Module):
 
     @property
     def is_planar(self) -> bool:
-        """Whether the data lie in a plane, which alone has walls and swirls here."""
+        """True if the data lie in a plane, which alone has walls and swirls here."""
         return len(self.middle) == 2
 
     @property
     def width(self) -> float:
-        """Of a kernel of a profile [L]."""
+        """Width of a kernel of a profile [L]."""
         # few widths, so that regions share compilations
         wanted = np.log(self.extent / max(self.quartile_extent, 1e-9)) / np.log(FINER)
         finer = FINER ** np.clip(np.floor(wanted + 0.3), 0, FINEST - 1)
@@ -105,7 +105,6 @@ class Region(eqx.Module):
         """Places that are scanned.
 
         Args:
-            side: places along each side.
             middle: of the grid [L]; that of most of the data unless given.
             fraction: its size, as a share of the extent of most of the data.
         """
@@ -114,7 +113,7 @@ class Region(eqx.Module):
         return middle + _mesh([axis] * len(middle))
 
     def places(self) -> Float[np.ndarray, "point dim"]:
-        """Where centres are scanned first: evenly, and densely where the data are."""
+        """Centres that are scanned first: even, and dense where the data are."""
         # swimmers that are flung out make the even grid coarse
         return np.concatenate([self.grid(GRID[len(self.middle)]), _mesh(self.ranks.T)])
 
@@ -145,9 +144,7 @@ def scanned_terms(
     """Terms of each kind, with the geometries that are scanned.
 
     Args:
-        region: of the data.
         summits: further places of centres [L]; there may be none.
-        rotational: whether terms without a potential are among them, in a plane.
     """
     centers = np.concatenate([region.places(), summits])
     for turn in (False, True) if rotational and region.is_planar else (False,):
@@ -234,18 +231,17 @@ def ellipses(
 
 
 def turned_shears() -> Float[np.ndarray, "shear 2"]:
-    """Of ellipses in several directions."""
+    """Shears of ellipses in several directions."""
     return SHEAR * _directions(2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
 
 
 def segments(region: Region, wall: WallTerm) -> list[EllipticTerm]:
-    """Long ellipses along the layers of a wall, over the ground of most of the data.
+    """Long ellipses along the layers of a wall, over most of the data.
 
     A wall that is fitted to a segment has its direction. Its crests need not be where
     the segment is: what is beyond the ends moves them.
 
     Args:
-        region: of the data.
         wall: one that was fitted to them; one without a potential has no crests.
     """
     if wall.rotational:

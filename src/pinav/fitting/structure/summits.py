@@ -10,7 +10,7 @@ from pinav.fitting.structure.patterns import PotentialMap
 from pinav.forces import KernelPotential
 
 Hills = Float[np.ndarray, "hill 6"]
-"""Of each hill: height [L² T⁻²], centre [L], and shape as in `HillsTerm`."""
+"""Height [L² T⁻²], centre [L] and shape, as in `HillsTerm`, of each hill."""
 
 NUMBERS = 6
 
@@ -43,8 +43,6 @@ def summits(
     """Hills and wells as curved as a potential at its summits, the highest first.
 
     Args:
-        potential: of kernels.
-        positions: where there are data [L].
         least: height that counts [L² T⁻²]; a share of the highest unless given.
     """
     seen = PotentialMap.of_potential(potential, positions, POINTS, REACH)
@@ -99,7 +97,7 @@ def _distance(hill: Float[np.ndarray, "6"], place: Float[np.ndarray, "2"]) -> fl
 
 
 def doubtful(hills: Hills) -> list[int]:
-    """Which hills may be needless: the smallest, and those within another."""
+    """Hills that may be needless: the smallest, and those within another."""
     if len(hills) == 1:
         return []
     volumes = np.abs(hills[:, 0]) * np.exp(2 * hills[:, 3])

@@ -57,12 +57,10 @@ places are scanned; the fits see all."""
 
 
 class Survey(eqx.Module):
-    """What the data say of any force, linearised about their smoothed states.
+    """Response of the data to any force, linearised about their smoothed states.
 
     Attributes:
-        region: where the observations are.
-        noise: of the observations, roughly or as it was given.
-        is_begun: whether the states are those of a fit, not smoothed ones.
+        is_begun: True if the states are those of a fit, not smoothed ones.
     """
 
     response: ForceResponse
@@ -80,8 +78,6 @@ class Survey(eqx.Module):
         """The survey of the data of a fit.
 
         Args:
-            specification: what is asked of the fit.
-            problem: its start, with smoothed states.
             fit: about which the data are linearised; about the smoothed states and no
                 force unless given.
         """
@@ -116,10 +112,6 @@ class Survey(eqx.Module):
         In space one that explains them but roughly is not worth the time of its fit.
         Smoothed states miss the path of quick swimmers, and a term that is right may
         leave a few times the noise: it is not worth a search for others.
-
-        Args:
-            rotational: whether the force may have no potential.
-            enough: misfit relative to the noise at which nothing else is sought.
         """
         best = propose(
             self.response,
@@ -137,21 +129,17 @@ class Survey(eqx.Module):
         return best if self.region.is_planar else refine(best, self.response, 1)
 
     def is_hopeless(self, *, rotational: bool) -> bool:
-        """Whether no single term explains much of the data.
-
-        Args:
-            rotational: whether the force may have no potential.
-        """
+        """True if no single term explains much of the data."""
         return is_hopeless(
             self.response, self.region, self.noise, rotational=rotational
         )
 
     def is_near_noise(self, proposal: Proposal) -> bool:
-        """Whether terms leave little more of the data unexplained than the noise."""
+        """True if terms leave little more of the data unexplained than the noise."""
         return proposal.noise <= EXPLAINED * self.noise
 
     def is_at_noise(self, proposal: Proposal) -> bool:
-        """Whether terms leave so little of the data that they are all there is."""
+        """True if terms leave so little of the data that they are all there is."""
         return proposal.noise <= AT_NOISE * self.noise
 
     def would_repeat(self, proposal: Proposal, again: Proposal | None) -> bool:
@@ -176,7 +164,7 @@ LEAST_TRAJECTORIES, LEAST_SAMPLES = 6, 600
 
 
 def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
-    """Whether the data could tell a structure of a force that does not change.
+    """True if the data could tell a structure of a force that does not change.
 
     A network is told of it by a teacher whose force does not change.
     """
@@ -189,13 +177,13 @@ def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
 
 
 def may_turn(model: Any) -> bool:
-    """Whether a rotational part can be weighed beside the potential of a model."""
+    """True if a rotational part can be weighed beside the potential of a model."""
     field = _static_field(model)
     return field is not None and field.is_conservative and field.dim == 2
 
 
 def is_network(model: Any) -> bool:
-    """Whether the environment of a model is a network, which a teacher must show it."""
+    """True if the environment of a model is a network, which a teacher must show it."""
     force = as_learned_force(model.environment)
     return force is not None and not force.is_linear
 
@@ -220,7 +208,7 @@ draws of each family, keys 40 to 46), of swirls 4.4 to 21."""
 
 
 class SurveyedRotation(NamedTuple):
-    """What data that are linearised before any fit say of a rotational part.
+    """Evidence of a rotational part in data that are linearised before any fit.
 
     Attributes:
         gain: log evidence of it beside a potential [nats].
@@ -241,15 +229,9 @@ def survey_rotation(
 ) -> SurveyedRotation:
     """The evidence of a rotational part in the linearised data.
 
-    It is compared beside conservative terms, if there are any. On kernels that are too
-    coarse a rotational part explains what they miss. The search for its own shape is
-    short, so that the gain is at least this.
-
-    Args:
-        response: of the data to forces.
-        noise: of the observations, roughly.
-        terms: conservative ones that are there in any case; there may be none.
-        kernels: of both parts.
+    It is compared beside conservative terms, if any. On too coarse kernels a rotational
+    part explains what they miss. The search for its shape is short: the gain is a lower
+    bound.
     """
     mixture = mixture_on(kernels)
     potential = mixture.gradient
@@ -286,12 +268,9 @@ def survey_rotation(
 
 
 def fitted_gain(fit: EvidenceFit) -> float:
-    """Log evidence of a fit over that of its conservative part alone [nats].
+    """Log evidence of a mixture's fit over that of its conservative part alone [nats].
 
     Both are of the linear problem in which the fit ended.
-
-    Args:
-        fit: of a `KernelMixture`, with structured terms or without.
     """
     force, linear = fit.model.environment, fit.linear
     conservative, kept, num_geometry = _without_rotation(force)
@@ -331,7 +310,7 @@ def _beside(
 def _without_rotation(
     force: Any,
 ) -> tuple[AbstractLearnedForce, np.ndarray, int]:
-    """What has a potential, which weights are its own, and the numbers of the rest."""
+    """The conservative part, its weights, and the numbers of the rest."""
     (terms, _), gradient = split_structure(force), force.helmholtz.gradient
     still = tuple(term for term in terms if not term.rotational)
     kept = [np.full(term.weights.size, not term.rotational) for term in terms]

@@ -53,12 +53,12 @@ Terms = tuple[AbstractTerm, ...]
 
 
 class Proposal(eqx.Module):
-    """Terms with their geometry, and what the linearised data think of them.
+    """Terms with their geometry, and their evidence in the linearised data.
 
     Attributes:
         length_scales: of the profile of each term, in widths of its kernels; infinite
             where it has none.
-        is_rough: whether they may leave more unexplained than the noise, which they
+        is_rough: True if they may leave more unexplained than the noise, which they
             must not do about the path of a fit.
     """
 
@@ -101,14 +101,7 @@ def with_places(
     width: Scalar,
     law: FittedLaw | None = None,
 ) -> AbstractProfileTerm:
-    """The term with other kernels, without weight.
-
-    Args:
-        term: whose geometry stays.
-        places: of the kernels [L].
-        width: of a kernel [L].
-        law: beside the kernels; that of the term unless given.
-    """
+    """The term with other kernels, without weight; its law stays unless given."""
     law = term.law if law is None else law
     weights = on_device(np.zeros(len(places) + (law is not None)))
     return dataclasses.replace(
@@ -117,7 +110,7 @@ def with_places(
 
 
 def _linearise(terms: Terms, response: ForceResponse) -> LinearisedObservations:
-    """What the data say of the weights of terms of a given geometry."""
+    """Linear problem of the weights of terms of a given geometry."""
     return LinearisedObservations.of(force_quadratic(terms, response))
 
 
@@ -134,8 +127,8 @@ def quick_evidences(
 ) -> list[float]:
     """Log evidence of each of several terms beside others, at a few smoothnesses.
 
-    The noise is estimated: far from the right geometry nothing explains the data, and
-    with the noise fixed wild profiles would.
+    The noise is estimated: with a fixed one, wild profiles would explain the data far
+    from the right geometry.
     """
     terms = (*beside, starts[0])
     prior = prior_of(terms)
@@ -158,11 +151,7 @@ def quick_evidences(
 
 
 def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
-    """The terms with the weights of highest evidence for their geometry.
-
-    Raises:
-        FitError: the data do not depend on them.
-    """
+    """The terms with the weights of highest evidence; FitError if undetermined."""
     prior, data = prior_of(terms), _linearise(terms, response)
     shapes = _smooth_shapes(terms, prior, response)
     tried = [at_shape(data, prior.covariance, shape) for shape in shapes]
@@ -204,7 +193,7 @@ def smooth_shape(
 
 
 def _shape_places(terms: Terms) -> list[int]:
-    """Where in the shape of their prior that of each term begins."""
+    """Index in the shape of their prior at which that of each term begins."""
     counts = [len(term.prior().start) for term in terms]
     # between two terms there is the ratio of their amplitudes, from the second on
     return [sum(counts[:index]) + max(index - 1, 0) for index in range(len(terms))]
@@ -215,7 +204,7 @@ SMOOTHNESSES = (0.1, 0.04)
 
 
 def cost(terms: Terms, response: ForceResponse) -> float:
-    """What the numbers of the geometry cost: a prior of unit information each."""
+    """Cost of the numbers of the geometry: a prior of unit information each."""
     count = sum(leaf.size for term in terms for leaf in term.geometry)
     return 0.5 * count * float(np.log(response.num_free)) + 3.0 * len(terms)
 
@@ -229,12 +218,9 @@ def polish(
 ) -> Proposal | None:
     """Profiles and geometry of the highest evidence; None where there is no best.
 
-    A geometry has no derivative while its profile is zero, so that the profiles come
-    first.
+    Profiles come first: a geometry has no derivative while its profile is zero.
 
     Args:
-        terms: where the search begins.
-        response: of the data to forces.
         again: times that it begins anew from where it ended, at most; see `GAIN`.
         between: what must be left for that: less is explained, more is hopeless.
     """
@@ -298,7 +284,7 @@ def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
 
 
 def _determined_heights(step: Step, priors: ConstantPriors) -> float:
-    """What the evidence has charged of the numbers that `cost` charges, too.
+    """Part of the evidence already charged for the numbers that `cost` charges.
 
     That of a number which the data determine is the same for angles and for places. One
     that they leave open costs what its prior allows as well: its term is needless.
@@ -318,9 +304,9 @@ data leave it open."""
 
 
 def _is_in_reach(term: AbstractTerm, response: ForceResponse) -> bool:
-    """Whether the kernels of a profile reach most of the data.
+    """True if the kernels of a profile reach most of the data.
 
-    Of a term that left them nothing is determined, and the integral over its geometry
+    Otherwise no parameter of the term is determined, and the integral over its geometry
     is no evidence.
     """
     if not isinstance(term, AbstractProfileTerm) or term.law is not None:

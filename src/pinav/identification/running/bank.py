@@ -40,7 +40,8 @@ class Bank(eqx.Module):
     r"""States of all members.
 
     Attributes:
-        covariance: that of each member, the same along both axes, over $\sigma^2$.
+        covariance: covariance of each member, the same along both axes, over
+            $\sigma^2$.
         log_weight: logarithm of the evidence of each member, less that of the best.
         squares: rate of the gamma posterior of $1/\sigma^2$ of each member.
         count: shape of that posterior, the same for all.
@@ -112,12 +113,7 @@ class Bank(eqx.Module):
     def update(
         self, position: Float[np.ndarray, "2"], blur: Float[np.ndarray, " member"]
     ) -> "Bank":
-        r"""The states and weights that know a mean position [L].
-
-        Args:
-            position: of a block.
-            blur: standard deviation of its error, over $\sigma$ [s].
-        """
+        r"""The states and weights after a block's mean position [L], blur in [s]."""
         variance = self.covariance[:, P, P] + blur**2
         column = self.covariance[:, :, P]
         gain = column / variance[:, None]
@@ -156,10 +152,9 @@ def wandering(
     memory: Float[np.ndarray, " member"],
     frequency: float | Float[np.ndarray, "*plan 1"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    r"""Variances that wandering adds in an interval, over $\sigma^2$.
+    r"""Variances by wandering in an interval at a frequency [Hz], over $\sigma^2$.
 
-    Of the position, of position with velocity, and of the velocity, for the strength
-    at a frequency [Hz].
+    They are those of position, of position with velocity, and of velocity.
     """
     strength = STILL**2 + np.sqrt(np.maximum(frequency, 0.0))
     lost, _, spread, fresh = ornstein_uhlenbeck(interval / memory, np)
@@ -257,7 +252,6 @@ class CommandHistory(eqx.Module):
 
     Attributes:
         rates: effective velocity per gain from each on, by response [Hz].
-        integrals: integral of the rates up to each command [cycles].
     """
 
     times: Float[np.ndarray, " command"]

@@ -20,20 +20,13 @@ MEMBERS = 48
 
 
 class DriveForecast(eqx.Module):
-    """Positions at some times, relative to a start.
-
-    Attributes:
-        displacement: mean of the mixture [L].
-        variance: variance of each coordinate, jitter of frames left out [L²].
-    """
+    """Displacements [L] from a start and their variances [L²], without jitter."""
 
     displacement: Float[np.ndarray, "*plan time 2"]
     variance: Float[np.ndarray, "*plan time 2"]
 
 
 class _Members(eqx.Module):
-    """The members that are asked."""
-
     drive: np.ndarray
     memory: np.ndarray
     weight: np.ndarray
@@ -56,7 +49,6 @@ class _Members(eqx.Module):
         )
 
     def mix(self, row: np.ndarray, noise: np.ndarray) -> DriveForecast:
-        """Mean and variance of the mixture."""
         paths = np.einsum("...ms,mas->...ma", row, self.mean)
         # A product with each covariance first: three factors at once are slow.
         by_member = np.einsum("...ms,msu->...mu", row, self.covariance)
@@ -91,12 +83,10 @@ def forecast(
     """Displacements from the first of some times on, under commands.
 
     Args:
-        fit: after the frame at the first time; it has a bank.
-        times: the first one is that of the last frame [s].
-        frequency: held from each time on [Hz]; of one plan, or of many.
+        times: times from that of the last frame on [s].
+        frequency: held from each time on [Hz]; of one plan or of many.
         heading: likewise [rad].
-        bank: another one, such as that of a time before; its wandering velocity counts
-            for nothing.
+        bank: another bank, such as an earlier one; its wandering velocity is ignored.
     """
     chosen = fit.bank if bank is None else bank
     assert chosen is not None
@@ -118,10 +108,7 @@ def forecast(
 def _turned_before(
     fit: RunningFit, members: _Members, times: np.ndarray
 ) -> Float[np.ndarray, "time member 2"]:
-    """Cycles after the first time [cycles] by the commands before it, which act late.
-
-    The command of the last frame counts up to that time.
-    """
+    """Cycles after the first time by earlier commands that act late [cycles]."""
     assert fit.history is not None
     none, history = np.zeros(1), fit.history
     if times[0] <= history.times[-1]:
@@ -169,7 +156,7 @@ def _wandering(
 
 
 class DriveEstimate(eqx.Module):
-    """The numbers that people ask for, with standard deviations.
+    """Main numbers of the drive, with standard deviations.
 
     Attributes:
         delay: time from command to motion [s].
@@ -187,10 +174,7 @@ class DriveEstimate(eqx.Module):
 
 
 def gain_at(fit: RunningFit, frequency: float) -> tuple[np.ndarray, float]:
-    """Velocity [L T⁻¹] by heading at a frequency [Hz], a matrix, and the sd of one.
-
-    The matrix times the unit vector of the heading is the velocity that drive adds.
-    """
+    """Matrix from heading to driven velocity [L T⁻¹] at a frequency [Hz]; its sd."""
     assert fit.bank is not None
     weight = fit.bank.weight
     turned = fit.grid.response(np.array([frequency]))[0][fit.grid.member_response]

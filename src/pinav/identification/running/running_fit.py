@@ -11,12 +11,10 @@ from pinav.identification.running.bank import REACH, Bank, CommandHistory, Drive
 
 
 class Frames(eqx.Module):
-    """Positions and commands, in the order of time.
+    """Positions [L] and the commands [Hz, rad] applied from each time on.
 
     Attributes:
-        positions: [L]; NaN where the robot was not seen.
-        frequency: applied from each time on [Hz].
-        heading: likewise [rad].
+        positions: NaN where the robot was not seen.
     """
 
     times: Float[np.ndarray, " frame"]
@@ -80,15 +78,13 @@ class RunningFit(eqx.Module):
     the bank, some seconds of commands, and the frames of a block.
 
     Attributes:
-        bank: their states; none until the robot was driven for `SCALE_TIME`.
+        bank: filter states; none until the robot was driven for `SCALE_TIME`.
         history: the last seconds of commands; none before the first frame.
-        frames: those that belong to no block that is closed.
-        since: time at which the robot was first driven [s]; none before.
+        frames: frames of the open block.
+        since: time of the first drive [s]; none before.
         scale: rough speed per frequency [L per cycle].
-        block_time: mean time of the last closed block [s].
-        cycles: mean of the integrated commands in that block, of each drive; none
-            where positions begin anew.
-        block_frequency: mean frequency in it [Hz].
+        cycles: mean of the integrated commands in the last closed block, of each drive;
+            none where positions begin anew.
         jitter: variance of a coordinate of single frames about the path [L²].
     """
 
@@ -108,7 +104,7 @@ class RunningFit(eqx.Module):
 
     @classmethod
     def begin(cls, grid: DriveGrid | None = None) -> "RunningFit":
-        """Nothing known, with the default grid unless another one is given."""
+        """An empty fit, with the default grid unless another one is given."""
         return cls(DriveGrid.default() if grid is None else grid)
 
     def after(
@@ -118,14 +114,7 @@ class RunningFit(eqx.Module):
         frequency: float,
         heading: float,
     ) -> "RunningFit":
-        """The fit after one more frame.
-
-        Args:
-            time: later than that of the frame before [s].
-            position: [L]; none where the robot was not seen.
-            frequency: applied from `time` on [Hz].
-            heading: likewise [rad].
-        """
+        """The fit after a frame [s, L] and the command from then on [Hz, rad]."""
         frame = Frames.one(time, position, frequency, heading)
         fit = dataclasses.replace(
             self,
@@ -148,10 +137,10 @@ class RunningFit(eqx.Module):
         frequency: float,
         heading: float,
     ) -> "RunningFit":
-        """The fit after a frame that does not go on from those before it.
+        """The fit after a frame that does not continue those before it.
 
-        The gain and all else that was learned are kept; where the robot is, how it
-        wandered and what was commanded before are not.
+        What was learned of the drive is kept; position, wandering and past commands are
+        not.
         """
         frame = Frames.one(time, position, frequency, heading)
         return dataclasses.replace(

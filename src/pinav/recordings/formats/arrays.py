@@ -133,14 +133,14 @@ class _Nothing:
         return super().__new__(cls)
 
     def __setstate__(self, state: Any) -> None:
-        """Nothing is kept."""
+        """Ignored."""
 
 
 _ARRAYS = {
     *(("numpy._core.multiarray", name) for name in ("_reconstruct", "scalar")),
     *(("numpy", name) for name in ("ndarray", "dtype")),
 }
-"""What arrays and their numbers are made of."""
+"""Constructors of arrays and of their numbers."""
 
 
 class _Reader(pickle.Unpickler):

@@ -26,7 +26,7 @@ QUANTITIES = (
     "segment",
     *COMMAND_UNITS,
 )
-"""What a column may hold; dt is the interval of each frame."""
+"""Quantities of columns; dt is the interval of each frame."""
 
 _STAR = "*"
 """Stands for the names of the particles in a table with columns for each of them."""
@@ -75,7 +75,6 @@ class MappedTable(AbstractFormat):
 def _units(
     table: Table, columns: Mapping[str, str], reading: Reading
 ) -> dict[str, str]:
-    """Unit of each quantity: as the user states it, else as the table does."""
     stated = {name: table.unit(column) for name, column in columns.items()}
     # Positions and times that the user states are converted for every format alike.
     given = {n: u for n, u in (reading.units or {}).items() if n in COMMAND_UNITS}
@@ -157,7 +156,7 @@ def long_table(
 
 
 def _particles(table: Table, pattern: str) -> list[str]:
-    """What the star stands for in the headings that match a pattern."""
+    """Values of the star in the headings that match a pattern."""
     before, after = (re.escape(part) for part in pattern.split(_STAR, 1))
     matches = (
         re.fullmatch(f"{before}(.+?){after}", units.split_heading(heading)[0])
@@ -217,16 +216,7 @@ def doubts_of_columns(
     time: np.ndarray | None,
     commands: Mapping[str, np.ndarray],
 ) -> dict[str, str]:
-    """What a fit must not take for granted, by the quantity that it is about.
-
-    Args:
-        table: with a row for each position.
-        columns: its column of each quantity.
-        units_of: unit of each quantity, where one is known.
-        reading: what the user states.
-        time: of each row, in s where its unit is known.
-        commands: of each row, in the units of pinav.
-    """
+    """Doubts about a table that the user must settle, by quantity."""
     stated = {*(reading.units or {})}
     doubts = _of_foreign_units(table, columns, stated)
     if "t" in columns and time is not None and "t" not in stated | set(doubts):
@@ -281,12 +271,7 @@ def _of_foreign_units(
 
 
 def unread_particles(table: Table, columns: Mapping[str, str]) -> list[str]:
-    """Columns of further particles that the column map does not name, in words.
-
-    Args:
-        table: as the file has it.
-        columns: names of the quantities, perhaps with stars.
-    """
+    """Sentences on columns of further particles that the column map does not name."""
     patterns = [_number_pattern(columns[name]) for name in "xy"]
     others = [
         [h for h in map(str, table.columns) if pattern.fullmatch(h)] if pattern else []

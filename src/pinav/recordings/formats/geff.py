@@ -65,7 +65,7 @@ class Geff(AbstractFormat):
 
 
 def is_zarr(folder: Path) -> bool:
-    """Whether a folder is a group of Zarr, of version 2 or 3, or is called so."""
+    """True if a folder is a Zarr group of version 2 or 3, or is named like one."""
     group = any((folder / name).is_file() for name in ("zarr.json", ".zgroup"))
     return group or folder.suffix in (".zarr", ".geff")
 
@@ -98,14 +98,12 @@ def _names(axes: Mapping[str, Any], hints: Mapping[str, str]) -> dict[str, str]:
 def _scale(
     values: Float64[np.ndarray, " node"], axis: Mapping[str, Any]
 ) -> tuple[Float64[np.ndarray, " node"], str]:
-    """Values along an axis, and their unit."""
     scale, offset = axis.get("scale"), axis.get("offset")
     unit = axis.get("unit") if scale is None else axis.get("scaled_unit")
     return values * (scale or 1.0) + (offset or 0.0), unit or ""
 
 
 def _particles(group: Group, said: Mapping[str, Any]) -> Int64[np.ndarray, " node"]:
-    """The tracklet of each node."""
     name = (said.get("track_node_props") or {}).get("tracklet")
     tracklets = None if name is None else group.array(f"nodes/props/{name}/values")
     if tracklets is not None:

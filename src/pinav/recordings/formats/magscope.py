@@ -91,7 +91,6 @@ class MagScope(AbstractFormat):
 
 
 def _is_recorders(content: bytes) -> bool:
-    """Whether a workbook has a sheet that the recorder writes."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             book = archive.read("xl/workbook.xml").decode("utf-8", "replace")
@@ -217,7 +216,7 @@ LONGEST = 5.0
 
 
 def _are_intervals(values: np.ndarray) -> bool:
-    """Whether times that should increase are intervals, as some versions log them."""
+    """True if times that should increase are intervals, as in some versions."""
     known = values[np.isfinite(values)]
     if len(known) < 3 or known.min() < 0 or known.max() > LONGEST:
         return False
@@ -227,7 +226,7 @@ def _are_intervals(values: np.ndarray) -> bool:
 def _commands(
     sheets: dict[str, Table], frame: np.ndarray
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """What was commanded at each frame, NaN where the log says nothing."""
+    """Commands at each frame, NaN where the log says nothing."""
     if ACTIONS not in sheets:
         return {}, (f"no sheet {ACTIONS!r}: the recording has no commands",)
     table = sheets[ACTIONS]

@@ -69,7 +69,6 @@ def _variables(source: Source) -> dict[str, np.ndarray]:
 def _choose_variable(
     variables: dict[str, np.ndarray], name: str | None
 ) -> tuple[str, np.ndarray]:
-    """The variable that holds the tracks."""
     fitting = {n: v for n, v in variables.items() if _fits(v)}
     if name is not None:
         if name not in variables:

@@ -54,7 +54,7 @@ class DeepLabCut(AbstractFormat):
 
 
 def _is_observed(table: Table, threshold: float) -> np.ndarray:
-    """Where the likelihood is high enough; it must be one."""
+    """Mask of a sufficient likelihood, which must be one."""
     values = table.numbers("likelihood", lost=True)
     wrong = (values < 0) | (values > 1)
     if wrong.any():
@@ -108,7 +108,6 @@ def _names(levels: dict[str, list[str]]) -> list[tuple[str, str]]:
 def _parts(
     names: Sequence[tuple[str, str]], columns: Sequence[Any], table: Table
 ) -> dict[str, Table]:
-    """A table of x, y and likelihood for each particle."""
     particles: dict[str, dict[str, Sequence[Any] | np.ndarray]] = {}
     for (name, coord), cells in zip(names, columns, strict=True):
         if coord in particles.setdefault(name, {}):
@@ -159,8 +158,8 @@ def _from_hdf5(source: Source) -> tuple[np.ndarray, dict[str, Table]]:
 def _column_names(content: bytes) -> list[tuple[str, ...]]:
     """The list of tuples of words that pandas keeps as a serialised object.
 
-    Its instructions are read one by one, and only those that make words, tuples and
-    lists are obeyed; anything else, such as a call, is refused.
+    Only instructions that make words, tuples and lists are obeyed; all others are
+    refused.
     """
     stack: list[Any] = []
     memo: dict[int, Any] = {}

@@ -19,16 +19,16 @@ class KnownTable(AbstractFormat):
     """A table that is known by its columns, one value for each program; y down.
 
     Attributes:
-        name: what the user calls it.
-        columns: headings of each quantity, parted by strokes; a star stands for the
-            particles where each has columns of its own.
+        columns: headings of each quantity, separated by strokes; a star stands for the
+            number of a particle with columns of its own.
         optional: quantities that the table may lack.
-        behind: pattern of what may follow a heading.
-        signs: columns that tell the program where the one of particles is missing.
-        length_unit: of the positions, where no column states it.
+        behind: pattern of permitted text after a heading.
+        signs: columns that identify the program when the column of particles is
+            missing.
+        length_unit: unit of the positions, where no column states it.
         unit_column: heading of a column that states the unit of length.
-        untracked: label of rows that belong to no track.
-        remedy: what the user does in the program where a column is missing.
+        untracked: label of rows without a track.
+        remedy: advice on the program's export where a column is missing.
     """
 
     def __init__(
@@ -55,7 +55,6 @@ class KnownTable(AbstractFormat):
         return not lacks or (lacks == {"particle"} and bool(self.signs & set(names)))
 
     def _headings(self, names: list[str]) -> dict[str, str]:
-        """The heading of each quantity that the table has."""
         headings = {}
         for quantity, words in self.columns.items():
             if "*" in words:
@@ -162,7 +161,7 @@ TRACKPY = KnownTable(
     signs=("mass", "size", "ecc", "signal", "raw_mass", "ep"),
     remedy="link the features first (trackpy.link)",
 )
-"""What `trackpy.link` returns, as CSV, parquet or DataFrame; px."""
+"""Results of `trackpy.link`, as CSV, parquet or DataFrame; px."""
 
 IMAGEJ = KnownTable(
     "imagej",
@@ -287,7 +286,6 @@ def _entry(line: str) -> tuple[str, str]:
 
 
 def _interval(word: str) -> float:
-    """The time step of a comment `dt`."""
     try:
         value = float(word)
     except ValueError:

@@ -78,7 +78,6 @@ class TrackMateCSV(AbstractFormat):
 
 
 def _is_raw(table: Table) -> bool:
-    """Whether rows of names and units stand above the numbers."""
     return str(table.columns["POSITION_X"][0]).strip() in ("X", "Position X")
 
 
@@ -111,7 +110,7 @@ def _times(
 
 
 def _calibration_remarks(unit: str, reading: Reading) -> tuple[str, ...]:
-    """That times are frames, unless the user says how many there are in a second."""
+    """Remark that times are frames, unless the user states a frame rate."""
     return () if reading.fps is not None else (UNCALIBRATED.format(unit=unit),)
 
 
@@ -142,7 +141,6 @@ def _root_tag(content: bytes) -> str:
 
 
 def _number(element: Any, name: str, where: str) -> float:
-    """A number among the attributes of an element."""
     text = element.get(name)
     try:
         value = float(text) if text is not None and "_" not in text else float("nan")
@@ -166,7 +164,6 @@ class _Spot(NamedTuple):
 
 
 def _numbers(spots: Sequence[_Spot], names: Iterable[str]) -> np.ndarray:
-    """Numbers of each name [name, spot]."""
     return np.array(
         [[_number(spot.element, name, spot.place) for spot in spots] for name in names]
     )
@@ -175,7 +172,6 @@ def _numbers(spots: Sequence[_Spot], names: Iterable[str]) -> np.ndarray:
 def _tracks(
     spots: Sequence[_Spot], positions: np.ndarray, frame: np.ndarray, **others: Any
 ) -> Tracks:
-    """Tracks of spots at positions x, y and perhaps z."""
     x, y, *heights = positions
     return Tracks(
         x=x,
@@ -229,7 +225,6 @@ class TrackMateXML(AbstractFormat):
 
 
 def _root(content: bytes) -> Any:
-    """The element <Tracks>."""
     root = _parse(content)
     if root.tag != "Tracks":
         raise InputError(

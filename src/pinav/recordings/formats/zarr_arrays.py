@@ -22,16 +22,12 @@ _BLOSC = {1: "lz4_raw", 2: "snappy", 3: "zlib", 4: "zstd"}
 @final
 @dataclasses.dataclass(frozen=True)
 class Group:
-    """A folder of Zarr.
-
-    Attributes:
-        path: where it is.
-    """
+    """A folder of Zarr."""
 
     path: Path
 
     def attributes(self) -> Mapping[str, Any]:
-        """What the group says of itself; nothing where it is no group."""
+        """The group's metadata; empty where it is no group."""
         if (self.path / "zarr.json").is_file():
             return _json(self.path / "zarr.json").get("attributes") or {}
         file = self.path / ".zattrs"
@@ -66,7 +62,7 @@ class Group:
 
 @dataclasses.dataclass(frozen=True)
 class _Stored:
-    """How an array is stored: chunks of one shape, each through codecs in turn."""
+    """Storage of an array: chunks of one shape, each through codecs in turn."""
 
     shape: Sequence[int]
     chunks: Sequence[int]
@@ -91,7 +87,6 @@ def _json(file: Path) -> Mapping[str, Any]:
 
 
 def _second(said: Mapping[str, Any]) -> _Stored:
-    """An array of version 2."""
     if said.get("filters"):
         raise _unread("filters")
     codec = said.get("compressor")
@@ -108,7 +103,6 @@ def _second(said: Mapping[str, Any]) -> _Stored:
 
 
 def _third(said: Mapping[str, Any]) -> _Stored:
-    """An array of version 3."""
     keys, order = said["chunk_key_encoding"], "<"
     usual = keys["name"] == "default"
     default = "/" if usual else "."
@@ -157,7 +151,7 @@ def _array(folder: Path, stored: _Stored) -> np.ndarray:
 
 
 def _plain(content: bytes, codec: str, size: int) -> bytes:
-    """What a codec has made smaller, as it was."""
+    """The decompressed content of a codec."""
     if codec == "blosc":
         return _of_blosc(content)
     if codec == "crc32c":
