@@ -27,9 +27,9 @@ class LawFamily:
         numbers: its constants, as tables name them: the place along the coordinate
             first where it has one, then those of the profile.
         latex: its formula; SymPy, which could print it, takes a second to import.
-        is_placed: whether it has a place; else it stands at zero.
-        of_distances: whether terms of a distance may follow it.
-        of_lines: whether terms along a line may.
+        is_placed: True if it has a place; else it stands at zero.
+        of_distances: True if terms of a distance may follow it.
+        of_lines: True if terms along a line may.
         reach: deviation of the prior of a place, in sizes.
     """
 

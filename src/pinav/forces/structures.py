@@ -68,7 +68,7 @@ class AbstractTerm(AbstractForce):
 
     Attributes:
         weights: with a Gaussian prior.
-        rotational: whether the force is turned by a right angle.
+        rotational: True if the force is turned by a right angle.
         kinds: the word for it in tables, as it is and, where that differs, turned.
         formulas: its formula, as it is and, where that differs, turned.
         shaped_by: fields that shape it, each with a wide prior.

@@ -62,7 +62,7 @@ class EstimatedConstant(eqx.Module):
     Attributes:
         unit: dimension in length L, time T and force F; "1" means dimensionless.
         sd: standard deviation; infinite where the data say nothing.
-        identifiable: whether the interval is short enough to mean anything.
+        identifiable: True if the interval is short enough to mean anything.
     """
 
     name: str
@@ -83,8 +83,8 @@ class Candidate(eqx.Module):
         field_bic: the criterion on the learned force, by which the laws to be refitted
             were chosen.
         noise: standard deviation of the observations that the law needs.
-        fits: whether the law explains the data as well as the learned force does.
-        extends_best: whether the best law is a special case of this one, which then
+        fits: True if the law explains the data as well as the learned force does.
+        extends_best: True if the best law is a special case of this one, which then
             explains as much with more constants, and is no rival of it.
         sympy: both components of the force as SymPy prints and parses them.
     """
