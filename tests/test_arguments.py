@@ -1,3 +1,5 @@
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -5,6 +7,8 @@ import pytest
 from jax import monitoring
 
 from pinav.arguments import on_device
+from pinav.errors import InputError
+from pinav.navigation import CommandLimits
 
 
 @pytest.mark.parametrize("dtype", [float, np.float32, int, bool])
@@ -32,3 +36,14 @@ def test_no_program_is_compiled_for_a_new_shape():
     assert not any("compile" in event for event in events)
     jnp.zeros((3, 1, 4, 1, 6))  # which does compile one: the listener hears it
     assert any("compile" in event for event in events)
+
+
+@pytest.mark.parametrize("name", ["max_frequency", "max_turning_rate", "max_amplitude"])
+def test_a_limit_may_be_infinite_and_is_positive(name):
+    """Of coils that turn at once, say: that of `CommandLimits(1.0)`."""
+    assert CommandLimits(1.0).max_turning_rate == math.inf
+    limits = CommandLimits(**{"max_frequency": 1.0, name: math.inf})
+    assert getattr(limits, name) == math.inf
+    for bad in (0.0, -1.0, math.nan, -math.inf):
+        with pytest.raises(InputError, match=rf"CommandLimits\.{name}: expected > 0"):
+            CommandLimits(**{"max_frequency": 1.0, name: bad})

@@ -17,7 +17,6 @@ from validation.conftest import pinav
 from validation.heat import exact
 from validation.heat.checks import powers, reference_model
 from validation.heat.exact import SET_S
-from validation.heat.verification import verify
 
 from pinav.runs import RunFolder
 from pinav.thermal.dose import value_exceeded_by
@@ -30,13 +29,6 @@ from pinav.thermal.setup import Setup
 from pinav.thermal.solve import solve
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "heat"
-
-
-def test_every_case_is_within_its_tolerance():
-    checks = verify()
-    assert len(checks) > 40
-    missed = [(c.case, c.error, c.tolerance) for c in checks if not c.within]
-    assert not missed
 
 
 @pytest.mark.parametrize("name", CASES)

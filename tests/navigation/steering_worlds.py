@@ -1,14 +1,19 @@
 """Small tasks with closed forms, and controllers that do what they are told."""
 
+import dataclasses
+import functools
 import math
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.actuation import LinearResponse
 from pinav.dynamics import RK4, FixedStep, OverdampedSwimmer, Swimmer
-from pinav.forces import LinearDrag, ZeroForce
+from pinav.forces import LinearDrag, UniformFlow, ZeroForce
+from pinav.navigation import task
+from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.predictors import AbstractPredictor
 from pinav.navigation.task.steering import (
@@ -55,20 +60,23 @@ class Recited(AbstractController):
         return self.commands[memory], memory + 1
 
 
-def open_water(*, inert=False, environment=None, **changes):
+def rolling(dynamics, dim=2):
+    """A swimmer whose thrust is its frequency."""
+    return SteeredSwimmer(dynamics, RollingActuator(jnp.eye(dim), LinearResponse()))
+
+
+def open_water(*, inert=False, environment=None, drift=(0.0, 0.0), **changes):
     """A swimmer of speed 1 (or thrust 1 and drag 0.5) in a wide arena, far from a goal.
 
-    Its thrust is its frequency.
+    Its thrust is its frequency. The drift has as many components as space.
     """
     environment = ZeroForce() if environment is None else environment
-    dynamics = OverdampedSwimmer(ZeroForce(), environment, 1.0)
+    dynamics = OverdampedSwimmer(ZeroForce(), environment, 1.0, UniformFlow(drift))
     if inert:
         dynamics = Swimmer(ZeroForce(), LinearDrag(DRAG), environment)
     settings = {
         "name": "open water",
-        "truth": SteeredSwimmer(
-            dynamics, RollingActuator(jnp.eye(2), LinearResponse())
-        ),
+        "truth": rolling(dynamics, len(drift)),
         "start": jnp.zeros(4 if inert else 2),
         "objective": ReachGoal([50.0, 0.0], 0.5),
         "limits": CommandLimits(1.0),
@@ -77,7 +85,36 @@ def open_water(*, inert=False, environment=None, **changes):
         "step": 0.1,
         "time_limit": 2.0,
     }
-    return Task(**settings | changes)
+    settings |= changes
+    return Task(**settings | {"start": jnp.asarray(settings["start"])})
+
+
+def drifted_time(way, drift, tolerance):
+    """Time over a way at speed 1: |way - w T| = T + tolerance, its first root."""
+    way, w = np.asarray(way), np.asarray(drift)
+    a, b, c = w @ w - 1, -(way @ w) - tolerance, way @ way - tolerance**2
+    return min(r.real for r in np.roots([a, 2 * b, c]) if abs(r.imag) < 1e-12 < r.real)
+
+
+def vortex(dynamics=None, **changes):
+    """The task of the vortex, or of another swimmer in it, seen with an error."""
+    known = dataclasses.replace(task("vortex"), sensor_noise=0.02)
+    if dynamics is not None:
+        rest = jnp.zeros(2 if isinstance(dynamics, Swimmer) else 0)
+        changes |= {
+            "truth": SteeredSwimmer(dynamics, known.truth.actuator),
+            "start": jnp.concatenate([known.start[:2], rest]),
+        }
+    return dataclasses.replace(known, **changes)
+
+
+def frame_at(x, y, time=0.0, thrust=(0.0, 0.0)):
+    return Frame(time, np.array([x, y]), 0.02, np.array(thrust))
+
+
+def learned(belief, frames):
+    """The belief after some frames."""
+    return functools.reduce(Belief.after, frames, belief)
 
 
 AHEAD = Held(jnp.array([1.0, 0.0]))

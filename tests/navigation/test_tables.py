@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.navigation.steering_worlds import SwimmerPredictor
+from tests.navigation.steering_worlds import SwimmerPredictor, rolling
 
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
@@ -40,27 +40,24 @@ from pinav.navigation.tables import (
     tabulate,
     tabulate_over_time,
 )
-from pinav.navigation.task.steering import (
-    CommandLimits,
-    RollingActuator,
-    SteeredSwimmer,
-)
+from pinav.navigation.task.steering import CommandLimits, RollingActuator
 from pinav.navigation.task.task import Rectangle
 
 REGION = Rectangle([0.0, -1.0], [4.0, 2.0])
 ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
 STATIC = np.zeros(1)
+BARRIER = GaussianBarrier(2.0, [2.0, 0.5], 1.0)
 
 
 def inertial(environment=None, drag=None):
     environment = ZeroForce() if environment is None else environment
     drag = LinearDrag(0.5) if drag is None else drag
-    return SteeredSwimmer(Swimmer(ZeroForce(), drag, environment), ROLLING)
+    return rolling(Swimmer(ZeroForce(), drag, environment))
 
 
-def carried(flow):
-    dynamics = OverdampedSwimmer(ZeroForce(), ZeroForce(), 0.7, flow)
-    return SteeredSwimmer(dynamics, ROLLING)
+def carried(flow, environment=None):
+    environment = ZeroForce() if environment is None else environment
+    return rolling(OverdampedSwimmer(ZeroForce(), environment, 0.7, flow))
 
 
 class Swinging(AbstractFlow):
@@ -140,34 +137,32 @@ def test_a_table_is_linear_in_time_and_constant_beyond_its_ends():
 
 
 def test_a_table_of_inertia_holds_force_and_drag(places):
-    barrier = GaussianBarrier(2.0, [2.0, 0.5], 1.0)
     tensor = UniaxialTensor(0.3, 0.8, ConstantDirector(0.4))
-    model = inertial(barrier, TensorDrag(tensor))
+    model = inertial(BARRIER, TensorDrag(tensor))
     table = tabulate(model, Grid.over(REGION, 41, margin=2), STATIC)
     x = places[3]
     rates = table(0.0, x)
-    assert jnp.allclose(rates[:2], barrier(0.0, x, jnp.zeros(2)), atol=1e-3)
+    assert jnp.allclose(rates[:2], BARRIER(0.0, x, jnp.zeros(2)), atol=1e-3)
     drag = jax.jacfwd(lambda v: tensor(x, v))(jnp.zeros(2))
     assert jnp.allclose(rates[2:].reshape(2, 2), drag, atol=1e-12)
 
 
 PREDICTORS = {
     "inertial": (
-        lambda: inertial(GaussianBarrier(2.0, [2.0, 0.5], 1.0)),
+        inertial(BARRIER),
         InertialTable,
         jnp.array([1.2, 0.1, 0.4, -0.3]),
     ),
     "overdamped": (
-        lambda: carried(ShearFlow(0.4, 0.2)),
+        carried(ShearFlow(0.4, 0.2)),
         OverdampedTable,
         jnp.array([1.2, 0.1]),
     ),
 }
 
 
-@pytest.mark.parametrize(("make", "kind", "y"), PREDICTORS.values(), ids=PREDICTORS)
-def test_a_step_on_the_table_is_of_second_order(make, kind, y):
-    model = make()
+@pytest.mark.parametrize(("model", "kind", "y"), PREDICTORS.values(), ids=PREDICTORS)
+def test_a_step_on_the_table_is_of_second_order(model, kind, y):
     table = tabulate(model, Grid.over(REGION, 81, margin=2), STATIC)
     predictor, command = kind(table, ROLLING), jnp.array([0.6, 0.9])
 
@@ -189,10 +184,9 @@ def test_a_model_that_is_not_finite_is_refused_with_a_place():
 
 
 def test_times_are_many_only_where_the_model_changes():
-    barrier = GaussianBarrier(2.0, [2.0, 0.5], 1.0)
     grid = Grid.over(REGION, 21)
-    assert len(sample_times(inertial(barrier), grid, 9.0, 7)) == 1
-    moving = inertial(Moving(barrier, LinearMotion([0.1, 0.0])))
+    assert len(sample_times(inertial(BARRIER), grid, 9.0, 7)) == 1
+    moving = inertial(Moving(BARRIER, LinearMotion([0.1, 0.0])))
     assert np.allclose(sample_times(moving, grid, 9.0, 7), np.linspace(0, 9, 7))
 
 
@@ -200,10 +194,7 @@ def test_times_are_many_only_where_the_model_changes():
     "flow", [ShearFlow(0.3, 0.5), Swinging()], ids=["steady", "swings"]
 )
 def test_a_flow_that_swings_is_all_that_is_evaluated_over_time(flow):
-    barrier = GaussianBarrier(2.0, [2.0, 0.5], 1.0)
-    model = SteeredSwimmer(
-        OverdampedSwimmer(ZeroForce(), barrier, 0.7, flow=flow), ROLLING
-    )
+    model = carried(flow, BARRIER)
     grid = Grid.over(REGION, 11)
     moments = sample_times(model, grid, 9.0, 7)
     table = tabulate_over_time(model, grid, 9.0, 7)
@@ -217,9 +208,7 @@ def test_a_flow_that_swings_is_all_that_is_evaluated_over_time(flow):
 
 
 def test_the_spread_of_no_samples_has_the_times_that_samples_would_have():
-    barrier = GaussianBarrier(2.0, [2.0, 0.5], 1.0)
-    carrying = OverdampedSwimmer(ZeroForce(), barrier, 0.7, flow=Swinging())
-    model = SteeredSwimmer(carrying, ROLLING)
+    model = carried(Swinging(), BARRIER)
     there = dataclasses.replace(task("shear"), truth=model, arena=REGION)
     tables = tabulate_model(there, model, points=9, times=7)
     assert len(tables.table.values) == 7

@@ -97,12 +97,7 @@ WRONG = {
         r"columns Zeit, Lage are: start from --columns t=Zeit x=Lage y=\?",
     ),
     "several sheets": (
-        workbook(
-            {
-                "Sheet": [["t", "x", "y"], [0, 1, 2], [0.1, 2, 3]],
-                "notes": [["anything"]],
-            }
-        ),
+        TWO_SHEETS,
         NO_FRAME,
         r"sheets 'Sheet', 'notes': give one of them as sheet",
     ),

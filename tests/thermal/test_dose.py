@@ -66,30 +66,6 @@ def test_a_segment_does_not_depend_on_its_direction_or_division():
     assert float(parts) == pytest.approx(float(whole), rel=1e-12)
 
 
-@pytest.mark.parametrize("gap", [0.0, 1e-14, 1e-9, 1e-3, 0.3])
-@pytest.mark.parametrize("start", [41.0, 42.9999, 43.5])
-def test_the_derivative_of_a_segment_has_no_noise(start, gap):
-    """Also where the temperature hardly changes, as in a steady state."""
-
-    def dose(begin, end):
-        return cem43_segment(begin, end, 60.0)
-
-    begin, end = jnp.asarray(start), jnp.asarray(start + gap)
-    slopes = jax.grad(dose, argnums=(0, 1))(begin, end)
-    nodes, weights = np.polynomial.legendre.leggauss(60)
-    if start < 43 < start + gap:
-        return
-    share = 0.5 * (nodes + 1)
-    steepness = np.where(start >= 43, 1.0, 2.0) * np.log(2)
-    rate = np.asarray(cem43_rate(jnp.asarray(start + share * gap))) * steepness
-    assert float(slopes[0]) == pytest.approx(
-        float(0.5 * weights @ (rate * (1 - share))), rel=1e-8
-    )
-    assert float(slopes[1]) == pytest.approx(
-        float(0.5 * weights @ (rate * share)), rel=1e-8
-    )
-
-
 def test_lumped_tissue_at_its_printed_dose():
     """The rise crosses 43 °C; the dose is that of quadrature."""
     times = np.linspace(0.0, 1800.0, 3601)
@@ -141,7 +117,7 @@ def test_quantiles_leave_out_what_is_not_target_and_differentiate():
 
 
 def exact_slopes(begin, end, cutoff):
-    """Derivatives of CEM43 of 60 s, to fifty digits."""
+    """Derivatives of CEM43 of 60 s, to eighty digits."""
 
     def minutes(a, b, c):
         def integral(t):
@@ -152,7 +128,7 @@ def exact_slopes(begin, end, cutoff):
 
         return (integral(b) - integral(a)) / (b - a)
 
-    with mp.workdps(50):
+    with mp.workdps(80):
         at, step = [mp.mpf(v) for v in (begin, end, cutoff)], mp.mpf(10) ** -20
         return [
             float(
@@ -179,14 +155,14 @@ def exact_slopes(begin, end, cutoff):
         (45.0, 39.0),
         (50.0, 50.0000001),
         (30.0, 31.0),
+        (42.0, 42.0),  # the slope of the rate
+        *(
+            (start, start + gap)  # as in a steady state
+            for start in (41.0, 42.9999, 43.5)
+            for gap in (0.0, 1e-14, 1e-9, 1e-3, 0.3)
+        ),
     ],
 )
 def test_the_derivatives_of_a_segment_are_exact(begin, end):
     slopes = jax.grad(cem43_segment, argnums=(0, 1, 3))(begin, end, 60.0, 37.0)
     np.testing.assert_allclose(slopes, exact_slopes(begin, end, 37.0), rtol=1e-10)
-
-
-def test_a_constant_temperature_has_the_slope_of_the_rate():
-    slopes = jax.grad(cem43_segment, argnums=(0, 1))(42.0, 42.0, 60.0)
-    rate = float(cem43_rate(jnp.asarray(42.0)))
-    np.testing.assert_allclose(slopes, [rate * np.log(2.0)] * 2, rtol=1e-12)

@@ -1,12 +1,12 @@
 """Runs and their limits: what is followed, and what a field may not exceed."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from validation.heat.checks import reference_model
 
 from pinav.errors import InputError
-from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.boundaries import Dirichlet, outer
 from pinav.thermal.dose import time_to_reach
 from pinav.thermal.grids import RadialGrid
 from pinav.thermal.heated_run import (
@@ -24,9 +24,6 @@ from pinav.thermal.protocols import (
     require,
 )
 from pinav.thermal.sources import LinearResponse, ParticleSource
-from pinav.thermal.tissues import Blood, Tissue
-
-MUSCLE = Tissue(0.49, 1090.0, 3421.0)
 
 
 def steady(product):
@@ -64,9 +61,8 @@ def test_limits_are_checked():
 def test_what_is_beyond_the_range_of_a_law_is_said():
     grid = RadialGrid.sphere(0.03, 10)
     particles = ParticleSource(5.0 * grid.ball(0.01), LinearResponse(16e-9))
-    model = Bioheat(
-        grid, MUSCLE, Blood(), lang("muscle"), (particles,), outer(Dirichlet(37.0))
-    )
+    medium = reference_model(grid, 0.0, None, lang("muscle"))
+    model = eqx.tree_at(lambda m: m.sources, medium, (particles,))
     (strained,) = validity_warnings(model, steady(1e9))
     assert "LinearResponse is strained 2.81 times" in strained
     assert validity_warnings(model, steady(1e8)) == []

@@ -5,10 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from validation.heat.checks import reference_model
 
 from pinav.errors import InputError
-from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.boundaries import Dirichlet, outer
 from pinav.thermal.grids import RadialGrid
 from pinav.thermal.learning import learn, perfusion_curve, visited_range
 from pinav.thermal.perfusion import kernel_perfusion, lang, neural_perfusion
@@ -20,8 +19,7 @@ from pinav.thermal.readings import (
     simulate_probes,
 )
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.sources import PowerSource
-from pinav.thermal.tissues import Blood, Tissue
+from pinav.thermal.tissues import Tissue
 
 STEPPER = Rosenbrock(20.0)
 EDGES = (0.0, 300.0, 600.0, 900.0)
@@ -33,14 +31,8 @@ def muscle(power=1.6e5):
     """Muscle alone, heated by a spot."""
     grid = RadialGrid.sphere(0.04, 24)
     spot = jnp.exp(-0.5 * (grid.distances() / 0.012) ** 2)
-    return Bioheat(
-        grid,
-        Tissue(0.49, 1090.0, 3421.0),
-        Blood(),
-        lang("muscle"),
-        (PowerSource(power * spot, 1e4),),
-        outer(Dirichlet(37.0)),
-    )
+    tissue = Tissue(0.49, 1090.0, 3421.0)
+    return reference_model(grid, power * spot, None, lang("muscle"), tissue)
 
 
 @pytest.fixture(scope="module")

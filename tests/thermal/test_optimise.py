@@ -4,16 +4,16 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from validation.heat.checks import reference_model
 from validation.heat.exact.controls import (
     least_energy,
     least_energy_control,
     saturate_and_ride,
 )
+from validation.heat.verification import CLOSED
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome
-from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.boundaries import Dirichlet, Insulated, Sides, outer
 from pinav.thermal.design import (
     Constraint,
     Run,
@@ -28,11 +28,9 @@ from pinav.thermal.design import (
 )
 from pinav.thermal.grids import RadialGrid
 from pinav.thermal.optimise import optimise
-from pinav.thermal.perfusion import ConstantPerfusion
 from pinav.thermal.protocols import HfLimit, Piecewise
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.sources import LinearResponse, ParticleSource, PowerSource
-from pinav.thermal.tissues import Blood, Tissue
+from pinav.thermal.sources import LinearResponse, ParticleSource
 
 pytestmark = pytest.mark.slow
 
@@ -44,14 +42,8 @@ STEPPER = Rosenbrock(20.0)
 
 def lumped(power):
     """Tissue with θ' = −λθ + b u, u = power (H/H0)²."""
-    return Bioheat(
-        RadialGrid.slab(0.01, 3),
-        Tissue(0.5, 1050.0, 3600.0),
-        Blood(),
-        ConstantPerfusion(DECAY * 3.78e6 / 3617.0),
-        (PowerSource(jnp.full(3, power), 1e4),),
-        (Sides(Insulated(), Insulated()),),
-    )
+    perfusion = DECAY * 3.78e6 / 3617.0
+    return reference_model(RadialGrid.slab(0.01, 3), power, CLOSED, perfusion)
 
 
 def half_power(model):
@@ -121,15 +113,7 @@ def test_most_dose_saturates_and_then_rides_the_limit():
 def tumour(power=4e5):
     grid = RadialGrid.sphere(0.04, 24)
     target = grid.ball(0.008)
-    model = Bioheat(
-        grid,
-        Tissue(0.5, 1050.0, 3600.0),
-        Blood(),
-        ConstantPerfusion(0.5),
-        (PowerSource(power * target, 1e4),),
-        outer(Dirichlet(37.0)),
-    )
-    return model, target
+    return reference_model(grid, power * target, perfusion=0.5), target
 
 
 def test_what_binds_is_named():
@@ -156,7 +140,6 @@ def test_what_binds_is_named():
     assert not kept[5e9]["own limit"]
 
 
-@pytest.mark.slow
 def test_placement_of_the_particles_gains_dose_at_equal_power():
     model, target = tumour(1.5e5)
     total = float(jnp.sum(1.5e5 * target * model.grid.volumes))
@@ -175,7 +158,6 @@ def test_placement_of_the_particles_gains_dose_at_equal_power():
     assert float(jnp.sum(field * model.grid.volumes)) == pytest.approx(total)
 
 
-@pytest.mark.slow
 def test_a_pattern_of_bursts_can_be_scaled():
     model, target = tumour()
     particles = ParticleSource(3.0 * target, LinearResponse(14e-9))

@@ -4,10 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from validation.heat.checks import reference_model
 
 from pinav.errors import InputError
-from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.boundaries import Dirichlet, outer
 from pinav.thermal.design import Run, free_scale, log_d90
 from pinav.thermal.grids import RadialGrid
 from pinav.thermal.learning import learn
@@ -24,7 +23,7 @@ from pinav.thermal.perfusion import (
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.readings import Readings
 from pinav.thermal.rosenbrock import refuse_jumps
-from pinav.thermal.sources import PowerSource, eddy_power
+from pinav.thermal.sources import eddy_power
 from pinav.thermal.tissues import PRESETS, Blood, Tissue, mix, preset
 
 BLOOD, TISSUE = Blood(), Tissue(0.49, 1090.0, 3421.0)
@@ -62,11 +61,6 @@ def test_the_laws_have_finite_slopes_everywhere(tissue):
 def test_four_units_of_one_quantity(value, unit, mass):
     found = mass_perfusion(value, unit=unit, blood=BLOOD, tissue=TISSUE)
     assert found == pytest.approx(mass, rel=1e-6)
-
-
-def test_the_perfusion_coefficient_of_muscle():
-    found = mass_perfusion(37.0, unit="ml/min/kg", blood=BLOOD, tissue=TISSUE)
-    assert found * BLOOD.specific_heat == pytest.approx(2552.788, rel=1e-6)
 
 
 def test_a_mask_mixes_laws_by_volume():
@@ -194,9 +188,7 @@ class OwnLaw(AbstractPerfusion):
 
 
 def with_law(law):
-    grid, wall = RadialGrid.slab(0.02, 4), Dirichlet(37.0)
-    sources = (PowerSource(jnp.full(4, 1e5), 1e4),)
-    return Bioheat(grid, TISSUE, BLOOD, law, sources, outer(wall))
+    return reference_model(RadialGrid.slab(0.02, 4), 1e5, None, law, TISSUE)
 
 
 @pytest.mark.parametrize("law", [OwnLaw(0.0), OwnLaw(0.005)])

@@ -9,16 +9,17 @@ from validation.heat import exact
 from validation.heat.checks import powers as switched
 from validation.heat.checks import reference_model as medium
 from validation.heat.exact import SET_S
+from validation.heat.verification import sensitivity_ratios
 
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Robin, Sides, around, outer
 from pinav.thermal.dose import value_exceeded_by
 from pinav.thermal.grids import CartesianGrid, RadialGrid
-from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
+from pinav.thermal.perfusion import MixedPerfusion, lang
 from pinav.thermal.protocols import Piecewise, plan_steps
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.solve import Probes, default_stepper, probes_at, run, solve
+from pinav.thermal.solve import default_stepper, probes_at, run, solve
 from pinav.thermal.sources import EddySource, PowerSource
 from pinav.thermal.starts import AT_REST, HeatState
 from pinav.thermal.steppers import RKL2
@@ -58,9 +59,9 @@ def test_heat_in_is_heat_out_or_stored(make, side):
     assert float(energy.perfused) > 0
 
 
-@pytest.fixture(scope="module")
-def short_run():
-    """Log dose, probe and T90 of a short run, as functions of a few numbers."""
+@pytest.mark.slow
+def test_reverse_mode_is_forward_mode_is_central_differences():
+    """Log dose, probe and T90 by solver, perfusion, dose and protocol."""
     model = heated_tumour(RadialGrid.sphere(0.03, 30), Dirichlet(37.0))
     edges = (0.0, 130.0, 300.0)
     schedule = plan_steps(Piecewise.constant(edges, [1.0, 1.0], 1e5), 10.0)
@@ -99,13 +100,7 @@ def short_run():
             ]
         )
 
-    return outcome, jnp.array([1.0, 1.0, 1.0, 1.0, 0.8])
-
-
-@pytest.mark.slow
-def test_reverse_mode_is_forward_mode_is_central_differences(short_run):
-    """Through solver, perfusion, dose and protocol."""
-    outcome, at = short_run
+    at = jnp.array([1.0, 1.0, 1.0, 1.0, 0.8])
     forward = np.asarray(jax.jit(jax.jacfwd(outcome))(at))
     reverse = np.asarray(jax.jit(jax.jacrev(outcome))(at))
     scale = np.abs(forward).max(axis=1, keepdims=True)
@@ -177,35 +172,6 @@ def test_reverse_mode_in_the_plane():
     assert reverse == pytest.approx(forward, rel=1e-10)
 
 
-def centre_rise(count):
-    """Steady rise at the centre of the heated sphere by k, perfusion, radius, Q."""
-
-    def outcome(numbers):
-        k, perfusion, radius, power = numbers
-        grid = RadialGrid.sphere(0.005 * 405 / 25.5, count)
-        model = Bioheat(
-            grid,
-            Tissue(k, 1050.0, 3600.0),
-            Blood(),
-            ConstantPerfusion(perfusion / 3617.0),
-            (PowerSource(power * grid.ball(radius), 1e4),),
-            outer(Dirichlet(37.0)),
-        )
-        protocol = Piecewise.constant((0.0, 4e4), [1e4], 1e5)
-        found = run(
-            model,
-            protocol,
-            plan_steps(protocol, 2000.0),
-            stepper=Rosenbrock(),
-            observe=probe,
-        )
-        return found.observed[-1, 0] - 37.0
-
-    probe = Probes(RadialGrid.sphere(0.005 * 405 / 25.5, count).interpolation([0.0]))
-    at = jnp.array([SET_S.conductivity, SET_S.perfusion, 0.005, 4e5])
-    return np.asarray(jax.jit(jax.grad(outcome))(at))
-
-
 @pytest.mark.slow
 def test_exact_sensitivities_at_second_order():
     """By k, W, R and Q within 1e-3 at some 400 cells, far from the outer wall.
@@ -213,9 +179,9 @@ def test_exact_sensitivities_at_second_order():
     The radius ends in the middle of a cell on both grids: the derivative by it is that
     of the cell it cuts, which elsewhere is off by a share of the cell's width.
     """
-    own = exact.heated_sphere_sensitivities(SET_S, 4e5, 0.005)
-    true = np.array([own[n] for n in ("conductivity", "perfusion", "radius", "source")])
-    errors = [np.abs(centre_rise(n) / true - 1) for n in (135, 405)]
+    errors = [
+        np.abs(np.array([*sensitivity_ratios(n).values()]) - 1) for n in (135, 405)
+    ]
     assert np.all(errors[1] < 1e-3)
     assert np.all(np.log(errors[0] / errors[1]) / np.log(3.0) > 1.9)
 
@@ -269,7 +235,7 @@ def test_the_axes_of_a_box_are_alike():
     wide = (Sides(insulated := outer(Dirichlet(0.0))[0].low, insulated), *sides)
 
     def of(grid, own):
-        return Bioheat(grid, Tissue(0.5, 1000.0, 3600.0), Blood(), lang("fat"), (), own)
+        return medium(grid, 0.0, own, lang("fat"))
 
     protocol = Piecewise.constant((0.0, 600.0), [0.0], 1e5)
     stepper = RKL2(5, 10.0)
@@ -280,16 +246,10 @@ def test_the_axes_of_a_box_are_alike():
     assert np.asarray(implicit) == pytest.approx(np.asarray(along), abs=2e-3)
 
 
-BLAND = Bioheat(
-    RadialGrid.sphere(0.03, 30),
-    Tissue(0.5, 1000.0, 3600.0),
-    Blood(),
-    lang("muscle"),
-    (),
-    outer(Dirichlet(37.0)),
-)
+BLAND = medium(RadialGrid.sphere(0.03, 30), 0.0)
 HOUR = Piecewise.constant((0.0, 3600.0), [0.0], 1e5)
 PLANE = CartesianGrid.cubes((20, 20), 5e-4)
+HEATED_PLANE = heated_tumour(PLANE, Dirichlet(37.0))
 
 
 @pytest.mark.parametrize(
@@ -324,29 +284,18 @@ PLANE = CartesianGrid.cubes((20, 20), 5e-4)
             r"Bioheat.sides: expected 1, one pair",
         ),
         (
-            lambda: Bioheat(
-                PLANE,
-                Tissue(jnp.ones(3), 1.0, 1.0),
-                Blood(),
-                lang("fat"),
-                (),
-                around(PLANE, Dirichlet(37.0)),
-            ),
+            lambda: medium(PLANE, 0.0, tissue=Tissue(jnp.ones(3), 1.0, 1.0)),
             r"Bioheat.tissue.conductivity: expected a number or the shape \(20, 20\)",
         ),
         (lambda: RKL2(4), r"RKL2.stages: expected odd and >= 3, got 4"),
         (lambda: RKL2(9, 0.0), r"RKL2.longest: expected a time > 0 s, got 0.0"),
         (lambda: Rosenbrock(-1.0), r"Rosenbrock.longest: expected a time > 0 s"),
         (
-            lambda: solve(
-                heated_tumour(PLANE, Dirichlet(37.0)), HOUR, stepper=RKL2(3, 20.0)
-            ),
+            lambda: solve(HEATED_PLANE, HOUR, stepper=RKL2(3, 20.0)),
             r"RKL2.longest: expected <= .* s, which 3 stages hold stable .* got 20 s",
         ),
         (
-            lambda: solve(
-                heated_tumour(PLANE, Dirichlet(37.0)), HOUR, stepper=Rosenbrock()
-            ),
+            lambda: solve(HEATED_PLANE, HOUR, stepper=Rosenbrock()),
             r"Rosenbrock: expected a grid with one axis, got 2; use RKL2",
         ),
         (
@@ -366,9 +315,7 @@ PLANE = CartesianGrid.cubes((20, 20), 5e-4)
             r"schedule start: expected within 0 and 3600 s, got 10000",
         ),
         (
-            lambda: solve(
-                BLAND, HOUR, start=HeatState(jnp.asarray(0.0), jnp.ones(9), jnp.ones(9))
-            ),
+            lambda: solve(BLAND, HOUR, start=HeatState.at(jnp.ones(9))),
             r"start: expected a temperature of shape \(30,\), .*, got \(9,\)",
         ),
     ],
@@ -381,7 +328,7 @@ def test_bad_input_is_refused_in_one_line(act, message):
 
 def test_the_stepper_suits_the_grid():
     assert isinstance(default_stepper(BLAND), Rosenbrock)
-    assert isinstance(default_stepper(heated_tumour(PLANE, Dirichlet(37.0))), RKL2)
+    assert isinstance(default_stepper(HEATED_PLANE), RKL2)
 
 
 @pytest.mark.parametrize(("size", "stages"), [(4e-3, 3), (1e-3, 5), (3e-4, 15)])

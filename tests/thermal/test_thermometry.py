@@ -4,10 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from validation.heat.checks import reference_model
 
 from pinav.errors import InputError
-from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.boundaries import Dirichlet, Sides
 from pinav.thermal.grids import CartesianGrid
 from pinav.thermal.images import phase_turn
 from pinav.thermal.learning import learn, read_residuals
@@ -17,7 +16,6 @@ from pinav.thermal.readings import Readings
 from pinav.thermal.solve import solve
 from pinav.thermal.sources import PowerSource, ShiftedSource
 from pinav.thermal.steppers import RKL2
-from pinav.thermal.tissues import Blood, Tissue
 
 GRID = CartesianGrid((12, 10), (4e-3, 5e-3))
 STEPPER = RKL2(stages=3, longest=15.0)
@@ -30,16 +28,11 @@ def model(flows=(1.0, 3.0), shift=(0.0, 0.0), scale=1.0):
     """Two tissues side by side, and a spot between them."""
     left = jnp.broadcast_to((jnp.arange(12) < 6)[:, None], GRID.shape).astype(float)
     spot = 1.2e5 * jnp.exp(-0.5 * (GRID.distances() / 0.009) ** 2)
-    return Bioheat(
-        GRID,
-        Tissue(0.5, 1050.0, 3600.0),
-        Blood(),
-        RegionalPerfusion(
-            (left, 1 - left), tuple(ConstantPerfusion(jnp.asarray(w)) for w in flows)
-        ),
-        (ShiftedSource(PowerSource(spot, 1e4, scale), jnp.asarray(shift)),),
-        (Sides(Dirichlet(37.0), Dirichlet(37.0)),) * 2,
-    )
+    laws = tuple(ConstantPerfusion(jnp.asarray(w)) for w in flows)
+    perfusion = RegionalPerfusion((left, 1 - left), laws)
+    source = ShiftedSource(PowerSource(spot, 1e4, scale), jnp.asarray(shift))
+    medium = reference_model(GRID, 0.0, None, perfusion)
+    return eqx.tree_at(lambda m: m.sources, medium, (source,))
 
 
 TRUTH = model((0.7, 4.0), (2e-3, -1.5e-3), 1.1)

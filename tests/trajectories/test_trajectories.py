@@ -173,7 +173,7 @@ def test_simulation_refuses_noise_without_a_key_and_float32():
         simulate(coarse)
 
 
-BAD_ARRAYS = [
+BAD_CALLS = [
     (
         lambda: one(states=[1.0, 2.0, 3.0]),
         r"states: expected an array with 2 axes, or one for each .* got 1 axes",
@@ -250,16 +250,6 @@ BAD_ARRAYS = [
         r"provenance: expected JSON values",
     ),
     (lambda: one(provenance={"noise": NAN}), r"provenance: expected JSON values"),
-]
-
-
-@defects("make, message", BAD_ARRAYS)
-def test_bad_arrays_are_named(make, message):
-    with pytest.raises(InputError, match=message):
-        make()
-
-
-BAD_CALLS = [
     (lambda: ragged().select([]), r"expected one or more whole numbers"),
     (
         lambda: ragged().select([True, False, True]),
@@ -287,10 +277,10 @@ BAD_CALLS = [
 ]
 
 
-@defects("call, message", BAD_CALLS)
-def test_bad_calls_are_named(call, message):
+@defects("make, message", BAD_CALLS)
+def test_bad_arrays_and_calls_are_named(make, message):
     with pytest.raises(InputError, match=message):
-        call()
+        make()
 
 
 def test_channels_that_nobody_observed_can_be_added():

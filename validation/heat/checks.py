@@ -10,7 +10,7 @@ from pinav.report import Table
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import AbstractEnds, Dirichlet, around, outer
 from pinav.thermal.grids import AbstractGrid
-from pinav.thermal.perfusion import ConstantPerfusion
+from pinav.thermal.perfusion import AbstractPerfusion, ConstantPerfusion
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.quantities import Number, Numbers
 from pinav.thermal.sources import PowerSource
@@ -52,7 +52,8 @@ def reference_model(
     grid: AbstractGrid,
     power: Number | Numbers,
     sides: tuple[AbstractEnds, ...] | None = None,
-    perfusion: Number = 1.05,
+    perfusion: Number | AbstractPerfusion = 1.05,
+    tissue: Tissue | None = None,
 ) -> Bioheat:
     """The reference medium on a grid, heated by a power density [W m⁻³].
 
@@ -60,17 +61,20 @@ def reference_model(
         grid: the cells.
         power: at the reference amplitude.
         sides: held at 37 °C, radial grids at their outer end alone, unless given.
-        perfusion: [kg m⁻³ s⁻¹].
+        perfusion: a law, or its constant value [kg m⁻³ s⁻¹].
+        tissue: that of the reference medium unless given.
     """
     if sides is None:
         wall = Dirichlet(37.0)
         sides = outer(wall) if len(grid.shape) == 1 else around(grid, wall)
+    if not isinstance(perfusion, AbstractPerfusion):
+        perfusion = ConstantPerfusion(perfusion)
     density = jnp.broadcast_to(jnp.asarray(power, float), grid.shape)
     return Bioheat(
         grid,
-        Tissue(0.5, 1050.0, 3600.0),
+        Tissue(0.5, 1050.0, 3600.0) if tissue is None else tissue,
         Blood(),
-        ConstantPerfusion(perfusion),
+        perfusion,
         (PowerSource(density, AMPLITUDE),),
         sides,
     )

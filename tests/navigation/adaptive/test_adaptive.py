@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.navigation.steering_worlds import frame_at, learned, vortex
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
@@ -29,11 +30,9 @@ from pinav.navigation.adaptive.strategies import (
     mean_and_spread,
     with_known,
 )
-from pinav.navigation.belief.belief import Frame
 from pinav.navigation.belief.given import GivenForce, take_for_granted
 from pinav.navigation.control.controller import Observation, TrajectoryPrediction
 from pinav.navigation.predictors import tabulate_model
-from pinav.navigation.task.steering import SteeredSwimmer
 from pinav.navigation.task.task import ReachGoal
 
 STRATEGIES = {
@@ -43,32 +42,21 @@ STRATEGIES = {
 }
 
 
-def small_task(**changes):
-    """The vortex, seen by positions with an error."""
-    return dataclasses.replace(task("vortex"), sensor_noise=0.02, **changes)
-
-
 @pytest.fixture(scope="module")
 def adaptive():
-    return AdaptiveController.of(small_task(), points=21)
+    return AdaptiveController.of(vortex(), points=21)
 
 
-def frame_at(x, y, time=0.0, thrust=(0.0, 0.0)):
-    return Frame(time, np.array([x, y]), 0.02, np.array(thrust))
-
-
-def learned(adaptive, steps=15):
+def straight_on(adaptive):
     """A belief after a straight flight through still water."""
-    belief = adaptive.believe(frame_at(1.0, 5.0))
-    for k in range(1, steps):
-        frame = frame_at(1.0 + 0.1 * k, 5.0, 0.1 * k, thrust=(1.0, 0.0))
-        belief = belief.after(frame)
-    return belief
+    steps = 0.1 * np.arange(1, 15)
+    flight = [frame_at(1.0 + t, 5.0, t, thrust=(1.0, 0.0)) for t in steps]
+    return learned(adaptive.believe(frame_at(1.0, 5.0)), flight)
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES.values(), ids=STRATEGIES)
 def test_every_strategy_gives_tables_of_one_form(adaptive, strategy):
-    tables = strategy.tables(learned(adaptive), adaptive.physics, adaptive.thrust)
+    tables = strategy.tables(straight_on(adaptive), adaptive.physics, adaptive.thrust)
     old, new = (jax.tree.structure(t) for t in (adaptive.physics.table, tables.table))
     assert old == new
     assert np.all(np.isfinite(tables.table.values))
@@ -77,7 +65,7 @@ def test_every_strategy_gives_tables_of_one_form(adaptive, strategy):
 
 
 def test_time_is_cheaper_where_nothing_was_seen(adaptive):
-    belief, strategy = learned(adaptive), ExplorationBonus()
+    belief, strategy = straight_on(adaptive), ExplorationBonus()
     cost = strategy.tables(belief, adaptive.physics, adaptive.thrust).time_cost
     seen, unseen = (
         1 - float(cost.running_cost(0.0, jnp.array(x))) for x in ((1.8, 5.0), (8, 8.0))
@@ -105,9 +93,8 @@ def test_what_is_unknown_is_worth_more_where_the_force_is_smooth(
 
 def test_hope_takes_half_a_deviation_off_the_mean_force(adaptive):
     """A push is observed; the hoped for force is exact by hand at each node."""
-    belief = adaptive.believe(frame_at(1.0, 5.0))
-    for k in range(1, 12):
-        belief = belief.after(frame_at(1.0, 5.0 + 0.02 * k**2, 0.1 * k))
+    flight = [frame_at(1.0, 5.0 + 0.02 * k**2, 0.1 * k) for k in range(1, 12)]
+    belief = learned(adaptive.believe(frame_at(1.0, 5.0)), flight)
     grid, physics = adaptive.physics.table.grid, adaptive.physics.table.values
     mean, spread = mean_and_spread(belief, grid)
     tables = ExplorationBonus(hope=0.5).tables(
@@ -239,8 +226,8 @@ def test_the_window_lies_about_the_goal_and_within_the_arena(adaptive):
 
 @pytest.mark.slow
 def test_a_flight_that_knows_nothing_arrives_and_the_second_visit_is_quicker():
-    problem = small_task(objective=ReachGoal([4.0, 5.0], 0.3), delay=0.2)
-    problem = dataclasses.replace(problem, arena=Rectangle([-1.0, -1.0], [11.0, 11.0]))
+    arena = Rectangle([-1.0, -1.0], [11.0, 11.0])
+    problem = vortex(objective=ReachGoal([4.0, 5.0], 0.3), delay=0.2, arena=arena)
     adaptive = AdaptiveController.of(problem, points=31)
     first, belief, moments = fly(adaptive, key=jax.random.key(1), every=1.0)
     assert first.reached
@@ -258,15 +245,6 @@ def test_a_flight_that_knows_nothing_arrives_and_the_second_visit_is_quicker():
     assert len(first.learn_times) == len(first.command_times) == len(first.path) - 1
 
 
-def steered(dynamics, **changes):
-    """The vortex' task with another swimmer."""
-    known = small_task(**changes)
-    truth = SteeredSwimmer(dynamics, known.truth.actuator)
-    rest = jnp.zeros(2) if isinstance(dynamics, Swimmer) else jnp.zeros(0)
-    start = jnp.concatenate([known.start[:2], rest])
-    return dataclasses.replace(known, truth=truth, start=start)
-
-
 def test_known_forces_and_unequal_drag_are_no_part_of_what_is_learned():
     gravity = jnp.array([0.0, -0.3])
     tensor = UniaxialTensor(0.5, 0.2, ConstantDirector(0.0))
@@ -274,7 +252,7 @@ def test_known_forces_and_unequal_drag_are_no_part_of_what_is_learned():
     swimmer = Swimmer(
         ZeroForce(), TensorDrag(tensor), ZeroForce(), ConstantForce(gravity)
     )
-    adaptive = AdaptiveController.of(steered(swimmer), points=13, speeds=5)
+    adaptive = AdaptiveController.of(vortex(swimmer), points=13, speeds=5)
     assert adaptive.motion.damping == pytest.approx(0.35)
     belief = adaptive.believe(frame_at(3.0, 5.0))
     velocity = np.array([0.4, -0.2])
@@ -296,7 +274,7 @@ def test_thrust_counts_by_the_mobility_without_inertia():
     swimmer = OverdampedSwimmer(
         ZeroForce(), ZeroForce(), 0.5, known_force=ConstantForce([0.3, 0.0])
     )
-    adaptive = AdaptiveController.of(steered(swimmer), points=13)
+    adaptive = AdaptiveController.of(vortex(swimmer), points=13)
     belief = adaptive.believe(frame_at(3.0, 5.0))
     frame = with_known(
         frame_at(3.0, 5.0, 0.1, thrust=(0.0, 0.8)), belief, adaptive.physics

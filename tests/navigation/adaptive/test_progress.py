@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.navigation.steering_worlds import frame_at, vortex
 
 from pinav.dynamics import OverdampedSwimmer
 from pinav.forces import GaussianBarrier, ZeroForce
@@ -20,10 +21,8 @@ from pinav.navigation.adaptive.strategies import (
     Progress,
     axes_of,
 )
-from pinav.navigation.belief.belief import Frame
 from pinav.navigation.belief.given import BeliefPrior, GivenForce
 from pinav.navigation.control.controller import Observation
-from pinav.navigation.task.steering import SteeredSwimmer
 
 PATIENCE = 6.0
 
@@ -83,19 +82,11 @@ def test_a_new_place_ends_a_stall_and_the_boldness_stays():
     assert way[-1].boldness == 2
 
 
-def frame_at(x, y, time=0.0):
-    return Frame(time, np.array([x, y]), 0.02, np.zeros(2))
-
-
 @pytest.fixture(scope="module")
 def still():
     """The vortex' task in water at rest."""
-    known = dataclasses.replace(task("vortex"), sensor_noise=0.02)
     swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0)
-    truth = SteeredSwimmer(swimmer, known.truth.actuator)
-    return AdaptiveController.of(
-        dataclasses.replace(known, truth=truth), MeanForce(), points=21
-    )
+    return AdaptiveController.of(vortex(swimmer), MeanForce(), points=21)
 
 
 def walled(adaptive):
@@ -141,13 +132,9 @@ def test_each_stall_makes_a_doubtful_wall_lower_and_its_ground_cheaper(still):
 @pytest.mark.slow
 def test_a_goal_that_cannot_be_reached_ends_with_the_time_and_no_error():
     """On the top of a hill that no thrust climbs, once both ways round are known."""
-    known = dataclasses.replace(task("vortex"), sensor_noise=0.02, time_limit=80.0)
     hill = GaussianBarrier(6.0, [9.0, 5.0], 1.5)
     truth = OverdampedSwimmer(ZeroForce(), hill, 1.0)
-    steered = SteeredSwimmer(truth, known.truth.actuator)
-    adaptive = AdaptiveController.of(
-        dataclasses.replace(known, truth=steered), points=21
-    )
+    adaptive = AdaptiveController.of(vortex(truth, time_limit=80.0), points=21)
     flight, _, _ = fly(adaptive, key=jax.random.key(1))
     assert not flight.reached
     assert not flight.violated
@@ -174,16 +161,16 @@ def test_who_is_held_plans_on_finer_cells_and_never_stops_planning(still):
     assert np.all(np.isfinite(command))
 
 
-def test_of_the_clear_commands_the_one_that_leads_on_most_is_given():
-    margins, lead = np.array([-0.1, 0.2, 5.0, 0.0]), np.array([9.0, 1.0, 0.5, 2.0])
-    assert choose_command(margins, lead) == 3
-
-
-def test_where_none_is_clear_the_lead_does_not_count():
-    margins, lead = np.array([-3.0, -1.0, -2.0]), np.array([9.0, 0.0, 9.0])
-    assert choose_command(margins, lead) == 1
-
-
-def test_of_equal_commands_the_first_one_is_given():
-    assert choose_command(np.full(3, -1.0), np.arange(3.0)) == 0
-    assert choose_command(np.ones(3), np.ones(3)) == 0
+@pytest.mark.parametrize(
+    ("margins", "lead", "chosen"),
+    [
+        ([-0.1, 0.2, 5.0, 0.0], [9.0, 1.0, 0.5, 2.0], 3),
+        ([-3.0, -1.0, -2.0], [9.0, 0.0, 9.0], 1),  # none is clear: lead is no matter
+        ([-1.0, -1.0, -1.0], [0.0, 1.0, 2.0], 0),  # of equal ones the first
+        ([1.0, 1.0, 1.0], [1.0, 1.0, 1.0], 0),
+    ],
+)
+def test_of_the_clear_commands_the_one_that_leads_on_most_is_given(
+    margins, lead, chosen
+):
+    assert choose_command(np.array(margins), np.array(lead)) == chosen

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from tests.navigation.steering_worlds import learned
 
 from pinav.codec import decode, encode
 from pinav.errors import InputError
@@ -17,6 +18,11 @@ MOTIONS = {
     "inertia": InertialMotion(damping=0.4, noise=0.05),
     "overdamped": OverdampedMotion(noise=0.02),
 }
+
+
+@pytest.fixture(params=MOTIONS.values(), ids=MOTIONS)
+def motion(request):
+    return request.param
 
 
 def box(dim):
@@ -62,13 +68,17 @@ def frames(motion, force, count, *, seed=0, sd=0.02, dim=2, step=0.1):
     return flight, np.array(path)
 
 
+def flown(motion, count):
+    """The belief after some frames of a flight through a swirl."""
+    return learned(believe(motion), frames(motion, swirl, count)[0])
+
+
 def swirl(x):
     turned = np.zeros_like(x)
     turned[0], turned[1] = -0.15 * (x[1] - 4), 0.15 * (x[0] - 4)
     return turned
 
 
-@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 @pytest.mark.parametrize("kind", [PotentialKernels, FreeKernels])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_joining_late_is_the_filter_of_the_whole_grid(motion, kind, dim):
@@ -87,7 +97,6 @@ def test_joining_late_is_the_filter_of_the_whole_grid(motion, kind, dim):
         np.testing.assert_allclose(one, other, atol=1e-9)
 
 
-@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 def test_the_step_has_the_slope_that_it_states(motion):
     matrix = np.array([[0.3, -0.7], [0.2, 0.4]])
     state, _ = motion.start(np.array([0.4, -0.2]), 0.0, 0.0)
@@ -131,16 +140,11 @@ def test_the_prior_has_its_strength_everywhere_in_the_arena(kind):
     np.testing.assert_allclose(sd, 0.7, rtol=0.02)
 
 
-@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 def test_a_belief_comes_back_from_its_file(motion):
     flight, _ = frames(motion, swirl, 30)
-    belief = believe(motion)
-    for frame in flight[:20]:
-        belief = belief.after(frame)
+    belief = learned(believe(motion), flight[:20])
     again = decode(Belief, *encode(belief))
-    for frame in flight[20:]:
-        belief, again = belief.after(frame), again.after(frame)
-    ours, theirs = encode(belief), encode(again)
+    ours, theirs = (encode(learned(one, flight[20:])) for one in (belief, again))
     assert ours.document == theirs.document
     assert ours.arrays.keys() == theirs.arrays.keys()
     for name, array in ours.arrays.items():
@@ -149,14 +153,10 @@ def test_a_belief_comes_back_from_its_file(motion):
 
 def test_after_leaves_the_belief_as_it_was():
     flight, _ = frames(MOTIONS["inertia"], swirl, 12)
-    belief = believe(MOTIONS["inertia"])
-    for frame in flight[:8]:
-        belief = belief.after(frame)
+    belief = learned(believe(MOTIONS["inertia"]), flight[:8])
     document, arrays = encode(belief)
     before = {name: array.copy() for name, array in arrays.items()}
-    later = belief
-    for frame in flight[8:]:
-        later = later.after(frame)
+    later = learned(belief, flight[8:])
     assert later.time > belief.time
     assert encode(belief).document == document
     for name, array in encode(belief).arrays.items():
@@ -169,17 +169,13 @@ def test_a_lost_frame_widens_the_state_and_teaches_nothing():
     assert np.all(lost.log_evidence == belief.log_evidence)
     assert np.linalg.det(lost.state.covariance) > np.linalg.det(belief.state.covariance)
     far = belief.after(Frame(0.4, None, 0.02, np.zeros(2)))
-    steps = belief
-    for k in range(4):
-        steps = steps.after(Frame(0.1 * (k + 1), None, 0.02, np.zeros(2)))
+    blind = [Frame(0.1 * (k + 1), None, 0.02, np.zeros(2)) for k in range(4)]
+    steps = learned(belief, blind)
     np.testing.assert_allclose(far.state.mean, steps.state.mean, atol=1e-12)
 
 
 def test_a_restart_keeps_the_map():
-    flight, _ = frames(MOTIONS["inertia"], swirl, 20)
-    belief = believe(MOTIONS["inertia"])
-    for frame in flight:
-        belief = belief.after(frame)
+    belief = flown(MOTIONS["inertia"], 20)
     again = belief.restart(first_frame())
     places = np.array([[2.0, 2.0], [5.0, 5.0]])
     for old, new in zip(belief.force(places), again.force(places), strict=True):
@@ -205,10 +201,7 @@ def test_the_least_probable_filters_are_given_up_where_memory_ends(monkeypatch):
 
 
 def test_draws_have_the_deviation_that_is_stated():
-    flight, _ = frames(MOTIONS["inertia"], swirl, 15)
-    belief = believe(MOTIONS["inertia"])
-    for frame in flight:
-        belief = belief.after(frame)
+    belief = flown(MOTIONS["inertia"], 15)
     axes = [np.array([2.0, 3.0, 6.0]), np.array([2.0, 6.0])]
     draws = belief.samples(axes, 3000, seed=3)
     places = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
@@ -221,7 +214,6 @@ def test_draws_have_the_deviation_that_is_stated():
     np.testing.assert_allclose(at_places, draws.reshape(3000, -1, 2), atol=1e-10)
 
 
-@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 def test_ahead_is_what_lost_frames_would_say(motion):
     belief = believe(motion, scales=(6.0,), kinds=(PotentialKernels,))
     thrusts = np.array([[0.3, 0.1], [0.0, -0.4]])
@@ -247,11 +239,8 @@ def mixture(belief, means, covariances):
     )
 
 
-@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 def test_what_is_believed_is_the_mixture_of_the_filters(motion):
-    belief = believe(motion)
-    for frame in frames(motion, swirl, 30)[0]:
-        belief = belief.after(frame)
+    belief = flown(motion, 30)
     filters, thrust = belief.filters, np.array([0.3, 0.1])
     states = [one.state for one in filters], [one.spread for one in filters]
     mean, covariance = mixture(belief, *states)
@@ -276,9 +265,9 @@ def test_what_is_believed_is_the_mixture_of_the_filters(motion):
 
 @pytest.mark.parametrize("count", [1, 2, 7, 12])
 def test_there_are_as_many_draws_as_were_asked_for(count):
-    belief = believe(MOTIONS["inertia"])
-    for frame in frames(MOTIONS["inertia"], swirl, 20)[0]:
-        belief = belief.after(frame)
+    belief = learned(
+        believe(MOTIONS["inertia"]), frames(MOTIONS["inertia"], swirl, 20)[0]
+    )
     axes = [np.array([2.0, 3.0]), np.array([2.0, 6.0, 7.0])]
     for seed in range(20):
         assert belief.samples(axes, count, seed=seed).shape == (count, 2, 3, 2)
@@ -303,17 +292,8 @@ def test_a_first_frame_without_a_position_is_refused():
         believe(motion, scales=())
 
 
-def test_covariances_stay_symmetric_and_positive():
-    """Few frames in the quick suite; ten thousand are among the slow ones."""
-    _check_covariances(100)
-
-
-@pytest.mark.slow
-def test_covariances_stay_symmetric_and_positive_for_long():
-    _check_covariances(10_000)
-
-
-def _check_covariances(count):
+@pytest.mark.parametrize("count", [100, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_covariances_stay_symmetric_and_positive(count):
     motion = MOTIONS["overdamped"]
     belief = believe(motion, scales=(3.0,), kinds=(PotentialKernels,))
     random = np.random.default_rng(5)
@@ -381,7 +361,6 @@ def most_probable(one, motion, start, flight, rounds=4):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 def test_the_force_is_that_of_the_most_probable_path(motion):
     """The filter loses at most three hundredths to the batch estimate."""
     running, batch = [], []

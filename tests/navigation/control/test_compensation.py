@@ -6,9 +6,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import pytest
-from tests.navigation.steering_worlds import SwimmerPredictor
+from tests.navigation.steering_worlds import SwimmerPredictor, open_water, rolling
 
-from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
 from pinav.navigation.control.controller import AbstractController
@@ -17,21 +16,14 @@ from pinav.navigation.control.default import (
     StateEstimation,
     Timing,
 )
-from pinav.navigation.task.steering import (
-    CommandLimits,
-    RollingActuator,
-    SteeredSwimmer,
-)
-from pinav.navigation.task.task import ReachGoal, Rectangle, Task
 from pinav.navigation.trials.situation import advance, begin, observe
 
 pytestmark = pytest.mark.slow
 
-ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
 BARRIER = GaussianBarrier(2.0, [1.0, 1.0], 1.0)
 MODELS = {
-    "inertial": SteeredSwimmer(Swimmer(ZeroForce(), LinearDrag(0.4), BARRIER), ROLLING),
-    "overdamped": SteeredSwimmer(OverdampedSwimmer(ZeroForce(), BARRIER, 1.0), ROLLING),
+    "inertial": rolling(Swimmer(ZeroForce(), LinearDrag(0.4), BARRIER)),
+    "overdamped": rolling(OverdampedSwimmer(ZeroForce(), BARRIER, 1.0)),
 }
 
 
@@ -49,22 +41,10 @@ class Wanderer(AbstractController):
         return command, (observation.time, observation.state)
 
 
-def task_of(truth, delay=0.0, noise=0.0, sensor_noise=0.0, time_limit=3.0):
+def task_of(truth, **changes):
     size = 4 if isinstance(truth.dynamics, Swimmer) else 2
-    return Task(
-        "test",
-        truth,
-        jnp.array([0.2, -0.3, 0.1, 0.2])[:size],
-        ReachGoal([30.0, 30.0], 0.1),
-        CommandLimits(1.0),
-        Rectangle([-50.0, -50.0], [50.0, 50.0]),
-        (),
-        0.1,
-        time_limit,
-        noise=noise,
-        sensor_noise=sensor_noise,
-        delay=delay,
-    )
+    start = jnp.array([0.2, -0.3, 0.1, 0.2])[:size]
+    return open_water(truth=truth, start=start, **changes)
 
 
 @pytest.mark.parametrize("delay", [0.07, 0.2, 0.25])
@@ -73,7 +53,7 @@ def test_the_predicted_state_is_that_in_which_the_command_comes_into_force(
     model, delay
 ):
     """From there the command leads to the true state at the next control step."""
-    task = task_of(model, delay)
+    task = task_of(model, delay=delay)
     timing = Timing(task.step, task.delay)
     predictor, key = SwimmerPredictor(model), jax.random.key(3)
     predict = eqx.filter_jit(lambda seen: timing.predict(predictor, seen))
@@ -97,7 +77,8 @@ def test_the_controller_inside_is_told_what_will_be():
     model = MODELS["overdamped"]
     timing = Timing(0.1, 0.2)
     controller = DelayCompensation(Wanderer(2), SwimmerPredictor(model), timing)
-    seen = observe(task_of(model, 0.2), begin(task_of(model, 0.2)), jax.random.key(0))
+    task = task_of(model, delay=0.2)
+    seen = observe(task, begin(task), jax.random.key(0))
     ahead = timing.predict(SwimmerPredictor(model), seen)
     _, (time, state) = controller(seen, controller.start(seen), key=jax.random.key(0))
     assert float(time) == pytest.approx(0.2)
@@ -108,7 +89,7 @@ def test_the_controller_inside_is_told_what_will_be():
 @pytest.mark.parametrize("kind", MODELS)
 def test_the_state_is_as_far_off_as_the_filter_says(kind, delay):
     truth = MODELS[kind]
-    task = task_of(truth, delay, noise=0.05, sensor_noise=0.02)
+    task = task_of(truth, delay=delay, noise=0.05, sensor_noise=0.02)
     controller = StateEstimation(
         Wanderer(2),
         SwimmerPredictor(truth),

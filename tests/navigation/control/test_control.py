@@ -5,12 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.navigation.steering_worlds import SwimmerPredictor
+from tests.navigation.steering_worlds import SwimmerPredictor, drifted_time, open_water
 
-from pinav.actuation import LinearResponse
-from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
-from pinav.forces import UniformFlow, ZeroForce
 from pinav.navigation.control.controller import (
     ArrivalCost,
     GradientGuide,
@@ -22,41 +19,26 @@ from pinav.navigation.control.default import controller
 from pinav.navigation.control.mppi import GradientMPC, PathIntegral
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.predictors import tabulate_model
-from pinav.navigation.task.steering import (
-    CommandLimits,
-    RollingActuator,
-    SteeredSwimmer,
-)
 from pinav.navigation.task.task import (
     CirclePath,
     Disc,
     FollowPath,
     ReachGoal,
     Rectangle,
-    Task,
 )
 from pinav.navigation.trials.closed_loop import run, run_many
 
-ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
 START, GOAL = np.array([-2.0, -1.0]), np.array([2.5, 1.5])
 
 
-def swimming(drift=(0.0, 0.0), keep_out=(), objective=None, **settings):
-    truth = SteeredSwimmer(
-        OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, UniformFlow(drift)), ROLLING
-    )
-    return Task(
-        "test",
-        truth,
-        jnp.asarray(START),
-        ReachGoal(GOAL, 0.2) if objective is None else objective,
-        CommandLimits(1.0),
-        Rectangle([-4.0, -4.0], [4.0, 4.0]),
-        keep_out,
-        0.1,
-        settings.pop("time_limit", 20.0),
-        **settings,
-    )
+def swimming(drift=(0.0, 0.0), **changes):
+    options = {
+        "start": START,
+        "objective": ReachGoal(GOAL, 0.2),
+        "arena": Rectangle([-4.0, -4.0], [4.0, 4.0]),
+        "time_limit": 20.0,
+    }
+    return open_water(drift=drift, **options | changes)
 
 
 @pytest.fixture(scope="module")
@@ -103,11 +85,8 @@ def test_both_methods_find_the_optimum_of_a_quadratic_cost(tables, make):
 
 @pytest.mark.slow
 def test_arrival_in_a_uniform_drift_is_that_of_the_closed_form():
-    """|d - w T| = T + tolerance, with d from start to goal and drift w."""
     task = swimming((0.4, -0.3))
-    d, w = GOAL - START, np.array([0.4, -0.3])
-    a, b, c = w @ w - 1, -(d @ w) - 0.2, d @ d - 0.2**2
-    exact = max(np.roots([a, 2 * b, c]).real)
+    exact = drifted_time(GOAL - START, (0.4, -0.3), 0.2)
     episode = run(task, controller(task, task.truth), key=jax.random.key(0))
     assert episode.reached
     assert episode.arrival_time == pytest.approx(exact, rel=0.01)

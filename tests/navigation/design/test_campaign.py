@@ -1,17 +1,15 @@
 """Campaigns: what is chosen, recorded, learned, and when it is enough."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.navigation.steering_worlds import frame_at, vortex
 
 from pinav.errors import InputError
-from pinav.navigation import Disc, Experiment, Rectangle, task
+from pinav.navigation import Disc, Experiment, Rectangle
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import MeanForce
-from pinav.navigation.belief.belief import Frame
 from pinav.navigation.design.campaign import (
     Decision,
     decide,
@@ -31,11 +29,6 @@ from pinav.navigation.design.candidates import (
 NOISE = 0.02
 
 
-def current(**changes):
-    """The unknown current of the task `vortex`, positions with an error."""
-    return dataclasses.replace(task("vortex"), sensor_noise=NOISE, **changes)
-
-
 def experiment_of(problem, duration=3.0, region=None):
     return Experiment(
         actuator=problem.truth.actuator,
@@ -50,13 +43,12 @@ def experiment_of(problem, duration=3.0, region=None):
 
 @pytest.fixture(scope="module")
 def adaptive():
-    return AdaptiveController.of(current(), MeanForce(), points=21)
+    return AdaptiveController.of(vortex(), MeanForce(), points=21)
 
 
 @pytest.fixture(scope="module")
 def belief(adaptive):
-    first = Frame(0.0, np.asarray(adaptive.task.start, float), NOISE, np.zeros(2))
-    return adaptive.believe(first)
+    return adaptive.believe(frame_at(*np.asarray(adaptive.task.start)))
 
 
 def straight(experiment, start, heading, frequency=None):
@@ -87,7 +79,7 @@ def test_a_way_is_certain_if_it_arrives_and_the_bound_is_small():
 
 
 def test_a_record_is_the_true_path_with_the_error_of_the_sensor():
-    problem = current(noise=0.0)
+    problem = vortex(noise=0.0)
     experiment = experiment_of(problem)
     chosen = straight(experiment, [3.0, 5.0], 0.4)
     frames, path = record(problem, experiment, chosen, key=jax.random.key(1))
@@ -108,7 +100,7 @@ def test_a_record_is_the_true_path_with_the_error_of_the_sensor():
 
 
 def test_a_record_ends_at_the_edge_of_the_arena():
-    problem = current(noise=0.0)
+    problem = vortex(noise=0.0)
     experiment = experiment_of(problem, duration=8.0)
     edge = float(problem.arena.upper[0]) - 0.3
     chosen = straight(experiment, [edge, 5.0], 0.0)
@@ -172,11 +164,10 @@ def test_a_grid_fills_the_region_evenly(adaptive, belief):
 
 def test_nobody_is_released_in_a_disc():
     disc = Disc([5.0, 5.0], 2.0)
-    adaptive = AdaptiveController.of(current(keep_out=(disc,)), MeanForce(), points=21)
+    adaptive = AdaptiveController.of(vortex(keep_out=(disc,)), MeanForce(), points=21)
     region = Rectangle([2.5, 2.5], [7.5, 7.5])
     experiment = experiment_of(adaptive.task, region=region)
-    first = Frame(0.0, np.array([1.0, 5.0]), NOISE, np.zeros(2))
-    belief, way = adaptive.believe(first), np.zeros((2, 2))
+    belief, way = adaptive.believe(frame_at(1.0, 5.0)), np.zeros((2, 2))
     for design in (GridDesign(), RandomDesign()):
         for count in range(4):
             chosen = design.choose(

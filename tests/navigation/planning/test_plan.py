@@ -1,13 +1,12 @@
 """The time-to-go against closed forms, and what a plan refuses."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.navigation.steering_worlds import drifted_time, open_water, rolling
 
-from pinav.actuation import LinearResponse
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractForce,
@@ -15,48 +14,31 @@ from pinav.forces import (
     LinearDrag,
     LinearMotion,
     Moving,
-    UniformFlow,
     ZeroForce,
 )
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.predictors import tabulate_model
-from pinav.navigation.task.steering import (
-    CommandLimits,
-    RollingActuator,
-    SteeredSwimmer,
-)
 from pinav.navigation.task.task import (
     Disc,
     FollowPath,
     LinePath,
     ReachGoal,
     Rectangle,
-    Task,
     Wall,
 )
 
-ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
 GOAL, TOLERANCE = np.array([2.5, 1.5]), 0.2
 ARENA = Rectangle([-4.0, -4.0], [4.0, 4.0])
 
 
-def swimming(drift=(0.0, 0.0), start=(-2.0, -1.0), keep_out=(), environment=None):
-    environment = ZeroForce() if environment is None else environment
-    flow = UniformFlow(drift)
-    truth = SteeredSwimmer(
-        OverdampedSwimmer(ZeroForce(), environment, 1.0, flow), ROLLING
-    )
-    return Task(
-        "test",
-        truth,
-        jnp.array(start),
-        ReachGoal(GOAL, TOLERANCE),
-        CommandLimits(1.0),
-        ARENA,
-        keep_out,
-        0.1,
-        20.0,
-    )
+def swimming(drift=(0.0, 0.0), **changes):
+    options = {
+        "start": (-2.0, -1.0),
+        "objective": ReachGoal(GOAL, TOLERANCE),
+        "arena": ARENA,
+        "time_limit": 20.0,
+    }
+    return open_water(drift=drift, **options | changes)
 
 
 def planned(task, **settings):
@@ -64,21 +46,12 @@ def planned(task, **settings):
     return time_to_go(task, task.truth, tables=tables, **settings)
 
 
-def drifted_time(x, drift):
-    """Time to a disc at speed 1: |d - w T| = T + tolerance, its first root."""
-    away, w = GOAL - x, np.asarray(drift)
-    a, b = w @ w - 1, -(away @ w) - TOLERANCE
-    c = away @ away - TOLERANCE**2
-    roots = np.roots([a, 2 * b, c])
-    return min(r.real for r in roots if abs(r.imag) < 1e-12 and r.real > 0)
-
-
 @pytest.mark.parametrize("drift", [(0.0, 0.0), (0.4, -0.3)])
 def test_time_to_go_in_a_uniform_drift_is_that_of_the_closed_form(drift):
     plan = planned(swimming(drift), points=61)
     places = jax.random.uniform(jax.random.key(1), (20, 2), minval=-2.5, maxval=2.5)
     found = np.array([plan.at(x) for x in places])
-    exact = np.array([drifted_time(np.asarray(x), drift) for x in places])
+    exact = np.array([drifted_time(GOAL - x, drift, TOLERANCE) for x in places])
     assert np.abs(found - exact).max() < 0.12
     assert np.abs(found - exact).mean() < 0.06
 
@@ -86,7 +59,7 @@ def test_time_to_go_in_a_uniform_drift_is_that_of_the_closed_form(drift):
 @pytest.mark.slow
 def test_time_to_go_converges_with_the_grid():
     task = swimming((0.4, -0.3))
-    exact = drifted_time(np.asarray(task.start), (0.4, -0.3))
+    exact = drifted_time(GOAL - task.start, (0.4, -0.3), TOLERANCE)
     coarse, fine = (
         abs(float(planned(task, points=n).at(task.start)) - exact) for n in (21, 81)
     )
@@ -123,12 +96,8 @@ def test_the_way_around_a_disc_is_two_tangents_and_an_arc():
 @pytest.mark.slow
 def test_with_inertia_it_is_that_of_uniform_acceleration():
     """From rest, without drag: sqrt(2 d / u)."""
-    truth = SteeredSwimmer(Swimmer(ZeroForce(), LinearDrag(0.0), ZeroForce()), ROLLING)
-    task = eqx.tree_at(
-        lambda task: (task.truth, task.start),
-        swimming(),
-        (truth, jnp.array([-2.0, 1.5, 0.0, 0.0])),
-    )
+    truth = rolling(Swimmer(ZeroForce(), LinearDrag(0.0), ZeroForce()))
+    task = swimming(truth=truth, start=(-2.0, 1.5, 0.0, 0.0))
     plan = planned(task, points=25, speeds=15)
     exact = np.sqrt(2 * (4.5 - TOLERANCE))
     assert float(plan.at(task.start)) == pytest.approx(exact, rel=0.12)
@@ -180,8 +149,8 @@ def test_a_model_that_is_not_finite_is_refused():
 
 def test_a_path_needs_no_plan():
     path = FollowPath(LinePath([0.0, 0.0], [1.0, 1.0], 5.0))
-    task = eqx.tree_at(lambda task: task.objective, swimming(), path)
-    with pytest.raises(InputError, match=r"task 'test': expected a place to reach"):
+    task = swimming(objective=path)
+    with pytest.raises(InputError, match="task 'open water': expected a place to"):
         planned(task)
 
 

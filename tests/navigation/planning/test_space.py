@@ -1,24 +1,15 @@
 """Plans, commands and closed loops in three dimensions, against closed forms."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.navigation.steering_worlds import drifted_time, open_water, rolling
 
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-from pinav.forces import (
-    ConstantForce,
-    LinearDrag,
-    Plane,
-    SampledFlow,
-    Tube,
-    UniformFlow,
-    ZeroForce,
-)
+from pinav.forces import ConstantForce, LinearDrag, Plane, SampledFlow, Tube, ZeroForce
 from pinav.navigation.control.default import controller
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.predictors import ControlMap, tabulate_model
@@ -26,45 +17,31 @@ from pinav.navigation.task.steering import (
     CommandLimits,
     HelicalActuator,
     RollingActuator,
-    SteeredSwimmer,
     all_directions,
     direction,
     direction_angles,
 )
-from pinav.navigation.task.task import Behind, Disc, ReachGoal, Rectangle, Task, Wall
+from pinav.navigation.task.task import Behind, Disc, ReachGoal, Rectangle, Wall
 from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.metrics import summary
 
 ROLLING = RollingActuator(jnp.eye(3), LinearResponse())
-GOAL, TOLERANCE = np.array([1.5, 1.0, 0.5]), 0.25
+START, GOAL, TOLERANCE = np.array([-1.5, -1.0, -0.5]), np.array([1.5, 1.0, 0.5]), 0.25
 
 
-def swimming(drift=(0.0, 0.0, 0.0), start=(-1.5, -1.0, -0.5), keep_out=(), **settings):
-    swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, UniformFlow(drift))
-    options = {"step": 0.1, "time_limit": 15.0} | settings
-    return Task(
-        name="test",
-        truth=SteeredSwimmer(swimmer, ROLLING),
-        start=jnp.array(start),
-        objective=ReachGoal(GOAL, TOLERANCE),
-        limits=CommandLimits(1.0),
-        arena=Rectangle([-2.5] * 3, [2.5] * 3),
-        keep_out=keep_out,
-        **options,
-    )
+def swimming(drift=(0.0, 0.0, 0.0), **changes):
+    options = {
+        "start": START,
+        "objective": ReachGoal(GOAL, TOLERANCE),
+        "arena": Rectangle([-2.5] * 3, [2.5] * 3),
+        "time_limit": 15.0,
+    }
+    return open_water(drift=drift, **options | changes)
 
 
 def planned(task, points=25):
     tables = tabulate_model(task, task.truth, margin=0.01, points=9)
     return time_to_go(task, task.truth, tables=tables, points=points)
-
-
-def drifted_time(x, drift):
-    """Time to a ball at speed 1: |d - w T| = T + tolerance, its first root."""
-    away, w = GOAL - x, np.asarray(drift)
-    a, b = w @ w - 1, -(away @ w) - TOLERANCE
-    roots = np.roots([a, 2 * b, away @ away - TOLERANCE**2])
-    return min(r.real for r in roots if abs(r.imag) < 1e-12 and r.real > 0)
 
 
 @pytest.mark.slow
@@ -74,7 +51,7 @@ def test_time_to_go_in_a_uniform_drift_is_that_of_the_closed_form(drift):
     plan = planned(swimming(drift))
     places = jax.random.uniform(jax.random.key(1), (30, 3), minval=-1.5, maxval=1.5)
     found = np.array([plan.at(x) for x in places])
-    exact = np.array([drifted_time(np.asarray(x), drift) for x in places])
+    exact = np.array([drifted_time(GOAL - x, drift, TOLERANCE) for x in places])
     # Twenty degrees between directions and cells of 0.2 make a plan a little slow.
     assert (found / exact)[exact > 1].min() > 0.99
     assert (found / exact)[exact > 1].max() < 1.09
@@ -82,10 +59,10 @@ def test_time_to_go_in_a_uniform_drift_is_that_of_the_closed_form(drift):
 
 @pytest.mark.slow
 def test_the_way_round_a_ball_is_two_tangents_and_an_arc():
-    radius, start = 0.9, np.array([-1.5, -1.0, -0.5])
-    task = swimming(keep_out=(Disc([0.0, 0.0, 0.0], radius),), start=tuple(start))
+    radius = 0.9
+    task = swimming(keep_out=(Disc([0.0, 0.0, 0.0], radius),))
     plan = planned(task, points=33)
-    ends = np.linalg.norm(start), np.linalg.norm(GOAL)
+    ends = np.linalg.norm(START), np.linalg.norm(GOAL)
     tangents = [np.sqrt(end**2 - radius**2) for end in ends]
     turned = np.pi - sum(np.arccos(radius / end) for end in ends)
     exact = sum(tangents) + radius * turned - TOLERANCE
@@ -115,7 +92,7 @@ def test_a_controller_reaches_a_goal_in_space_against_a_drift():
     keys = jax.random.split(jax.random.key(0), 2)
     episodes = run_many(task, tables, keys)
     assert episodes.reached.all()
-    exact = drifted_time(np.asarray(task.start), (-0.3, 0.2, 0.0))
+    exact = drifted_time(GOAL - START, (-0.3, 0.2, 0.0), TOLERANCE)
     assert episodes.arrival_time.max() < 1.15 * exact
     outcome = summary(episodes, task)
     assert 0.8 < outcome.efficiency <= 1.0
@@ -189,7 +166,7 @@ def test_a_plan_in_a_drift_that_changes_is_that_of_its_mean():
     velocities = jnp.array([[0.5, 0.1, 0.0], [0.1, -0.1, 0.0]])
     flow = SampledFlow(times, velocities)
     swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, flow)
-    changing = dataclasses.replace(steady, truth=SteeredSwimmer(swimmer, ROLLING))
+    changing = swimming(truth=rolling(swimmer, 3))
     expected, plan = planned(steady, points=13), planned(changing, points=13)
     np.testing.assert_allclose(plan.values, expected.values, atol=2e-5)
 
@@ -198,9 +175,9 @@ def test_samples_in_a_flow_that_changes_differ_by_their_forces_alone():
     task = swimming()
     flow = SampledFlow(jnp.array([0.0, 15.0]), jnp.array([[0.5, 0, 0], [0.1, 0, 0]]))
     samples = [
-        SteeredSwimmer(
+        rolling(
             OverdampedSwimmer(ZeroForce(), ConstantForce([push, 0.0, 0.0]), 1.0, flow),
-            ROLLING,
+            3,
         )
         for push in (-0.3, 0.3)
     ]
@@ -215,7 +192,7 @@ def test_inertia_in_space_is_refused():
     task = swimming(start=(-1.5, -1.0, -0.5, 0.0, 0.0, 0.0))
     heavy = Swimmer(ZeroForce(), LinearDrag(1.0), ZeroForce())
     with pytest.raises(InputError, match=r"expected a swimmer without inertia in 3"):
-        time_to_go(task, SteeredSwimmer(heavy, ROLLING))
+        time_to_go(task, rolling(heavy, 3))
 
 
 def test_places_in_a_wall_in_space_are_refused_by_their_coordinates():

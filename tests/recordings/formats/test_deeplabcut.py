@@ -97,7 +97,6 @@ def test_likelihood_decides_what_is_lost(tmp_path):
     check(data.select([1]), [whole[0]._replace(name="part 1")])
 
 
-HEAD = ["scorer", "bodyparts", "coords"]
 LINES = [
     "scorer,D,D,D",
     "bodyparts,nose,nose,nose",

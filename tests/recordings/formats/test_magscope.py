@@ -138,16 +138,9 @@ def renamed(sheet, column, name):
     return cell(sheet, 1, column, name)
 
 
-def emptied(sheet):
+def cut(sheet, rows):
     def change(content):
-        content[sheet] = []
-
-    return change
-
-
-def only_header(sheet):
-    def change(content):
-        content[sheet] = content[sheet][:1]
+        del content[sheet][rows:]
 
     return change
 
@@ -168,10 +161,10 @@ def one_row_each(content):
 R, A = "Robot 1", "Magnetic Field Actions"
 BAD = [
     (without_robots, rf"sheets {A}: expected 'Robot 1' and so on"),
-    (emptied(R), r"sheet 'Robot 1', row 1: column 'Frame' is missing"),
-    (emptied(A), r"Actions', row 1: column 'Frame' is missing; got"),
-    (only_header(R), r"sheet 'Robot 1': no rows below the header"),
-    (only_header(A), r"Actions': no rows below the header"),
+    (cut(R, 0), r"sheet 'Robot 1', row 1: column 'Frame' is missing"),
+    (cut(A, 0), r"Actions', row 1: column 'Frame' is missing; got"),
+    (cut(R, 1), r"sheet 'Robot 1': no rows below the header"),
+    (cut(A, 1), r"Actions': no rows below the header"),
     (renamed(R, 1, "Fr."), r"'Robot 1', row 1: column 'Frame' is missing"),
     (renamed(R, 2, "Clock"), r"sheet 'Robot 1': column 'Time' is missing"),
     (renamed(R, 3, "X"), r"sheet 'Robot 1': column 'Pos X' is missing; got Fr"),

@@ -176,9 +176,7 @@ BAD_XML = [
         r"declares entities or a document type",
     ),
     (
-        f'<?xml version="1.0" encoding="UTF-8"?>{GOOD}'.encode().replace(
-            b"sec", b"\xb5"
-        ),
+        f"{DECLARED}{GOOD}".encode().replace(b"sec", b"\xb5"),
         r"line 1, column \d+: not well-formed XML",
     ),
 ]

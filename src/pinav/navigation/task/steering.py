@@ -170,8 +170,7 @@ class CommandLimits(eqx.Module):
     max_amplitude: float = math.inf
 
     def __check_init__(self) -> None:
-        limits = "max_frequency", "max_turning_rate", "max_amplitude"
-        check_positive(self, *(n for n in limits if getattr(self, n) != math.inf))
+        check_positive(self, "max_frequency", "max_turning_rate", "max_amplitude")
 
     def clip(self, command: Command, previous: Command, duration: Scalar) -> Command:
         """The nearest allowed command after `previous` has held for `duration` [T]."""
