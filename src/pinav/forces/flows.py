@@ -107,7 +107,7 @@ class VortexFlow(AbstractFlow):
 
 
 class SampledFlow(AbstractFlow):
-    """A uniform velocity [L T⁻¹], linear between given times and constant beyond."""
+    """A uniform velocity [L T⁻¹], linear between times [T], constant beyond."""
 
     times: Float[Array, " time"] = eqx.field(metadata=dimension("T"))
     velocities: Float[Array, "time dim"] = eqx.field(metadata=dimension("L T-1"))

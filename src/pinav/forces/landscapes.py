@@ -65,6 +65,7 @@ class GaussianBarrier(AbstractCentralForce):
 
     Attributes:
         height: $U_0$ [L² T⁻²]; negative makes a trap.
+        center: $c$ [L].
         width: $\sigma$ [L], positive.
 
     Raises:
@@ -90,6 +91,7 @@ class HarmonicTrap(AbstractCentralForce):
 
     Attributes:
         stiffness: $k$ [T⁻²]; negative pushes away.
+        center: $c$ [L].
 
     Raises:
         InputError: `center` is not a point.
@@ -113,6 +115,7 @@ class PowerHill(AbstractCentralForce):
 
     Attributes:
         height: $U_0$ [L² T⁻²]; negative makes a trap.
+        center: $c$ [L].
         core: $s$ [L], positive.
         exponent: $p$, positive.
 
@@ -143,6 +146,7 @@ class CompactHill(AbstractCentralForce):
 
     Attributes:
         height: $U_0$ [L² T⁻²]; negative makes a trap.
+        center: $c$ [L].
         radius: $R$ [L], positive.
 
     Raises:
@@ -171,6 +175,7 @@ class RingBarrier(AbstractCentralForce):
 
     Attributes:
         height: $U_0$ [L² T⁻²]; negative makes a moat.
+        center: $c$ [L].
         radius: $\rho$ [L], positive.
         width: $w$ [L], positive.
 
@@ -196,6 +201,7 @@ class ProfileBarrier(AbstractPotentialForce):
     Attributes:
         law: name of the profile, such as "Yukawa".
         height: $U_0$, or the other amplitude of the profile.
+        center: $c$ [L].
         shapes: the other constants of the profile, in its order.
 
     Raises:

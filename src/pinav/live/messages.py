@@ -70,11 +70,15 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Hello(msgspec.Struct, frozen=True, kw_only=True, tag="hello"):
-    """First line of a rig; a new `session` name begins with a new robot or clock.
+    """The first line of a rig, and again after it has started anew.
 
     Attributes:
+        version: of the protocol.
+        session: name of the session; a new name begins with a new robot or clock.
         step: interval of frames [s].
-        clock: origin of the times, in words.
+        units: of lengths, such as um.
+        limits: what may be commanded.
+        clock: what times count from, in words.
         token: the shared secret, where pinav asks for one.
     """
 
@@ -88,13 +92,15 @@ class Hello(msgspec.Struct, frozen=True, kw_only=True, tag="hello"):
 
 
 class Frame(msgspec.Struct, frozen=True, kw_only=True, tag="frame"):
-    """One image of the robot at a time t [s]; `seq` grows by one or more.
+    """One image of the robot.
 
     Attributes:
+        seq: number of the frame; grows by one or more.
+        t: its time [s].
         x: position along x [L]; none where the robot was not seen.
         y: position along y, upwards [L].
         sd: standard deviation of either coordinate [L]; none where it is not known.
-        frequency: frequency that is applied from `t` on [Hz].
+        frequency: what is applied from `t` on [Hz].
         heading: azimuth of the commanded motion, applied from `t` on [rad].
     """
 
@@ -108,12 +114,16 @@ class Frame(msgspec.Struct, frozen=True, kw_only=True, tag="frame"):
 
     @property
     def observed(self) -> bool:
-        """True if both coordinates were measured."""
+        """Whether both coordinates were measured."""
         return self.x is not None and self.y is not None
 
 
 class Bye(msgspec.Struct, frozen=True, kw_only=True, tag="bye"):
-    """The last line of a rig."""
+    """The last line of a rig.
+
+    Attributes:
+        reason: in words.
+    """
 
     reason: Text = ""
 
@@ -122,6 +132,8 @@ class Ready(msgspec.Struct, frozen=True, kw_only=True, tag="ready"):
     """The answer to `Hello`.
 
     Attributes:
+        version: of the protocol.
+        session: that of the rig.
         resumed_at: last frame that was learned from before; none in a new session.
     """
 
@@ -131,11 +143,14 @@ class Ready(msgspec.Struct, frozen=True, kw_only=True, tag="ready"):
 
 
 class Command(msgspec.Struct, frozen=True, kw_only=True, tag="command"):
-    """Command [Hz, rad] that the rig should apply at once, after the frame `seq`.
+    """A command that the rig should apply at once.
 
     Attributes:
+        seq: of the frame that it answers.
         for_t: time from which it is meant to hold [s].
-        valid_until: time at which the rig stops by itself unless it has heard more [s].
+        frequency: [Hz].
+        heading: [rad].
+        valid_until: when the rig stops by itself unless it has heard more [s].
     """
 
     seq: int
@@ -149,6 +164,11 @@ class State(msgspec.Struct, frozen=True, kw_only=True, tag="state"):
     """Beliefs after a frame; none stands where something is not known.
 
     Attributes:
+        seq: of the frame.
+        t: its time [s].
+        mode: what pinav is doing.
+        x: position [L].
+        y: position, upwards [L].
         sd: standard deviation of either coordinate [L].
         delay: from command to motion [s].
         gain: speed at 1 Hz and small frequencies [L per cycle].
@@ -156,7 +176,7 @@ class State(msgspec.Struct, frozen=True, kw_only=True, tag="state"):
         offset: angle from the commanded heading to the motion [rad].
         drift: velocity without command [L/s].
         force: at the position: an acceleration, or a velocity at mobility 1.
-        force_sd: standard deviation of either component.
+        force_sd: of either component.
         time_to_go: to the goal [s].
         latency_ms: from reading the frame to this line; none in a replay.
     """
@@ -201,6 +221,8 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, tag="event"):
 
     Attributes:
         t: time of the last frame [s]; none before the first.
+        kind: of the event.
+        text: a sentence.
     """
 
     t: float | None
