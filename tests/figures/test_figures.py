@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from pinav import figures
 from pinav.evaluation import NEAR, VISITED, Decomposition, FieldMap, Regions
+from pinav.evaluation.scores import Whiteness
 from pinav.figures.maps import ERROR, FORCE
 from pinav.figures.palette import (
     BLACK,
@@ -386,6 +387,14 @@ def test_failed_write_keeps_the_old_file_and_leaves_no_part(tmp_path, monkeypatc
         figures.save_figure(figure, tmp_path, "f")
     assert paths.png.read_bytes() == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["f.png", "f.svg"]
+
+
+def test_residuals_of_many_channels_are_all_drawn():
+    names = tuple(f"channel {i}" for i in range(9))
+    none = np.zeros(9)
+    test = Whiteness(names, np.full((9, 4), 0.1), none, none, (50,) * 9)
+    _, labels = figures.residual_autocorrelation(test).get_legend_handles_labels()
+    assert set(names) <= set(labels)
 
 
 def test_import_leaves_pyplot_alone():

@@ -115,7 +115,7 @@ def residual_autocorrelation(test: Whiteness, *, ax: Axes | None = None) -> Axes
         values, color = finite(autocorrelation[i]), SPARE[i % len(SPARE)]
         ax.vlines(at, 0.0, values, color=color, lw=THIN)
         name = test.channels[i]
-        ax.plot(at, values, MARKERS[i], color=color, ms=3.5, label=name)
+        ax.plot(at, values, MARKERS[i % len(MARKERS)], color=color, ms=3.5, label=name)
     bound = normal_quantile() / np.sqrt(min(counts[i] for i in used))
     ax.axhspan(-bound, bound, color=SHADE, zorder=0, label="95 % of white noise")
     ax.axhline(0.0, color=GREY, lw=0.6)
