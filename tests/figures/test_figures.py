@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from pinav import figures
 from pinav.evaluation import NEAR, VISITED, Decomposition, FieldMap, Regions
 from pinav.evaluation.scores import Whiteness
+from pinav.figures.errors import residual_autocorrelation
 from pinav.figures.maps import ERROR, FORCE
 from pinav.figures.palette import (
     BLACK,
@@ -393,7 +394,7 @@ def test_residuals_of_many_channels_are_all_drawn():
     names = tuple(f"channel {i}" for i in range(9))
     none = np.zeros(9)
     test = Whiteness(names, np.full((9, 4), 0.1), none, none, (50,) * 9)
-    _, labels = figures.residual_autocorrelation(test).get_legend_handles_labels()
+    _, labels = residual_autocorrelation(test).get_legend_handles_labels()
     assert set(names) <= set(labels)
 
 
