@@ -67,12 +67,12 @@ def test_the_path_of_the_wall_is_the_same_from_wherever_it_begins():
     radius, heat = constants.radius_um, constants.heat
     assert radius is not None
     assert heat is not None
-    resting = fit_wall(recording, radius, heat).reference
+    resting = fit_wall(recording, radius, heat).thermal.reference
     assert resting is not None
     parts = np.array_split(recording.positions[:, 2], len(resting.times))
     lowest = np.array([np.quantile(part, 0.01) for part in parts])
     start = SlowReference(2, knots=len(parts), start=tuple(lowest - lowest.mean()))
-    moving = fit_wall(recording, radius, heat, start).reference
+    moving = fit_wall(recording, radius, heat, start).thermal.reference
     assert moving is not None
     paths = resting(recording.times), moving(recording.times)
     apart = float(np.sqrt(np.mean((paths[0] - paths[1]) ** 2)))
