@@ -44,7 +44,6 @@ def test_the_dimension_of_a_field_is_that_of_its_description(kind):
     for field in dataclasses.fields(kind):
         if "dimension" in field.metadata:
             _, _, text = kind.__doc__.partition(f"        {field.name}: ")
-            text = text or kind.__doc__  # of a class that needs no list
             described = re.split(r"\n {8}\w+: |\n\n", text)[0]
             brackets = re.findall(r"\[([^\]]+)\]", described.translate(SUPERSCRIPTS))
             stated = [one.removesuffix(" per cycle") for one in brackets]

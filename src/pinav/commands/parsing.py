@@ -207,8 +207,8 @@ def _group(content: Content, fields: Content) -> Content:
         for name, kind in groups.items()
     }
     known = set.union(*names.values())
-    found = {} if reading is None else {"reading": Reading.of_content(reading)}
-    return found | {
+    stated = {} if reading is None else {"reading": Reading.of_content(reading)}
+    return stated | {
         name: msgspec.convert(
             {
                 key: value

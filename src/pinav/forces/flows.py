@@ -107,7 +107,12 @@ class VortexFlow(AbstractFlow):
 
 
 class SampledFlow(AbstractFlow):
-    """A uniform velocity [L T⁻¹], linear between times [T], constant beyond."""
+    """A uniform velocity, linear between given times and constant beyond.
+
+    Attributes:
+        times: increasing times [T].
+        velocities: velocities at those times [L T⁻¹].
+    """
 
     times: Float[Array, " time"] = eqx.field(metadata=dimension("T"))
     velocities: Float[Array, "time dim"] = eqx.field(metadata=dimension("L T-1"))
@@ -130,7 +135,11 @@ class SumFlow(AbstractFlow):
 
 
 class UniformFlow(AbstractFlow):
-    """A drift: the same velocity [L T⁻¹] everywhere, at all times."""
+    """A drift: the same velocity everywhere, at all times.
+
+    Attributes:
+        velocity: velocity of the fluid [L T⁻¹].
+    """
 
     velocity: Vector = eqx.field(
         metadata=dimension("L T-1"), converter=point("UniformFlow.velocity")

@@ -133,7 +133,10 @@ class AbstractMotion(eqx.Module):
 
 
 class LinearMotion(AbstractMotion):
-    """Displacement at a constant velocity [L T⁻¹], from zero at t = 0.
+    """Displacement at a constant velocity, from zero at t = 0.
+
+    Attributes:
+        velocity: velocity of the obstacle [L T⁻¹].
 
     Raises:
         InputError: `velocity` is not a vector.

@@ -238,7 +238,10 @@ class MagneticPropulsion(AbstractForce):
 
 
 class ConstantForce(AbstractForce):
-    """The same force [L T⁻²] everywhere, at all times: a constant thrust, or gravity.
+    """The same force everywhere, at all times: a constant thrust, or gravity.
+
+    Attributes:
+        force: force on a unit mass [L T⁻²].
 
     Raises:
         InputError: `force` is not a vector.

@@ -69,7 +69,11 @@ class AbstractDirector(eqx.Module):
 
 
 class ConstantDirector(AbstractDirector):
-    """The same direction everywhere, at an angle to the x axis [rad]."""
+    """The same direction everywhere.
+
+    Attributes:
+        angle: angle to the x axis [rad].
+    """
 
     angle: Scalar = eqx.field(metadata=dimension("rad"))
 
@@ -236,7 +240,10 @@ def as_tensor(value: AbstractTensorField | Scalar) -> AbstractTensorField:
 
 
 class LinearDrag(AbstractForce):
-    r"""Viscous drag $-\eta v$ with the damping $\eta$ [T⁻¹].
+    r"""Viscous drag $-\eta v$.
+
+    Attributes:
+        damping: $\eta$ [T⁻¹], not negative.
 
     Raises:
         InputError: `damping` is a negative number.

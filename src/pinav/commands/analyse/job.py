@@ -52,14 +52,16 @@ Blocks = list[AbstractBlock]
 def sections(analysis: Analysis) -> list[Section]:
     """Maps of what was learned, and what it depends on."""
     entropy = [] if analysis.entropy is None else [analysis.entropy]
-    found = {
+    blocks_by_title = {
         "What was learned": _learned(analysis),
         "Out of equilibrium": [Paragraph(entropy_sentence(e)) for e in entropy],
         "What the field depends on": _influence(analysis) + _constants(analysis),
         "What a rollout depends on": _lyapunov(analysis) + _sobol(analysis),
         "Left out of the analysis": list(map(Paragraph, analysis.left_out)),
     }
-    return [Section(title, blocks) for title, blocks in found.items() if blocks]
+    return [
+        Section(title, blocks) for title, blocks in blocks_by_title.items() if blocks
+    ]
 
 
 def _learned(analysis: Analysis) -> Blocks:
