@@ -13,7 +13,7 @@ DesignName = Literal["informed", "random", "grid"]
 
 
 class DesignSettings(SteeringSettings, frozen=True):
-    """What is to be known, and how trajectories are recorded.
+    """The quantity to be known, and the recording of trajectories.
 
     Attributes:
         release: Rectangle in which swimmers can be released; the arena unless given.

@@ -399,5 +399,5 @@ def plan_of(folder: RunFolder) -> Tree:
 
 
 def is_plan(folder: RunFolder) -> bool:
-    """Whether the run has a plan on the model of another run, and no model itself."""
+    """True if the run has a plan on the model of another run, and no model itself."""
     return not folder.models() and bool(folder.identity().get("fitted"))

@@ -123,7 +123,7 @@ def _kept(count: int, most: int) -> np.ndarray:
 
 
 def _place(plane: Plane, run: HeatedRun) -> Tree:
-    """Where a section lies: the axes along it, its sides and its height [m]."""
+    """Position of a section: the axes along it, its sides and its height [m]."""
     axis = "xyz".index(plane.axis)
     spacing, shape = run.spacing, run.target.shape
     along = [a for a in range(len(shape)) if a != axis]

@@ -257,7 +257,7 @@ def _grid(run: Learned, points: int) -> list[Float[np.ndarray, " point"]]:
 
 
 def _data(run: Learned) -> "dict[str, Dataset]":
-    """What was observed, and when, under which commands."""
+    """Observations with their times and commands."""
     from xarray import Dataset
 
     data = run.data

@@ -169,7 +169,7 @@ def _restarts(restarts: RestartErrors, length: str, time: str) -> Table:
 
 
 def support_sentence(gain: float) -> str:
-    """What the evidence says of a field beside the commands, with the remedy."""
+    """Evidence for a field beside the commands, with the remedy."""
     nats = f"{number(abs(gain), 3)} nats"
     if gain > DECISIVE:
         return f"field of position: supported, by {nats} over the known physics alone"
@@ -187,7 +187,7 @@ def support_sentence(gain: float) -> str:
 
 
 def _structure(fit: Findings) -> list[AbstractBlock]:
-    """What the search came to, and each profile with its band."""
+    """Result of the search, and each profile with its band."""
     assert fit.structure is not None
     figures = [
         profile_figure(index, term, fit)
