@@ -126,6 +126,8 @@ def exact_slopes(begin, end, cutoff):
                 return steep + 1 / mp.log(4)
             return mp.mpf(4) ** (max(t, c) - 43) / mp.log(4)
 
+        if a == b:  # the mean of a constant rate
+            return mp.diff(integral, a)
         return (integral(b) - integral(a)) / (b - a)
 
     with mp.workdps(80):
