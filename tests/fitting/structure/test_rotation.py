@@ -11,7 +11,10 @@ from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.environments.kernels import kernel_environment
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.evidence.quadratic import Quadratic, restrict
-from pinav.fitting.structure.survey import Survey, survey_rotation
+from pinav.fitting.structure.fits import Fits
+from pinav.fitting.structure.rotation import survey_rotation
+from pinav.fitting.structure.survey import Survey
+from pinav.fitting.structure.trace import Trace
 from pinav.forces import (
     GaussianBarrier,
     GaussianSwirl,
@@ -92,7 +95,7 @@ def test_trajectories_of_a_vortex_show_its_rotation_before_any_fit():
     model = truth.swimmer.with_environment(kernels)
     with jax.enable_x64(new_val=True):
         asked = FitSpecification(model, positions, lambda _: (), None, FixedStep())
-        survey = Survey.of(asked, asked.problem(model))
+        survey = Survey.of(Fits(asked, 20, None, throw=False, trace=Trace()))
         found = survey_rotation(survey.response, survey.noise, (), kernels.kernels)
     assert found.gain > 100
 

@@ -1,330 +1,136 @@
-import dataclasses
+"""The search in data of forces that are observed themselves."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.fields.families import random_system
+from tests.fitting.structure.observed_forces import observed_forces
 
-from pinav.dynamics import FixedStep
-from pinav.fitting import fit_structured
-from pinav.fitting.bayes.neural import FitSpecification
-from pinav.fitting.environments.kernels import KernelGrid, kernel_environment
-from pinav.fitting.environments.refinement import Refinement
-from pinav.fitting.evidence.model_evidence import DECISIVE
-from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure import search
-from pinav.fitting.structure.fit import survey_first_steps
-from pinav.fitting.structure.search import Search, needs_no_search
+from pinav.fitting.structure.search import Search, preferred, refine, simplify
 from pinav.fitting.structure.starts import Region, central_term, linear_term, wall_term
-from pinav.fitting.structure.survey import Survey
-from pinav.fitting.structure.trials import Proposal
+from pinav.fitting.structure.trace import Trace
+from pinav.fitting.structure.trials import Proposal, polish
 from pinav.forces import (
-    AbstractProfileTerm,
-    HillsTerm,
-    KernelMixture,
-    KernelPotential,
-    StructuredForce,
-    forces_at,
+    GaussianBarrier,
+    GaussianRidge,
+    LinearForce,
+    PlaneWaves,
+    RingBarrier,
+    SoftWall,
+    SumForce,
 )
-from pinav.scenarios import fibres, many_barriers
-from pinav.scenarios.vessels import box
-from pinav.systems.files import parse_system
-from pinav.trajectories import simulate, with_velocities
 
-PLACES = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 200, 2))
+REGION = Region.of(POINTS[0])
+SLOW = pytest.mark.slow
 
-
-def test_a_force_is_named_by_its_terms_and_its_free_kernels():
-    mixture = KernelMixture.with_zero_weights(PLACES, 1.0)
-    structured = StructuredForce((linear_term(Region.of(PLACES)),), mixture)
-    assert structured.kind == "linear + kernel-mixture"
-    potential = KernelPotential.with_zero_weights(PLACES, 1.0)
-    assert potential.kind == "kernel-potential"
-
-
-def saddle():
-    """A force that is linear, an untrained model, and what was observed."""
-    truth = random_system("saddle", 0)
-    data = simulate(truth.with_starts(count=6), key=jax.random.key(0))
-    positions = data.only(("x", "y"))
-    kernels = kernel_environment(KernelPotential, positions, dim=2)
-    return truth, truth.swimmer.with_environment(kernels), positions
+HILL = GaussianBarrier(3.0, [4.0, 6.0], 1.5)
+WELL = GaussianBarrier(-2.0, [8.0, 2.5], 0.9)
+WALL = SoftWall(6.0, 0.7, 9.0, 0.8)
+SADDLE = LinearForce(np.array([[2.0, 0.5], [0.5, -2.0]]), [5.0, 5.0])
+RIDGE = GaussianRidge(3.0, [4.0, 5.0], 3.0, 1.1, 0.6)
+SEGMENT = GaussianRidge(3.0, [4.4, 6.4], 4.9, 0.7, 2.0)
+SIDE = 2 * np.pi / 4.0 * np.array([np.cos(0.4), np.sin(0.4)])
+WAVES = PlaneWaves(
+    np.full(2, 1.0), np.stack([SIDE, [-SIDE[1], SIDE[0]]]), np.array([0.3, 1.0])
+)
+THREE = SumForce(
+    tuple(GaussianBarrier(3.0, c, 1.0) for c in ([3.0, 3.0], [7.0, 4.0], [5.0, 7.5]))
+)
 
 
-@pytest.mark.slow
-def test_a_linear_force_is_found_and_each_step_names_what_is_fitted():
-    truth, model, positions = saddle()
-    fitted: list[str] = []
-    found = fit_structured(
-        model,
-        positions,
-        weigh_rotation=True,
-        on_step=lambda progress: fitted.append(progress.force),
-    )
-    assert found.structure is not None
-    assert [term.kind for term in found.structure.terms] == ["linear"]
-    assert {"linear + kernel-potential", "kernel-potential"} <= set(fitted)
-    places, times = jnp.asarray(2.0 + 6.0 * PLACES), jnp.zeros(3)
-    true = forces_at(truth.environment, times, places)
-    learned = forces_at(found.fit.model.environment, times, places)
-    assert jnp.linalg.norm(learned - true) < 0.05 * jnp.linalg.norm(true)
+def response(truth, points=POINTS, noise=0.01):
+    return observed_forces(truth, points, noise)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("needless", [central_term, wall_term])
-def test_a_term_that_a_fit_leaves_nothing_to_do_goes(needless):
-    _, model, positions = saddle()
-    data = with_velocities(positions)
-    asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
-    with jax.enable_x64(new_val=True):
-        search = Search(asked, 20, None, throw=False)
-        survey = Survey.of(asked, search.free(), search.begin())
-        terms = survey.proposal(rotational=False).terms
-        assert [term.kind for term in terms] == ["linear"]
-        where = survey.region.middle if needless is central_term else 0.4
-        more = (*terms, needless(survey.region, where))
-        fit = search.best(Proposal(more, 0.0, survey.noise))
-    assert fit.structure is not None
-    assert [term.kind for term in fit.structure.terms] == ["linear"]
+def search(truth, **options):
+    return Search(response(truth), REGION, 0.01, rotational=False, **options)
 
 
-@pytest.mark.slow
-def test_where_the_evidence_cannot_tell_terms_alone_are_preferred():
-    """Free kernels of the width of a hill explain it as well as a profile does."""
-    truth, model, positions = drawn("gaussian", 47)
-    fit = fit_structured(model, positions)
-    assert abs(fit.gain) < DECISIVE
-    (term,) = fit.structure.terms
-    np.testing.assert_allclose(term.center, truth.environment.center, atol=0.1)
+@pytest.mark.parametrize(
+    ("truth", "kinds"),
+    [
+        pytest.param(SADDLE, ["linear"], id="saddle"),
+        pytest.param(HILL + SADDLE, ["central", "linear"], id="hill-saddle"),
+        pytest.param(HILL + WALL, ["central", "wall"], id="hill-wall", marks=SLOW),
+        pytest.param(HILL + WELL, ["central", "central"], id="hill-well", marks=SLOW),
+        pytest.param(RIDGE, ["elliptic"], id="ridge", marks=SLOW),
+        pytest.param(SEGMENT, ["elliptic"], id="segment", marks=SLOW),
+        pytest.param(RIDGE + WALL, ["elliptic", "wall"], id="ridge-wall", marks=SLOW),
+        pytest.param(WAVES, ["lattice"], id="lattice", marks=SLOW),
+        pytest.param(THREE, ["obstacles"], id="obstacles", marks=SLOW),
+    ],
+)
+def test_the_search_names_what_is_there_and_nothing_beside_it(truth, kinds):
+    best = search(truth).run()[0]
+    assert sorted(term.kind for term in best.terms) == kinds
+    assert best.noise == pytest.approx(0.01, rel=0.3)
 
 
-@pytest.mark.slow
-def test_no_force_is_not_called_a_linear_one():
-    _, model, positions = drawn("none", 40)
-    fit = fit_structured(model, positions)
-    assert abs(fit.gain) < DECISIVE
-    assert fit.structure is None
+def test_single_terms_alone_leave_most_of_a_lattice_unexplained():
+    found = search(WAVES).run(singles_only=True)
+    assert min(one.noise for one in found) > 0.05
+    assert all(len(one.terms) <= 2 for one in found)
 
 
-@pytest.mark.slow
-def test_quick_swimmers_are_surveyed_about_the_first_steps_of_a_fit():
-    """Smoothed states miss their path; about those an ellipse lay off the data."""
-    truth, model, positions = drawn("elliptic", 43)
-    data = with_velocities(positions)
-    asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
-    with jax.enable_x64(new_val=True):
-        start = Search(asked, 20, None, throw=False)
-        begun, survey, is_rugged = survey_first_steps(start)
-        (term,) = survey.proposal(rotational=False).terms
-    assert begun.states is not None
-    assert not is_rugged
-    assert survey.noise == pytest.approx(0.02, rel=0.1)
-    assert term.kind == "elliptic"
-    np.testing.assert_allclose(term.center, truth.environment.center, atol=0.02)
+def test_a_search_whose_time_is_over_yields_the_best_so_far_and_says_so():
+    trace = Trace(budget=0.0)
+    found = search(WAVES, trace=trace).run()
+    assert found
+    values = [one.log_evidence for one in found]
+    assert found[0].log_evidence >= max(values) - 10.0
+    assert any("budget" in one.ended for one in trace.hypotheses)
+    assert all("lattice" not in one.kinds for one in trace.hypotheses)
 
 
-def drawn(family, key):
-    """A system, its model with kernels that know nothing, and simulated positions."""
-    system = random_system(family, key).with_starts(count=16)
-    data = simulate(system, key=jax.random.key(key)).only(("x", "y"))
-    kernels = kernel_environment(KernelPotential, data, dim=2)
-    return system, system.swimmer.with_environment(kernels), data
+def test_a_trace_keeps_what_was_tried_with_its_misfit():
+    trace = Trace()
+    best = search(SADDLE, trace=trace).run()[0]
+    (linear, *_) = (one for one in trace.hypotheses if one.kinds == ("linear",))
+    assert linear.log_evidence == pytest.approx(best.log_evidence)
+    assert linear.misfit == pytest.approx(best.noise / 0.01)
+    seconds = [one.seconds for one in trace.hypotheses]
+    assert seconds == sorted(seconds)
 
 
-def rugged(scenario, seed):
-    """A scenario as `pinav simulate` draws it, its untrained model, and its data."""
-    truth_key, noise_key = jax.random.split(jax.random.key(seed))
-    truth = scenario(key=truth_key)
-    data = simulate(truth, key=noise_key)
-    kernels = kernel_environment(KernelPotential, data)
-    return truth, truth.swimmer.with_environment(kernels), data
+def proposal(log_evidence, *terms):
+    return Proposal(terms, log_evidence, 0.01)
 
 
-@pytest.mark.parametrize(("apart", "are_many"), [(4.0, True), (1.0, False)])
-def test_hills_that_overlap_are_no_reason_to_seek_nothing_else(apart, are_many):
-    places = apart * jnp.arange(9.0)[:, None] * jnp.array([[1.0, 0.0]])
-    hills = HillsTerm(weights=jnp.zeros(27), centers=places, shapes=jnp.zeros((9, 3)))
-    free = KernelPotential.with_zero_weights(PLACES, 1.0)
-    assert needs_no_search(StructuredForce((hills,), free)) == are_many
-    assert not needs_no_search(free)
+def test_the_evidence_decides_and_where_it_hardly_does_the_simpler_kind():
+    linear, wall = linear_term(REGION), wall_term(REGION, 0.4)
+    first, second = proposal(100.0, linear), proposal(105.0, wall)
+    assert preferred([first, second])[0] is first
+    better = proposal(150.0, wall)
+    assert preferred([first, second, better]) == [better, first]  # each kind once
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("weigh_rotation", [True, False])
-def test_a_rugged_field_is_hills_of_their_own_places_and_shapes(weigh_rotation):
-    """Twelve fibres, one of which no swimmer came near."""
-    truth, model, data = rugged(fibres, 3)
-    fit = fit_structured(model, data, weigh_rotation=weigh_rotation)
-    assert fit.fit.outcome is Outcome.CONVERGED
-    assert fit.gain > 1000.0
-    (term,) = fit.structure.terms
-    assert term.kind == "hills and wells"
-    centers = np.asarray(truth.environment.stacked.center)
-    gaps = np.linalg.norm(np.asarray(term.centers)[:, None] - centers, axis=-1)
-    assert np.sum(gaps.min(axis=0) < 0.2) >= 9
-    close = np.asarray(term.shapes)[gaps.min(axis=1) < 0.2]
-    lengths = np.exp(close[:, 0] + np.hypot(close[:, 1], close[:, 2]))
-    np.testing.assert_allclose(lengths, 2.5, rtol=0.05)
+@SLOW
+def test_a_centre_is_found_in_space():
+    points = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 3))
+    center = [4.0, 6.0, 5.0]
+    data = response(GaussianBarrier(3.0, center, 2.0), points)
+    found = Search(data, Region.of(points[0]), 0.01, rotational=True).run()[0]
+    assert [term.kind for term in found.terms] == ["central"]
+    np.testing.assert_allclose(found.terms[0].center, center, atol=0.03)
 
 
-@pytest.mark.slow
-def test_where_hills_are_no_better_kernels_are_as_fine_as_asked(monkeypatch):
-    _, model, data = rugged(many_barriers, 0)
-    asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
-    monkeypatch.setattr(search, "propose_hills", lambda *_: None)
-    monkeypatch.setattr(search, "AS_FINE_AS_HILLS_NEED", Refinement(max_weights=500))
-    with jax.enable_x64(new_val=True):
-        fit = Search(asked, 20, None, throw=True).fit_free()
-    assert fit.structure is None
-    assert fit.fit.outcome is Outcome.CONVERGED
-    assert 500 < len(fit.fit.posterior.mean) < 1000
+@SLOW
+def test_a_needless_term_goes_and_a_needed_one_stays():
+    data = response(HILL + SADDLE)
+    hill = central_term(REGION, np.array([4.1, 5.9]))
+    both = polish((linear_term(REGION), hill), data)
+    assert len(simplify(both, data).terms) == 2
+    spare = polish((wall_term(REGION, 1.2), hill), response(HILL))
+    (term,) = simplify(spare, response(HILL)).terms
+    assert term.kind == "central"
 
 
-@pytest.mark.slow
-def test_the_noise_is_told_where_a_thrust_turns_at_once():
-    """Smoothed states miss such paths by five times the error of 0.02."""
-    data = simulate(box(count=4), key=jax.random.key(0))
-    kernels = kernel_environment(KernelPotential, data, KernelGrid(3), dim=3)
-    model = box().swimmer.with_environment(kernels)
-    specification = FitSpecification(model, data, lambda _: (), None, FixedStep())
-    with jax.enable_x64(new_val=True):
-        problem = specification.problem(model)
-        noise = Survey.of(specification, problem).noise
-    assert problem.first_noise > 0.06
-    assert noise == pytest.approx(0.02, rel=0.2)
-
-
-HILL = """
-dimension = 2
-order = 2
-drag = {drag!r}
-
-[propulsion]
-kind = "magnetic-propulsion"
-moment = [0.0, 0.0, 1.0]
-gain = {gain!r}
-axis = [0.0, 1.0]
-field = {{ kind = "rotating-field", amplitude = 1.0, frequency = {turning!r} }}
-
-[observation]
-noise = {noise!r}
-
-[unknown]
-model = "kernel-potential"
-
-[truth]
-kind = "gaussian-barrier"
-height = {height!r}
-center = [{center!r}, {center!r}]
-width = {width!r}
-
-[starts]
-kind = "coasting-starts"
-lower = [0.0, 0.0]
-upper = [{side!r}, {side!r}]
-damping = {drag!r}
-count = 16
-
-[times]
-first = 0.0
-last = {last!r}
-samples = 201
-"""
-
-
-@pytest.mark.slow
-def test_a_hill_is_found_in_any_units():
-    """One swimmer, stated in three pairs of units of length and time."""
-    gains = []
-    for length, time in ((1.0, 1.0), (64.0, 0.0625), (0.03125, 128.0)):
-        acceleration = length / time**2
-        text = HILL.format(
-            drag=0.36 / time,
-            gain=0.034 * acceleration,
-            turning=6.283185307179586 / time,
-            noise=0.02 * length,
-            height=2.0 * acceleration * length,
-            center=5.0 * length,
-            width=1.5 * length,
-            side=10.0 * length,
-            last=20.0 * time,
-        )
-        system = parse_system(text)
-        data = simulate(system, key=jax.random.key(1)).only(("x", "y"))
-        kernels = kernel_environment(KernelPotential, data, dim=2)
-        model = system.swimmer.with_environment(kernels)
-        fit = fit_structured(model, data)
-        assert fit.structure is not None
-        assert [term.kind for term in fit.structure.terms] == ["central"]
-        gains.append(fit.gain)
-    assert max(gains) - min(gains) < 0.5
-    assert min(gains) > 5.0
-
-
-@pytest.mark.slow
-def test_a_ridge_is_found_from_the_summit_of_the_free_potential():
-    """Scanned on finer grids, an ellipse of wrong axes had gone to the rim."""
-    system, (term,) = proposed_terms("elliptic", 37)
-    np.testing.assert_allclose(term.center, system.environment.center, atol=0.02)
-    ratio = np.exp(2 * np.linalg.norm(term.shear))
-    ridge = system.environment
-    assert ratio == pytest.approx(ridge.length / ridge.width, rel=0.02)
-
-
-def proposed_terms(family, key):
-    """A system, and the terms that are proposed from its simulated positions."""
-    system = random_system(family, key)
-    data = simulate(system, key=jax.random.key(key)).only(("x", "y"))
-    start = system.swimmer.with_environment(kernel_environment(KernelPotential, data))
-    specification = FitSpecification(
-        start, with_velocities(data), lambda _: (), None, FixedStep()
-    )
-    survey = Survey.of(specification, specification.problem(start))
-    # about smoothed states a single term near the noise would end the search
-    whole = dataclasses.replace(survey, is_begun=True)
-    return system, whole.proposal(rotational=False).terms
-
-
-@pytest.mark.slow
-def test_obstacles_that_no_peak_shows_grow_from_a_pair():
-    """A draw for development, whose free potential has its peaks elsewhere."""
-    system, (term,) = proposed_terms("obstacles", 12)
-    centers = np.array([hill.center for hill in system.environment.terms])
-    gaps = np.linalg.norm(np.asarray(term.centers)[:, None] - centers, axis=-1)
-    assert gaps.shape == (3, 3)
-    assert gaps.min(axis=0).max() < 0.02
-
-
-def fitted_law(family, key, kind):
-    """A system, the force fitted to its positions, and the law of its only term."""
-    truth, model, positions = drawn(family, key)
-    result = fit_structured(model, positions)
-    assert result.structure is not None
-    (term,) = result.structure.terms
-    assert isinstance(term, AbstractProfileTerm)
-    assert term.law.name == kind
-    return truth.environment, result.force, term.law
-
-
-def relative_error(force, truth, places):
-    times = jnp.zeros(len(places))
-    true, learned = (forces_at(one, times, places) for one in (truth, force))
-    return jnp.linalg.norm(learned - true) / jnp.linalg.norm(true)
-
-
-@pytest.mark.slow
-def test_a_hill_that_ends_follows_its_law_beyond_the_data():
-    truth, force, law = fitted_law("compact", 42, "hill")
-    np.testing.assert_allclose(law.constants()["tail"], -1 / 3, atol=0.02)
-    places = jnp.asarray(np.random.default_rng(1).uniform(0.0, 10.0, (200, 2)))
-    assert relative_error(force, truth, places) < 0.01
-
-
-@pytest.mark.slow
-def test_a_well_that_swimmers_circle_is_found():
-    """About smoothed states the right centre leaves four times the noise."""
-    _, model, positions = drawn("lorentzian", 59)
-    result = fit_structured(model, positions)
-    assert result.structure is not None
-    assert [term.kind for term in result.structure.terms] == ["central"]
+@SLOW
+def test_profiles_become_finer_where_the_data_ask_for_it():
+    narrow = RingBarrier(2.0, [5.0, 5.0], 3.0, 0.15)
+    data = response(narrow)
+    coarse = polish((central_term(REGION, np.array([5.02, 5.0])),), data)
+    finer = refine(coarse, data)
+    assert finer.terms[0].width < coarse.terms[0].width
+    assert finer.log_evidence > coarse.log_evidence
+    smooth = polish((central_term(REGION, np.array([4.1, 5.9])),), response(HILL))
+    assert refine(smooth, response(HILL)) is smooth

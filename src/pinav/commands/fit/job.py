@@ -22,7 +22,7 @@ from pinav.figures.fits import (
 )
 from pinav.fitting import Estimate
 from pinav.fitting.evidence.model_evidence import DECISIVE
-from pinav.fitting.structure.survey import LEAST_SAMPLES, LEAST_TRAJECTORIES
+from pinav.fitting.structure.policy import POLICY
 from pinav.forces import HillsTerm
 from pinav.learning.account import account
 from pinav.learning.findings import Findings, FoundLaw, FoundStructure, FoundTerm
@@ -227,9 +227,10 @@ def _structure_sentence(structure: FoundStructure) -> str:
             f"evidence cannot tell from it ({nats} over them)"
         )
     if not structure.sought:
+        tracks, numbers = POLICY.least_data
         return (
             "structure: free kernels; none was sought, which takes "
-            f"{LEAST_TRAJECTORIES} trajectories and {LEAST_SAMPLES} numbers"
+            f"{tracks} trajectories and {numbers} numbers"
         )
     if gain is None:
         return "structure: free kernels; no structure tried explains the data"

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, on_device
-from pinav.fitting.structure.proposals import prune
+from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.response import ForceResponse
+from pinav.fitting.structure.search import simplify
 from pinav.fitting.structure.trials import (
     Proposal,
     Terms,
@@ -35,9 +36,6 @@ FORMS, STEEP = (-1.0, 0.0, 1.1, 1.6), (-0.5, 0.5, 1.0)
 
 HALVES = 8
 """Widths of a channel that are tried."""
-
-SHORTEST = 4.0
-"""Length of the shortest wave that is tried, in widths of the kernels."""
 
 POINTS, PROMISING = 200, 2
 """Data at whose coordinates laws are compared with a profile; and the kinds of laws
@@ -59,7 +57,7 @@ def follow_laws(terms: Terms, response: ForceResponse, noise: float) -> Proposal
     tried.
     """
     first = best = polish(terms, response)
-    if first is None or first.noise > LAWFUL * noise:
+    if first is None or first.noise > POLICY.lawful * noise:
         return None
     index = 0
     while best is not None and index < len(best.terms):
@@ -67,7 +65,7 @@ def follow_laws(terms: Terms, response: ForceResponse, noise: float) -> Proposal
         if isinstance(term, AbstractProfileTerm) and term.law is None:
             lawful = _with_law_of(best, index, response)
             if lawful and lawful.log_evidence > best.log_evidence - KINDS:
-                best = prune(lawful, response)
+                best = simplify(lawful, response)
         index += 1
     return None if best is first else best
 
@@ -86,12 +84,11 @@ def _is_lawful(alone: Proposal, index: int, noise: float) -> bool:
     constants = law.constants()
     if term.is_odd and constants.get("radius", np.inf) < law.size:
         return False
-    return ROUNDED * noise < alone.noise < LAWFUL * noise
+    return ROUNDED * noise < alone.noise < POLICY.lawful * noise
 
 
-LAWFUL, ROUNDED = 1.25, 0.5
-"""Misfit of a law alone, relative to that of the kernels: above one, it is no law of
-the profile; below the other, it is rounding."""
+ROUNDED = 0.5
+"""Misfit of a law, relative to that of the kernels, below which it is rounding."""
 
 
 def _with_law_of(
@@ -182,7 +179,7 @@ def _laws(
     first = 0.0 if term.is_odd else -BEYOND
     places = low + extent * np.linspace(first, 1 + BEYOND, PLACES)
     # between neighbouring waves the phase at the rim of the data differs little
-    turns = np.arange(1.0, extent / (SHORTEST * width), 0.5)
+    turns = np.arange(1.0, extent / (POLICY.shortest * width), 0.5)
     grids = {
         "size": sizes,
         "half width": np.linspace(0.0, 0.6, HALVES + 1)[1:] * extent,

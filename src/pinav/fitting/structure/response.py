@@ -112,33 +112,20 @@ def force_quadratic(parts: Sequence[Linear], response: ForceResponse) -> Quadrat
     """Quadratic form of the data in the weights of forces that act together."""
     rows = np.concatenate([columns(part, response) for part in parts], axis=1)
     offset = response.residuals_of_none
-    return _about_none(rows.T @ rows, rows.T @ offset, offset, response)
+    return Quadratic(
+        point=np.zeros(rows.shape[1]),
+        hessian=rows.T @ rows,
+        gradient=rows.T @ offset,
+        squares=float(offset @ offset) + response.squares,
+        num_free=response.num_free,
+        log_determinant=0.0,
+    )
 
 
-def term_quadratics(
-    terms: Sequence[AbstractTerm],
-    beside: tuple[AbstractTerm, ...],
-    response: ForceResponse,
-) -> list[Quadratic]:
-    """Quadratic form in the weights of each of several terms, beside others."""
-    offset = response.residuals_of_none
-    others = [columns(term, response) for term in beside]
-    kept = np.concatenate([np.zeros((len(offset), 0)), *others], axis=1)
-    among, along = kept.T @ kept, kept.T @ offset
-
-    def beside_others(rows: Float[np.ndarray, "datum weight"]) -> Quadratic:
-        cross = kept.T @ rows
-        hessian = np.block([[among, cross], [cross.T, rows.T @ rows]])
-        gradient = np.append(along, rows.T @ offset)
-        return _about_none(hessian, gradient, offset, response)
-
-    return [beside_others(rows) for rows in term_columns(terms, response)]
-
-
-def term_columns(
+def forces_by_weight(
     terms: Sequence[AbstractTerm], response: ForceResponse
-) -> Iterator[Float[np.ndarray, "datum weight"]]:
-    """Residuals by each weight of each of several terms.
+) -> Iterator[Float[np.ndarray, "trajectory group dim weight"]]:
+    """Forces by each weight of each of several terms at the points of the data.
 
     Always as many are computed in one call, so that lists of every length share a
     compilation.
@@ -148,7 +135,7 @@ def term_columns(
         filled = [*some, *[some[-1]] * (AT_ONCE - len(some))]
         stacked = jax.tree.map(_stack, *filled)
         forces = np.asarray(_forces_by_weight(stacked, response.times, response.points))
-        yield from (response.change(one) for one in forces[: len(some)])
+        yield from forces[: len(some)]
 
 
 AT_ONCE = 32
@@ -157,23 +144,6 @@ AT_ONCE = 32
 
 def _stack(*leaves: ArrayLike) -> Array:
     return on_device(np.stack([np.asarray(leaf) for leaf in leaves]))
-
-
-def _about_none(
-    hessian: Float[np.ndarray, "weight weight"],
-    gradient: Float[np.ndarray, " weight"],
-    offset: Float[np.ndarray, " datum"],
-    response: ForceResponse,
-) -> Quadratic:
-    """Normal equations about no weights as a quadratic."""
-    return Quadratic(
-        point=np.zeros(len(gradient)),
-        hessian=hessian,
-        gradient=gradient,
-        squares=float(offset @ offset) + response.squares,
-        num_free=response.num_free,
-        log_determinant=0.0,
-    )
 
 
 def _slopes(

@@ -4,17 +4,17 @@ Their kernels and their scanned places come from where the data are.
 """
 
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
+from pinav.fitting.structure.policy import POLICY
 from pinav.forces import (
     AbstractProfileTerm,
-    AbstractTerm,
     CentralTerm,
     EllipticTerm,
     LinearTerm,
@@ -22,26 +22,12 @@ from pinav.forces import (
     WallTerm,
 )
 
-KERNELS = {2: 36, 3: 18}
-"""Kernels of a profile across the ground that most of the data are on, by the dimension
-of space, in which many more places are scanned."""
-
 FINER, FINEST = 1.5, 3
 """The factor by which there are more across the extent where that is larger, once or a
 few times."""
 
 BEYOND = 4.0
 """Reach of a profile beyond the data, in widths of its kernels."""
-
-GRID = {2: 7, 3: 5}
-"""Places along each side of the data that are scanned, by the dimension of space."""
-
-RANKS = {2: 7, 3: 3}
-"""Shares of the data along each axis at which further places are scanned."""
-
-ANGLES = 18
-"""Directions that are scanned."""
-
 
 Term = TypeVar("Term", bound=AbstractProfileTerm)
 
@@ -72,15 +58,14 @@ class Region(eqx.Module):
         low, high = positions.min(axis=0), positions.max(axis=0)
         few, most = np.quantile(positions, [0.05, 0.95], axis=0)
         lower, upper = np.quantile(positions, [0.25, 0.75], axis=0)
+        shares = np.linspace(0.05, 0.95, POLICY.ranks[positions.shape[1] == 3])
         return cls(
             middle=(low + high) / 2,
             extent=float((high - low).max()),
             core_extent=float((most - few).max()),
             core_center=(few + most) / 2,
             quartile_extent=2 * float((upper - lower).max()),
-            ranks=np.quantile(
-                positions, np.linspace(0.05, 0.95, RANKS[positions.shape[1]]), axis=0
-            ),
+            ranks=np.quantile(positions, shares, axis=0),
         )
 
     @property
@@ -94,7 +79,7 @@ class Region(eqx.Module):
         # few widths, so that regions share compilations
         wanted = np.log(self.extent / max(self.quartile_extent, 1e-9)) / np.log(FINER)
         finer = FINER ** np.clip(np.floor(wanted + 0.3), 0, FINEST - 1)
-        return float(self.extent / round(KERNELS[len(self.middle)] * finer))
+        return float(self.extent / round(POLICY.kernels[not self.is_planar] * finer))
 
     def grid(
         self,
@@ -115,7 +100,9 @@ class Region(eqx.Module):
     def places(self) -> Float[np.ndarray, "point dim"]:
         """Centres that are scanned first: even, and dense where the data are."""
         # swimmers that are flung out make the even grid coarse
-        return np.concatenate([self.grid(GRID[len(self.middle)]), _mesh(self.ranks.T)])
+        return np.concatenate(
+            [self.grid(POLICY.grid[not self.is_planar]), _mesh(self.ranks.T)]
+        )
 
     def distances(self) -> tuple[Float[Array, " kernel"], Float[Array, ""]]:
         """Places of the kernels of a profile of a distance, and their width."""
@@ -136,23 +123,6 @@ def _mesh(
     axes: Sequence[Float[np.ndarray, " place"]] | Float[np.ndarray, "dim place"],
 ) -> Float[np.ndarray, "point dim"]:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-
-
-def scanned_terms(
-    region: Region, summits: Float[np.ndarray, "place dim"], *, rotational: bool
-) -> Iterator[list[AbstractTerm]]:
-    """Terms of each kind, with the geometries that are scanned.
-
-    Args:
-        summits: further places of centres [L]; there may be none.
-    """
-    centers = np.concatenate([region.places(), summits])
-    for turn in (False, True) if rotational and region.is_planar else (False,):
-        yield [linear_term(region, rotational=turn)]
-        yield [central_term(region, place, rotational=turn) for place in centers]
-        if region.is_planar:
-            angles = np.pi * np.arange(ANGLES) / ANGLES
-            yield [wall_term(region, angle, rotational=turn) for angle in angles]
 
 
 def central_term(
@@ -228,44 +198,3 @@ def ellipses(
         for center in centers
         for shear in shears
     ]
-
-
-def turned_shears() -> Float[np.ndarray, "shear 2"]:
-    """Shears of ellipses in several directions."""
-    return SHEAR * _directions(2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
-
-
-def segments(region: Region, wall: WallTerm) -> list[EllipticTerm]:
-    """Long ellipses along the layers of a wall, over most of the data.
-
-    A wall that is fitted to a segment has its direction. Its crests need not be where
-    the segment is: what is beyond the ends moves them.
-
-    Args:
-        wall: one that was fitted to them; one without a potential has no crests.
-    """
-    if wall.rotational:
-        return []
-    angle = np.asarray(wall.angle)
-    normal, along = _directions(angle), _directions(angle + 0.5 * np.pi)
-    across = np.linspace(-0.5, 0.5, ACROSS) * region.core_extent
-    steps = np.linspace(-0.5, 0.5, ALONG) * region.core_extent
-    rows = across[:, None, None] * normal + steps[:, None] * along
-    shears = LONG * _directions(2 * angle)[None]
-    return ellipses(region, region.core_center + rows.reshape(-1, 2), shears)
-
-
-def _directions(angles: Float[ArrayLike, "*all"]) -> Float[np.ndarray, "*all 2"]:
-    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-
-
-SHEAR, DIRECTIONS = 0.4, 8
-"""Size of $S$ of the ellipses that are tried, axes in the ratio of 2.2; and how many
-directions."""
-
-LONG = 0.9
-"""Size of $S$ of long ellipses, axes in the ratio of 6."""
-
-ACROSS, ALONG = 51, 9
-"""Places of long ellipses across a wall, where they must be right to their width, and
-along it."""

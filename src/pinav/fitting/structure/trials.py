@@ -5,7 +5,6 @@ own steps polish the geometries that are worth it.
 """
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -22,28 +21,17 @@ from pinav.fitting.evidence.evidence import (
     LinearisedObservations,
     Whitened,
     at_shape,
-    best_amplitude,
     best_hyperparameters,
     posterior_mean,
-    root,
 )
-from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
-from pinav.fitting.structure.response import (
-    ForceResponse,
-    force_quadratic,
-    term_quadratics,
-)
-from pinav.fitting.structure.starts import KERNELS
+from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.structure.response import ForceResponse, force_quadratic
 from pinav.forces import AbstractProfileTerm, AbstractTerm, SumForce
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.priors import AbstractPrior
 from pinav.forces.structures import prior_of
-from pinav.threads import map_on_cores
-
-POLISH = 8
-"""Steps of the engine for the geometry of a proposal."""
 
 ROUGHLY = 1e-6
 """Change of the log evidence, relative to it, at which the hyperparameters of a
@@ -71,7 +59,7 @@ class Proposal(eqx.Module):
     @property
     def finer(self) -> Terms | None:
         """The terms with finer profiles where they are too coarse; None if none is."""
-        coarse = [scale < SHORTEST for scale in self.length_scales]
+        coarse = [scale < POLICY.shortest for scale in self.length_scales]
         if not any(coarse):
             return None
         return tuple(
@@ -80,11 +68,6 @@ class Proposal(eqx.Module):
             else term
             for term, is_coarse in zip(self.terms, coarse, strict=True)
         )
-
-
-SHORTEST = 4.0
-"""Length scale of a profile, in widths of its kernels, below which they are laid closer
-to each other: a process of few derivatives needs several kernels for each."""
 
 
 def _with_finer_profile(term: AbstractProfileTerm) -> AbstractTerm:
@@ -122,34 +105,6 @@ def _weights(force: Any) -> PyTree:
     return [term.weights for term in force.terms]
 
 
-def quick_evidences(
-    starts: Sequence[AbstractTerm], beside: Terms, response: ForceResponse
-) -> list[float]:
-    """Log evidence of each of several terms beside others, at a few smoothnesses.
-
-    The noise is estimated: with a fixed one, wild profiles would explain the data far
-    from the right geometry.
-    """
-    terms = (*beside, starts[0])
-    prior = prior_of(terms)
-    shapes = _smooth_shapes(terms, prior, response)
-    roots = [root(prior.covariance(shape)) for shape in shapes]
-    price = cost(terms, response)
-
-    def evidence(quadratic: Quadratic) -> float:
-        try:
-            data = LinearisedObservations.of(quadratic)
-        except FitError:
-            return -np.inf
-        tried = [
-            best_amplitude(data, Whitened.by_root(data, columns), shape).log_evidence
-            for columns, shape in zip(roots, shapes, strict=True)
-        ]
-        return max(tried) - price
-
-    return map_on_cores(evidence, term_quadratics(starts, beside, response))
-
-
 def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
     """The terms with the weights of highest evidence; FitError if undetermined."""
     prior, data = prior_of(terms), _linearise(terms, response)
@@ -171,11 +126,11 @@ def _smooth_shapes(
 ) -> list[Float[np.ndarray, " shape"]]:
     """Starts of a search, of a few smoothnesses that all profiles share."""
     shapes = []
-    for smoothness in SMOOTHNESSES:
+    for smoothness in POLICY.smoothness:
         shape = prior.start.copy()
         for term, place in zip(terms, _shape_places(terms), strict=True):
             if _has_kernels(term):
-                kernels = KERNELS[response.points.shape[-1]]
+                kernels = POLICY.kernels[response.points.shape[-1] == 3]
                 shape[place] = np.log(smoothness * kernels)
         shapes.append(shape)
     return shapes
@@ -199,10 +154,6 @@ def _shape_places(terms: Terms) -> list[int]:
     return [sum(counts[:index]) + max(index - 1, 0) for index in range(len(terms))]
 
 
-SMOOTHNESSES = (0.1, 0.04)
-"""Length scales of profiles that are tried, as shares of the extent."""
-
-
 def cost(terms: Terms, response: ForceResponse) -> float:
     """Cost of the numbers of the geometry: a prior of unit information each."""
     count = sum(leaf.size for term in terms for leaf in term.geometry)
@@ -221,22 +172,21 @@ def polish(
     Profiles come first: a geometry has no derivative while its profile is zero.
 
     Args:
-        again: times that it begins anew from where it ended, at most; see `GAIN`.
+        again: times that it begins anew from where it ended, at most, while that gains.
+            About a poor geometry the evidence prefers profiles without any smoothness,
+            and holds on to them unless the search for them begins anew.
         between: what must be left for that: less is explained, more is hopeless.
     """
     best = _polish_once(terms, response)
     while best is not None and again > 0 and between[0] < best.noise < between[1]:
         other = _polish_once(best.terms, response)
-        if other is None or other.log_evidence < best.log_evidence + GAIN:
+        if (
+            other is None
+            or other.log_evidence < best.log_evidence + 2 * POLICY.decisive
+        ):
             break
         best, again = other, again - 1
     return best
-
-
-GAIN = 10.0
-"""Nats that a polish must gain when it is repeated. About a poor geometry the evidence
-prefers profiles without any smoothness, and holds on to them when the geometry is right
-unless the search for them begins anew."""
 
 
 def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
@@ -258,7 +208,7 @@ def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
         reach = [scale for term in terms for scale in term.geometry_scales]
         priors = wide_priors(problem.parametric, problem.theta, _geometry, reach)
         problem = dataclasses.replace(problem, priors=priors)
-        _, steps = iterate(problem, POLISH)
+        _, steps = iterate(problem, POLICY.polish_steps)
     except FitError:
         return None
     steps.sort(key=lambda step: step.hyperparameters.log_evidence, reverse=True)
@@ -314,7 +264,7 @@ def _is_in_reach(term: AbstractTerm, response: ForceResponse) -> bool:
     z = np.asarray(coordinates(term, response.points))
     z = z.reshape(-1, z.shape[-1])
     reach = float(np.max(term.places)) + float(term.width)
-    return bool(np.mean(np.abs(z).min(axis=-1) < reach) > MOST)
+    return bool(np.mean(np.abs(z).min(axis=-1) < reach) > POLICY.reached)
 
 
 @eqx.filter_jit
@@ -323,7 +273,3 @@ def coordinates(
 ) -> Float[Array, "trajectory group coordinate"]:
     """Coordinates of a term at the points of a response [L]."""
     return jax.vmap(jax.vmap(term.coordinates))(points)
-
-
-MOST = 0.5
-"""Share of the data that the kernels of a profile must reach."""

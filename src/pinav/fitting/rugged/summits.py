@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
-from pinav.fitting.structure.patterns import PotentialMap
+from pinav.fitting.rugged.potential_map import SUMMIT, PotentialMap
 from pinav.forces import KernelPotential
 
 Hills = Float[np.ndarray, "hill 6"]
@@ -17,10 +17,6 @@ NUMBERS = 6
 POINTS, REACH = 161, 1.5
 """Points along each side of the map of a potential, and distance from the data, in
 widths of its kernels, up to which it counts."""
-
-APART, LEAST = 9, 0.3
-"""Points of the map within which a summit is the only one, and the height of a summit
-that counts, relative to the highest."""
 
 INSIDE = 1.2
 """Distance from a higher summit, in its own sizes, within which one is a part of it."""
@@ -50,7 +46,7 @@ def summits(
     middle = float(np.median(seen.heights[seen.is_seen]))
     heights = np.abs(seen.heights - middle)
     highest = max(float(heights[seen.is_seen].max()), np.finfo(float).tiny)
-    places = seen.peaks(heights, APART, LEAST if least is None else least / highest)
+    places = seen.peaks(heights, SUMMIT if least is None else least / highest)
     hills: list[Float[np.ndarray, 6]] = []
     for place in places:
         height = float(potential.potential(0.0, on_device(place))) - middle

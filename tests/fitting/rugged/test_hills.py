@@ -6,16 +6,17 @@ from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.evidence.evidence import LinearisedObservations, at_shape
-from pinav.fitting.structure.hills import obstacles_of, propose_hills
-from pinav.fitting.structure.patterns import free_potential
+from pinav.fitting.rugged.free import has_many_hills
+from pinav.fitting.rugged.hills import propose_hills
+from pinav.fitting.rugged.potential_map import free_potential
 from pinav.fitting.structure.response import force_quadratic
-from pinav.fitting.structure.starts import Region
 from pinav.forces import (
     GaussianBarrier,
     GaussianRidge,
     HillsTerm,
     KernelPotential,
     LinearForce,
+    StructuredForce,
     SumForce,
 )
 from pinav.forces.terms import MIDDLE, WIDTHS
@@ -96,26 +97,10 @@ def test_a_field_that_is_rough_everywhere_has_no_hills(across):
     assert hills_of(KernelPotential(weights, jnp.asarray(centers), width)) is None
 
 
-@pytest.mark.parametrize(
-    ("heights", "sizes", "shears", "are_alike"),
-    [
-        ((3.0, 2.5), (0.1, 0.3), (0.0, 0.1), True),
-        ((-3.0, -2.5), (0.1, 0.3), (0.0, 0.1), True),
-        ((3.0, -3.0), (0.1, 0.1), (0.0, 0.0), False),
-        ((3.0, 1.0), (0.1, 0.1), (0.0, 0.0), False),
-        ((3.0, 3.0), (0.0, 0.9), (0.0, 0.0), False),
-        ((3.0, 3.0), (0.1, 0.1), (0.0, 0.5), False),
-        ((3.0,), (0.1,), (0.0,), False),
-    ],
-)
-def test_round_hills_that_are_alike_may_be_obstacles(heights, sizes, shears, are_alike):
-    weights = np.zeros((len(heights), len(WIDTHS)))
-    weights[:, MIDDLE] = heights
-    shapes = np.stack([sizes, shears, np.zeros(len(sizes))], axis=1)
-    centers = np.arange(2.0 * len(heights)).reshape(-1, 2)
-    hills = HillsTerm(*map(jnp.asarray, (weights.ravel(), centers, shapes)))
-    term = obstacles_of(hills, Region.of(POINTS[0]))
-    assert (term is not None) == are_alike
-    if term is not None:
-        np.testing.assert_array_equal(term.centers, centers)
-        assert not np.any(term.weights)
+@pytest.mark.parametrize(("apart", "are_many"), [(4.0, True), (1.0, False)])
+def test_hills_that_overlap_are_no_reason_to_seek_nothing_else(apart, are_many):
+    places = apart * jnp.arange(9.0)[:, None] * jnp.array([[1.0, 0.0]])
+    hills = HillsTerm(weights=jnp.zeros(27), centers=places, shapes=jnp.zeros((9, 3)))
+    free = KernelPotential.with_zero_weights(POINTS[0, :3], 1.0)
+    assert has_many_hills(StructuredForce((hills,), free)) == are_many
+    assert not has_many_hills(free)

@@ -28,10 +28,9 @@ from jaxtyping import Array, Float
 from pinav.arguments import on_device
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.evidence.evidence import Hyperparameters, root
+from pinav.fitting.rugged.summits import NUMBERS, Hills, doubtful, halves, summits
 from pinav.fitting.structure.response import ForceResponse, columns
-from pinav.fitting.structure.starts import Region, central_term, obstacles_at
-from pinav.fitting.structure.summits import NUMBERS, Hills, doubtful, halves, summits
-from pinav.forces import HillsTerm, KernelPotential, ObstaclesTerm, forces_at
+from pinav.forces import HillsTerm, KernelPotential, forces_at
 from pinav.forces.terms import MIDDLE, WIDTHS
 from pinav.threads import map_on_cores
 
@@ -105,23 +104,6 @@ def propose_hills(
         if len(best.hills) > FEW and best.log_evidence < free:
             return None
     return None if best.log_evidence < free - CLEAR else _term(best.hills)
-
-
-def obstacles_of(hills: HillsTerm, region: Region) -> ObstaclesTerm | None:
-    """Obstacles of one kind in place of several round hills that are alike."""
-    heights = np.asarray(hills.weights).reshape(-1, len(WIDTHS)).sum(axis=1)
-    sizes, shears = np.split(np.asarray(hills.shapes), [1], axis=1)
-    is_one_kind = abs(np.sign(heights).sum()) == len(heights)
-    spreads = np.ptp(np.log(np.abs(heights) + TINY)), np.ptp(sizes)
-    is_alike = max(spreads) < ALIKE and np.hypot(*shears.T).max() < ROUND
-    if len(heights) < 2 or not (is_one_kind and is_alike):
-        return None
-    return obstacles_at(central_term(region, region.middle), hills.centers)
-
-
-ALIKE, ROUND, TINY = 0.5, 0.3, 1e-12
-"""Largest difference of the logarithms of heights and of sizes of hills that may be
-obstacles of one kind; their greatest shear; and a height next to none."""
 
 
 class _Fit(eqx.Module):

@@ -1,0 +1,85 @@
+"""The fit of free kernels: as fine as they must be, or hills beside coarse ones.
+
+Detail finer than the kernels with which fits begin may be in a few places: hills and
+wells beside coarse kernels are then simpler and quicker. They must win clearly, since
+their evidence is not charged for places that the data chose.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from pinav.errors import FitError
+from pinav.fitting.bayes.fit_bayes import ADVICE
+from pinav.fitting.engine.evidence_fit import EvidenceFit
+from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
+from pinav.fitting.outcome import Outcome
+from pinav.fitting.rugged.hills import propose_hills
+from pinav.fitting.structure.fits import Fits, StructuredFit, evidence_of
+from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.structure.survey import Survey, is_worth_a_search
+from pinav.forces import AbstractForce, HillsTerm, split_structure
+
+AS_FINE_AS_HILLS_NEED = Refinement(max_weights=1000)
+"""Kernels on which the places of hills are seen, if there are hills."""
+
+
+def fit_free(fits: Fits) -> StructuredFit:
+    """The fit of free kernels, or of hills, without any other structure.
+
+    Raises:
+        FitError: it fails; where `throw`, it does not converge.
+    """
+    quiet = dataclasses.replace(fits, throw=False)
+    rough = quiet.fit(AS_FINE_AS_HILLS_NEED)
+    kernels = rough.model.environment
+    is_finer = float(kernels.kernels.width) < float(fits.kernels.kernels.width)
+    if is_finer and not fits.trace.is_over:
+        hills = _fit_hills(quiet, rough)
+        if hills is not None and hills.gain > POLICY.clear:
+            return hills
+        finer = AS_FINE_AS_ASKED.finer(kernels, fits.specification.trajectories)
+        if rough.outcome is Outcome.UNDER_RESOLVED and finer is not None:
+            fit = quiet.of(finer).about(rough).fit(AS_FINE_AS_ASKED)
+            rough = rough if fit.outcome is Outcome.DIVERGED else fit
+    if fits.throw and rough.outcome in ADVICE:
+        raise FitError(ADVICE[rough.outcome], str(rough.outcome))
+    fits.trace.note((), f"free kernels {rough.outcome}", evidence_of(rough))
+    return StructuredFit(rough)
+
+
+def _fit_hills(fits: Fits, rough: EvidenceFit) -> StructuredFit | None:
+    """The fit of hills about that of free kernels; None where there are none."""
+    specification, potential = fits.specification, rough.model.environment
+    if not (
+        is_worth_a_search(specification.model, specification.trajectories)
+        and potential.is_conservative
+        and potential.dim == 2
+        and rough.outcome in (Outcome.CONVERGED, Outcome.UNDER_RESOLVED)
+    ):
+        return None
+    survey = Survey.of(fits, rough)
+    chosen = rough.hyperparameters
+    hills = propose_hills(survey.response, survey.noise, potential, chosen)
+    fit = None if hills is None else fits.try_terms((hills,), rough)
+    if fit is None or fit.outcome is not Outcome.CONVERGED:
+        return None
+    return StructuredFit(fit, evidence_of(fit) - evidence_of(rough))
+
+
+def has_many_hills(force: AbstractForce) -> bool:
+    """True if a rugged force is so well known that no other structure is sought.
+
+    A few hills may be a sum of other terms, and overlapping ones parts of a ring or of
+    a wall.
+    """
+    terms, _ = split_structure(force)
+    return any(
+        isinstance(term, HillsTerm) and np.sum(term.gaps > SEPARATE) >= MANY
+        for term in terms
+    )
+
+
+MANY, SEPARATE = 9, 1.5
+"""Hills of a rugged field, of which fewer may be a sum or obstacles of one kind; and
+the distance of each from the others, in its own sizes."""

@@ -1,0 +1,262 @@
+r"""Quick evidence of many terms beside others: one smoothness, and products of columns.
+
+A column is what the data see of one direction of the weights of a term. With the
+columns $X$ of all terms of a trial, each term's scaled to unit trace, amplitudes and
+noise in the ratio $\beta$, and with the residuals $r$ of no force
+
+$$\log Z = -\tfrac n2 \log\bigl(r^\top r
+    - r^\top X (X^\top X + \beta)^{-1} X^\top r\bigr)
+  - \tfrac12 \log\det(X^\top X/\beta + 1),$$
+
+whose noise is profiled. All that it needs are products of columns with each other, so
+that pairs of terms, and sets of centres with one profile, cost a small factorisation
+each.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+
+from pinav.fitting.evidence.evidence import root
+from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.structure.response import ForceResponse, forces_by_weight
+from pinav.fitting.structure.trials import cost, smooth_shape
+from pinav.forces import AbstractTerm
+
+SAMPLE = 8
+"""Terms of a kind whose data tell which directions of their weights count."""
+
+ROUNDING = 1e-12
+"""Share of the squares that is rounding."""
+
+
+class Atoms(eqx.Module):
+    """Terms of one kind at different places, and their columns.
+
+    Attributes:
+        sizes: root of the trace of the columns of each before they were scaled to one:
+            each term is as likely as any other to explain a share of the data.
+        price: cost of the geometry of one of them [nats].
+        flat: the columns of all terms in a row.
+    """
+
+    terms: Sequence[AbstractTerm]
+    columns: Float[np.ndarray, "atom datum direction"]
+    sizes: Float[np.ndarray, "atom 1 1"]
+    price: float
+    flat: Float[np.ndarray, "datum column"]
+
+    @classmethod
+    def of(cls, terms: Sequence[AbstractTerm], response: ForceResponse) -> "Atoms":
+        """The columns of terms that differ in their geometry alone."""
+        chosen = _seen_directions(terms, response)
+        columns = np.stack(
+            [response.change(f @ chosen) for f in forces_by_weight(terms, response)]
+        )
+        sizes = np.sqrt((columns**2).sum(axis=(1, 2), keepdims=True))
+        columns /= np.maximum(sizes, np.finfo(float).tiny)
+        flat = np.moveaxis(columns, 0, 1).reshape(columns.shape[1], -1)
+        return cls(terms, columns, sizes, cost((terms[0],), response), flat)
+
+
+def _seen_directions(
+    terms: Sequence[AbstractTerm], response: ForceResponse
+) -> Float[np.ndarray, "weight direction"]:
+    """Directions of the weights that the data see most, each times its deviation.
+
+    They are those of a few of the terms together: of the prior alone the directions of
+    most variance may all be where there are no data.
+    """
+    prior = terms[0].prior()
+    whole = root(prior.covariance(smooth_shape(terms[0], response)))
+    if whole.shape[1] <= POLICY.directions:
+        return whole
+    seen = np.zeros((whole.shape[1],) * 2)
+    for forces in forces_by_weight(terms[:: -(-len(terms) // SAMPLE)], response):
+        rows = response.change(forces @ whole)
+        seen += rows.T @ rows / max(float((rows**2).sum()), np.finfo(float).tiny)
+    vectors = np.linalg.eigh(seen)[1]
+    return whole @ vectors[:, -POLICY.directions :]
+
+
+class Held(eqx.Module):
+    """Columns that all trials of a scan share, and the data.
+
+    Attributes:
+        columns: of the terms beside which others are tried.
+        offset: residuals of no force.
+        squares: of all residuals of no force.
+    """
+
+    columns: Float[np.ndarray, "datum column"]
+    offset: Float[np.ndarray, " datum"]
+    squares: float
+    num_free: int
+
+    @classmethod
+    def of(cls, terms: Sequence[AbstractTerm], response: ForceResponse) -> "Held":
+        """The columns of terms in the data of a response."""
+        offset = response.residuals_of_none
+        parts = [Atoms.of([term], response).columns[0] for term in terms]
+        columns = np.concatenate([np.zeros((len(offset), 0)), *parts], axis=1)
+        squares = float(offset @ offset) + response.squares
+        return cls(columns, offset, squares, response.num_free)
+
+    def beside(self, atoms: Atoms) -> Float[np.ndarray, " atom"]:
+        """Log evidence of each of several terms beside what is held [nats]."""
+        x = atoms.columns
+        return (
+            self._log_evidence(
+                self.columns.T @ self.columns,
+                self.columns.T @ self.offset,
+                (self.columns.T @ atoms.flat).reshape(-1, len(x), x.shape[2]),
+                np.matmul(np.swapaxes(x, 1, 2), x),
+                (self.offset @ atoms.flat).reshape(len(x), -1),
+            )
+            - atoms.price
+        )
+
+    def pairs(self, first: Atoms, second: Atoms) -> Float[np.ndarray, "first second"]:
+        """Log evidence of each pair of two kinds beside what is held [nats].
+
+        Of pairs of one kind, each once; none of a term and itself.
+        """
+        held, (count, _, size) = self.columns, second.columns.shape
+        across = (held.T @ second.flat).reshape(-1, count, size)
+        own = np.matmul(np.swapaxes(second.columns, 1, 2), second.columns)
+        along = (self.offset @ second.flat).reshape(count, size)
+        made = np.full((len(first.columns), count), -np.inf)
+        for index, columns in enumerate(first.columns):
+            kept = slice(index + 1 if first is second else 0, None)
+            if len(own[kept]) == 0:
+                break
+            inner = np.concatenate([held, columns], axis=1)
+            between = columns.T @ second.flat[:, kept.start * size :]
+            made[index, kept] = self._log_evidence(
+                inner.T @ inner,
+                inner.T @ self.offset,
+                np.concatenate(
+                    [across[:, kept], between.reshape(columns.shape[1], -1, size)]
+                ),
+                own[kept],
+                along[kept],
+                POLICY.ratios[1:2],
+            )
+        return made - first.price - second.price
+
+    def set_of_one_profile(self, atoms: Atoms) -> tuple[float, list[int]]:
+        """Log evidence [nats] and members of the best set of terms with one profile.
+
+        Its columns are the sum of those of its members. A few of the best pairs, none
+        with a member of another, are grown, and members exchanged, while that gains.
+        """
+        products = _SharedProfile.of(atoms, self)
+        table = np.stack([products.joined([one]) for one in range(len(atoms.terms))])
+        made, used = [], set()
+        for place in np.argsort(-table, axis=None):
+            pair = [int(one) for one in divmod(int(place), len(table))]
+            if used.isdisjoint(pair):
+                used.update(pair)
+                made.append(products.grow(pair, float(table[*pair])))
+            if len(made) == POLICY.sets:
+                break
+        return max(made, key=lambda one: one[0])
+
+    def _log_evidence(
+        self,
+        gram: Float[np.ndarray, "held held"],
+        along: Float[np.ndarray, " held"],
+        across: Float[np.ndarray, "held atom direction"],
+        own: Float[np.ndarray, "atom direction direction"],
+        own_along: Float[np.ndarray, "atom direction"],
+        ratios: Sequence[float] = POLICY.ratios,
+    ) -> Float[np.ndarray, " atom"]:
+        """Log evidence at the best of the ratios, by the complement of what is held."""
+        count, size = across.shape[1:]
+        best = np.full(count, -np.inf)
+        right = np.concatenate([along[:, None], across.reshape(len(along), -1)], axis=1)
+        for ratio in ratios:
+            lower = np.linalg.cholesky(gram + ratio * np.eye(len(along)))
+            white = scipy.linalg.solve_triangular(lower, right, lower=True)
+            done = white[:, 0]
+            rest = np.moveaxis(white[:, 1:].reshape(-1, count, size), 0, 1)
+            turned = np.swapaxes(rest, 1, 2)
+            inner = np.linalg.cholesky(
+                own + ratio * np.eye(size) - np.matmul(turned, rest)
+            )
+            left = own_along - np.matmul(turned, done)
+            told = np.linalg.solve(inner, left[..., None])[..., 0]
+            squares = self.squares - done @ done - (told**2).sum(axis=1)
+            squares = np.maximum(squares, ROUNDING * self.squares)
+            volume = np.log(np.diagonal(inner, axis1=1, axis2=2)).sum(axis=1)
+            volume += np.log(np.diagonal(lower)).sum()
+            volume -= 0.5 * (len(along) + size) * np.log(ratio)
+            best = np.maximum(best, -0.5 * self.num_free * np.log(squares) - volume)
+        return best
+
+
+class _SharedProfile(eqx.Module):
+    """Products of the columns of centres in their true relative sizes."""
+
+    held: Held
+    products: Float[np.ndarray, "atom direction atom direction"]
+    across: Float[np.ndarray, "held atom direction"]
+    along: Float[np.ndarray, "atom direction"]
+    price: float
+    each: float
+
+    @classmethod
+    def of(cls, atoms: Atoms, held: Held) -> "_SharedProfile":
+        scaled = atoms.columns * (atoms.sizes / np.median(atoms.sizes))
+        count, _, size = scaled.shape
+        flat = np.moveaxis(scaled, 0, 1).reshape(scaled.shape[1], -1)
+        shape = count, size
+        dim = np.size(atoms.terms[0].geometry[0])
+        return cls(
+            held=held,
+            products=(flat.T @ flat).reshape(*shape, *shape),
+            across=(held.columns.T @ flat).reshape(-1, *shape),
+            along=(flat.T @ held.offset).reshape(shape),
+            price=atoms.price,
+            each=0.5 * dim * float(np.log(held.num_free)),
+        )
+
+    def joined(self, chosen: list[int]) -> Float[np.ndarray, " atom"]:
+        """Log evidence of a set with each other centre [nats]."""
+        every = np.arange(len(self.along))
+        between = self.products[chosen].sum(axis=0)
+        across = np.moveaxis(between, 1, 0)
+        own = self.products[every, :, every, :] + across + np.swapaxes(across, 1, 2)
+        own = own + between[:, chosen].sum(axis=1)
+        sizes = np.sqrt(np.trace(own, axis1=1, axis2=2))[:, None]
+        sizes = np.maximum(sizes, np.finfo(float).tiny)
+        columns = self.held.columns
+        values = self.held._log_evidence(
+            columns.T @ columns,
+            columns.T @ self.held.offset,
+            (self.across[:, chosen].sum(axis=1, keepdims=True) + self.across) / sizes,
+            own / sizes[..., None] ** 2,
+            (self.along[chosen].sum(axis=0) + self.along) / sizes,
+        )
+        values -= self.price + self.each * len(chosen)
+        values[chosen] = -np.inf
+        return values
+
+    def grow(self, chosen: list[int], value: float) -> tuple[float, list[int]]:
+        """The value and members of the set, grown and exchanged while that gains."""
+        while True:
+            rests = [[c for c in chosen if c != one] for one in chosen]
+            if len(chosen) < POLICY.centers:
+                rests.append(chosen)
+            options = []
+            for rest in rests:
+                values = self.joined(rest)
+                index = int(np.argmax(values))
+                options.append((float(values[index]), [*rest, index]))
+            best = max(options, key=lambda one: one[0])
+            if best[0] < value + 1.0:
+                return value, chosen
+            value, chosen = best
