@@ -164,14 +164,17 @@ PLANE = 2
 
 def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
     """The best fit of free kernels and of terms that data show."""
-    fits, survey = survey_first_steps(fits)
+    fits, survey, is_rugged = survey_first_steps(fits)
     asked = _asked(fits, survey) if weigh_rotation else SurveyedRotation(np.nan)
     turns = asked.is_plain or not fits.kernels.is_conservative
     free, found = None, []
-    if not (survey.is_begun or turns):
+    if is_rugged and not turns:
         found = _proposals(survey, rotational=False, singles_only=True)
-    if not (survey.is_begun or turns or found):
-        # The states are those of no fit: fine kernels may show what smoothing hides.
+        if asked.is_needed and not found:
+            found = _proposals(survey, rotational=True, singles_only=True)
+            turns = len(found) > 0
+    if is_rugged and not (turns or found):
+        # Finer kernels show what smoothing hides.
         free = fit_free(fits)
         if has_many_hills(free.force):
             return _weigh_beside(fits, free) if weigh_rotation else free
@@ -218,17 +221,21 @@ def _potential(
     return still, True
 
 
-def survey_first_steps(fits: Fits) -> tuple[Fits, Survey]:
+def survey_first_steps(fits: Fits) -> tuple[Fits, Survey, bool]:
     """A survey about the first steps of free kernels, and fits from there.
 
     Smoothed states miss the path of quick swimmers, so that data linearised about them
     suggest spurious forces. They are kept where free kernels do not explain the data,
-    as a potential cannot those of a swirl.
+    as a potential cannot those of a swirl; last, whether these must be finer.
     """
     survey, begun = Survey.of(fits), fits.begin()
-    if begun is None or begun.hyperparameters.noise > POLICY.explained * survey.noise:
-        return fits, survey
-    return fits.about(begun), Survey.of(fits, begun)
+    if begun is None:
+        return fits, survey, False
+    chosen = begun.hyperparameters
+    if chosen.noise > POLICY.explained * survey.noise:
+        is_rugged = AS_FINE_AS_ASKED.is_needed(fits.kernels, chosen.shape)
+        return fits, survey, is_rugged
+    return fits.about(begun), Survey.of(fits, begun), False
 
 
 def _asked(fits: Fits, survey: Survey) -> SurveyedRotation:
@@ -240,12 +247,15 @@ def _proposals(
 ) -> list[Proposal]:
     """Proposals that are worth a fit, those preferred by the evidence first.
 
-    In space one that explains the data but roughly is not worth the time of its fit.
+    About smoothed states the right terms may leave much; a few steps of the fit of
+    wrong ones lead to better states. In space one that explains the data but roughly is
+    not worth the time of its fit.
     """
     found = survey.search(rotational=rotational).run(singles_only=singles_only)
     is_planar = survey.region.is_planar
     most = POLICY.hopeless if is_planar else POLICY.explained
-    found = [one for one in found if one.noise <= most * survey.noise]
+    if survey.is_begun or singles_only or not is_planar:
+        found = [one for one in found if one.noise <= most * survey.noise]
     # In space the kernels of the search are half as many as those of a fit.
     return found if is_planar else [refine(one, survey.response, 1) for one in found]
 
@@ -253,16 +263,21 @@ def _proposals(
 def _best(
     fits: Fits, proposals: Sequence[Proposal], free: StructuredFit | None = None
 ) -> StructuredFit:
-    """The best of the fits of the likeliest proposal that can be fitted, and free ones.
+    """The best of the fits of proposals, until one converges, and of free kernels.
 
     Args:
         free: the fit of free kernels alone, if there is one.
     """
+    tried: list[EvidenceFit] = []
     for proposal in proposals[: POLICY.fitted]:
         fit = _fit_until_kinds_stay(fits, proposal)
-        if fit is not None:
-            return _against_free(fits, _with_laws(fits, fit), free)
-    return fit_free(fits) if free is None else free
+        tried += [] if fit is None else [fit]
+        if fit is not None and fit.outcome is Outcome.CONVERGED:
+            break
+    if not tried:
+        return fit_free(fits) if free is None else free
+    best = max(tried, key=evidence_of)
+    return _against_free(fits, _with_laws(fits, best), free)
 
 
 def _fit_until_kinds_stay(
@@ -395,7 +410,12 @@ def _against_free(
     if outcome is Outcome.CONVERGED and not is_coarse(last):
         fit = evidence_fit(problem, outcome, steps, not_finite=NOT_FINITE, advice={})
         return StructuredFit(fit, gain)
-    free = fit_free(alone) if free is None else free
+    try:
+        free = fit_free(alone) if free is None else free
+    except FitError:
+        return StructuredFit(structured, gain)
+    if evidence_of(free.fit) < evidence_of(structured) - POLICY.decisive:
+        return StructuredFit(structured, gain)
     return free if free.structure else StructuredFit(free.fit, gain)
 
 

@@ -48,7 +48,7 @@ class SearchPolicy(eqx.Module):
             the last one in a scan.
         directions: of the weights of a scanned term that the data see most.
         ratios: variances of the noise tried in a scan, relative to that of a term; the
-            second one for pairs.
+            second one for pairs and sets.
         kernels: of a profile across the ground that most of the data are on.
         halvings: of the width of the kernels of a profile, at most.
         shortest: length scale of a profile or a wave, in widths of its kernels, below
@@ -73,7 +73,7 @@ class SearchPolicy(eqx.Module):
     moved: int = 6
     polished: int = 3
     again: int = 3
-    rounds: int = 3
+    rounds: int = 2
     first_steps: int = 3
     polish_steps: int = 8
     grid: tuple[int, int] = (7, 5)

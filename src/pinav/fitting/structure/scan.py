@@ -13,7 +13,7 @@ that pairs of terms, and sets of centres with one profile, cost a small factoris
 each.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -23,6 +23,7 @@ from jaxtyping import Float
 from pinav.fitting.evidence.evidence import root
 from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.response import ForceResponse, forces_by_weight
+from pinav.fitting.structure.response import columns as by_weight
 from pinav.fitting.structure.trials import cost, smooth_shape
 from pinav.forces import AbstractTerm
 
@@ -52,34 +53,34 @@ class Atoms(eqx.Module):
     @classmethod
     def of(cls, terms: Sequence[AbstractTerm], response: ForceResponse) -> "Atoms":
         """The columns of terms that differ in their geometry alone."""
-        chosen = _seen_directions(terms, response)
-        columns = np.stack(
-            [response.change(f @ chosen) for f in forces_by_weight(terms, response)]
-        )
+        columns = np.stack(list(_seen_columns(terms, response)))
         sizes = np.sqrt((columns**2).sum(axis=(1, 2), keepdims=True))
         columns /= np.maximum(sizes, np.finfo(float).tiny)
         flat = np.moveaxis(columns, 0, 1).reshape(columns.shape[1], -1)
         return cls(terms, columns, sizes, cost((terms[0],), response), flat)
 
 
-def _seen_directions(
+def _seen_columns(
     terms: Sequence[AbstractTerm], response: ForceResponse
-) -> Float[np.ndarray, "weight direction"]:
-    """Directions of the weights that the data see most, each times its deviation.
+) -> Iterator[Float[np.ndarray, "datum direction"]]:
+    """Columns of each term by the directions of the weights that the data see most.
 
     They are those of a few of the terms together: of the prior alone the directions of
     most variance may all be where there are no data.
     """
     prior = terms[0].prior()
     whole = root(prior.covariance(smooth_shape(terms[0], response)))
-    if whole.shape[1] <= POLICY.directions:
-        return whole
-    seen = np.zeros((whole.shape[1],) * 2)
-    for forces in forces_by_weight(terms[:: -(-len(terms) // SAMPLE)], response):
-        rows = response.change(forces @ whole)
-        seen += rows.T @ rows / max(float((rows**2).sum()), np.finfo(float).tiny)
-    vectors = np.linalg.eigh(seen)[1]
-    return whole @ vectors[:, -POLICY.directions :]
+    if whole.shape[1] > POLICY.directions:
+        seen = np.zeros((whole.shape[1],) * 2)
+        for term in terms[:: -(-len(terms) // SAMPLE)]:
+            rows = by_weight(term, response) @ whole
+            seen += rows.T @ rows / max(float((rows**2).sum()), np.finfo(float).tiny)
+        whole = whole @ np.linalg.eigh(seen)[1][:, -POLICY.directions :]
+    if len(terms) == 1:
+        yield by_weight(terms[0], response) @ whole
+        return
+    for forces in forces_by_weight(terms, response):
+        yield response.change(forces @ whole)
 
 
 class Held(eqx.Module):
@@ -240,6 +241,7 @@ class _SharedProfile(eqx.Module):
             (self.across[:, chosen].sum(axis=1, keepdims=True) + self.across) / sizes,
             own / sizes[..., None] ** 2,
             (self.along[chosen].sum(axis=0) + self.along) / sizes,
+            POLICY.ratios[1:2],
         )
         values -= self.price + self.each * len(chosen)
         values[chosen] = -np.inf

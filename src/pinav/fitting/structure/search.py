@@ -239,7 +239,7 @@ def preferred(proposals: Sequence[Proposal]) -> list[Proposal]:
 def simplify(proposal: Proposal, response: ForceResponse) -> Proposal:
     """The structure without terms and centres that the evidence does not ask for."""
     for fewer in simpler(proposal.terms):
-        made = polish(fewer, response)
+        made = polish(fewer, response, again=POLICY.again)
         if made and made.log_evidence >= proposal.log_evidence - 2 * POLICY.decisive:
             return simplify(made, response)
     return proposal

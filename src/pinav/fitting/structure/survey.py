@@ -69,8 +69,12 @@ class Survey(eqx.Module):
         )
 
     def explains(self, proposal: Proposal) -> bool:
-        """True if terms leave little more of the data unexplained than the noise."""
-        return proposal.noise <= POLICY.explained * self.noise
+        """True if terms leave little more of the data unexplained than the noise.
+
+        About smoothed states, which miss the path, they may leave more.
+        """
+        most = POLICY.explained if self.is_begun else POLICY.hopeless
+        return proposal.noise <= most * self.noise
 
     def search(self, *, rotational: bool, content: float = POLICY.content) -> Search:
         """The search for terms in these data.
