@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import msgspec
-import numpy as np
 
 from pinav.commands.navigate import NavigateSettings, OnlineSettings
 from pinav.commands.steering import observe_positions, system_task, way_of
@@ -34,7 +33,7 @@ from pinav.navigation import (
     fly_swimmer,
     task,
 )
-from pinav.navigation.adaptive.prior import with_prior_of
+from pinav.navigation.adaptive.prior import observed_places, with_prior_of
 from pinav.runs import RunFolder
 from pinav.scenarios import find_system
 from pinav.sweeps import Cell
@@ -84,9 +83,8 @@ def with_prior(
             f"RUN: expected a fit with a posterior, got {path}, which has none; "
             "fit with --recipe bayes"
         )
-    dim = run.data.dim
-    places = [p.states[p.observed[:, :dim].all(axis=1), :dim] for p in run.data]
-    return with_prior_of(adaptive, model, run.posterior, np.concatenate(places))
+    places = observed_places(run.data)
+    return with_prior_of(adaptive, model, run.posterior, places)
 
 
 def _words(units: Units) -> str:
