@@ -6,7 +6,6 @@ it is learned.
 """
 
 import dataclasses
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -25,11 +24,7 @@ from pinav.actuation import (
 from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands, unbound
 from pinav.errors import InputError
 from pinav.forces import AbstractCommandedForce, WallMobility
-from pinav.navigation.task.steering import (
-    CommandLimits,
-    HelicalActuator,
-    SteeredSwimmer,
-)
+from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
 from pinav.navigation.task.task import (
     AbstractObjective,
     AbstractPath,
@@ -159,19 +154,22 @@ def _vessel() -> tuple[AbstractZone, ...]:
     return tuple(Wall(start, end, 0.08) for start, end in (*lines, *mirrored))
 
 
-def _screw(thrust: float) -> tuple[HelicalActuator, CommandLimits]:
-    """A screw with this greatest thrust, driven at most as fast as that takes."""
+def _screw(thrust: float) -> tuple[RollingActuator, CommandLimits]:
+    """A screw with this greatest thrust, driven at most as fast as that takes.
+
+    It turns with the field below the step-out frequency and falls behind above it; the
+    thrust goes with the rate at which it turns, which is the paper's at its greatest.
+
+    References:
+        PI-NAV paper, section 2.2.
+    """
+    response = StepOutResponse(STEP_OUT)
     frequencies = jnp.linspace(0.0, 1.2 * STEP_OUT, 1201)
-    turning = StepOutResponse(STEP_OUT)(frequencies)
+    turning = response(frequencies)
     best = int(jnp.argmax(turning))
-    torque_per_rate = 1 / (2 * math.pi)
-    actuator = HelicalActuator(
-        gain=thrust / float(turning[best]),
-        moment=1.0,
-        amplitude=STEP_OUT,
-        rotational_drag=torque_per_rate,
-    )
-    return actuator, CommandLimits(float(frequencies[best]))
+    gain = thrust / float(turning[best])
+    limits = CommandLimits(float(frequencies[best]))
+    return RollingActuator(gain * jnp.eye(2), response), limits
 
 
 Place = tuple[float, ...]

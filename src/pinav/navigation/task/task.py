@@ -248,6 +248,35 @@ def _length(offset: Vector) -> Float[Array, ""]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
+class Timing(eqx.Module):
+    """Times at which commands come into force.
+
+    Attributes:
+        step: how long a command holds [T].
+        delay: from a command until it is in force [T].
+    """
+
+    step: float = eqx.field(static=True)
+    delay: float = eqx.field(static=True)
+
+    @property
+    def waiting(self) -> int:
+        """Number of pending commands, with the one in force; one without a delay."""
+        # Less a little, so that rounding does not add a step to a delay of whole ones.
+        return max(math.ceil(self.delay / self.step - 1e-9), 1)
+
+    @property
+    def remainder(self) -> float:
+        """Time for which the oldest pending command stays in force [T]."""
+        return max(self.delay - (self.waiting - 1) * self.step, 0.0)
+
+    @property
+    def rest(self) -> float:
+        """Rest of a control step when the oldest one has passed [T]."""
+        rest = self.step - self.remainder
+        return rest if rest > 1e-9 * self.step else 0.0
+
+
 class Task(eqx.Module):
     """A true swimmer in a true environment, and what it is asked to do.
 
@@ -300,6 +329,15 @@ class Task(eqx.Module):
         A sensor without any error is taken to be sure to a ten-millionth of the arena.
         """
         return max(self.sensor_noise, 1e-7 * self.extent)
+
+    def clearance(self, x: Vector) -> Float[Array, ""]:
+        """Distance from the nearest forbidden place [L]: negative inside of one."""
+        return clearance(x, self.keep_out, self.arena)
+
+    @property
+    def timing(self) -> Timing:
+        """Times at which commands come into force."""
+        return Timing(self.step, self.delay)
 
     @property
     def inertial(self) -> bool:
