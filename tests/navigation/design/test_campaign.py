@@ -187,7 +187,7 @@ def test_less_noise_tells_more(adaptive, belief):
 
 def test_a_search_only_improves_from_round_to_round(adaptive):
     experiment = experiment_of(adaptive.task)
-    first = experiment.draw(4, key=jax.random.key(6))
+    first = experiment.draw(8, key=jax.random.key(6))
     keys = jax.random.split(jax.random.key(16), 2)
 
     def judge(candidate):
@@ -201,7 +201,7 @@ def test_a_search_only_improves_from_round_to_round(adaptive):
         )[1]
         for rounds in (0, 1, 2)
     ]
-    assert sds[0] == min(judge(first[k]) for k in range(4)) < np.inf
+    assert sds[0] == min(judge(first[k]) for k in range(8)) < np.inf
     assert sds[0] >= sds[1] >= sds[2]
     assert sds[0] > sds[2]
 
