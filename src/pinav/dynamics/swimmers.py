@@ -42,6 +42,7 @@ class AbstractDynamics(eqx.Module):
 class AbstractSwimmer(AbstractDynamics):
     """A swimmer of known physics in an environment, which is the unknown."""
 
+    propulsion: eqx.AbstractVar[AbstractForce]
     environment: eqx.AbstractVar[AbstractForce]
 
     def with_environment(self: Model, environment: AbstractForce) -> Model:

@@ -9,8 +9,7 @@ from jaxtyping import Float, PRNGKeyArray
 
 from pinav.dynamics import (
     AbstractDynamics,
-    OverdampedSwimmer,
-    Swimmer,
+    AbstractSwimmer,
     takes_commands,
 )
 from pinav.errors import InputError
@@ -77,7 +76,7 @@ class NavigationProblem:
                 has places of another dimension.
         """
         model, dim = fit.model, fit.data.dim
-        if not isinstance(model, Swimmer | OverdampedSwimmer) or dim < 2:
+        if not isinstance(model, AbstractSwimmer) or dim < 2:
             raise InputError(
                 "navigate: expected a fit of a swimmer in the plane or in space, got "
                 f"the model {fit.choice.name} of {', '.join(fit.data.channels)}"
@@ -97,7 +96,7 @@ class NavigationProblem:
             samples=tuple(
                 steered_swimmer(task, draw)
                 for draw in _draws(fit, samples, seed)
-                if isinstance(draw, Swimmer | OverdampedSwimmer)
+                if isinstance(draw, AbstractSwimmer)
             ),
             truth=truth,
             fit=fit,

@@ -16,7 +16,7 @@ import msgspec
 from pinav.commands.navigate import NavigateSettings, OnlineSettings
 from pinav.commands.steering import observe_positions, system_task, way_of
 from pinav.commands.sweep import Sweep
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import AbstractSwimmer
 from pinav.errors import InputError
 from pinav.learning.learned import Learned
 from pinav.navigation import (
@@ -74,7 +74,7 @@ def with_prior(
             f"{_words(run.system.base_units)}; fit and task must have the same units"
         )
     model, path = run.model, run.folder.path
-    if not isinstance(model, Swimmer | OverdampedSwimmer):
+    if not isinstance(model, AbstractSwimmer):
         raise InputError(
             f"RUN: expected a fitted swimmer, got the model {run.choice.name} of {path}"
         )

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import AbstractSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.navigation.adaptive.steering import AdaptiveController
@@ -47,7 +47,7 @@ def environment_rate(task: Task, model: SteeredSwimmer) -> GivenForce:
 
 def with_prior_of(
     adaptive: AdaptiveController,
-    swimmer: Swimmer | OverdampedSwimmer,
+    swimmer: AbstractSwimmer,
     posterior: Posterior,
     places: Points,
 ) -> AdaptiveController:

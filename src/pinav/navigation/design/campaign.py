@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from pinav.dynamics import (
-    OverdampedSwimmer,
-    Swimmer,
+    AbstractSwimmer,
     drive_by_commands,
 )
 from pinav.errors import InputError
@@ -246,7 +245,7 @@ SPEED = 2.0
 
 def believe_data(
     adaptive: AdaptiveController,
-    swimmer: Swimmer | OverdampedSwimmer,
+    swimmer: AbstractSwimmer,
     data: Trajectories,
     position_noise: float,
 ) -> Belief:
@@ -282,7 +281,7 @@ def believe_data(
 
 
 def frames_of(
-    swimmer: Swimmer | OverdampedSwimmer, piece: Trajectory, position_noise: float
+    swimmer: AbstractSwimmer, piece: Trajectory, position_noise: float
 ) -> Iterator[Frame]:
     """The observed positions of a trajectory, with the thrust before each."""
     driven = drive_by_commands(swimmer, piece)

@@ -21,7 +21,12 @@ from pinav.actuation import (
     RollingActuator,
     StepOutResponse,
 )
-from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands, unbound
+from pinav.dynamics import (
+    AbstractSwimmer,
+    Swimmer,
+    takes_commands,
+    unbound,
+)
 from pinav.errors import InputError
 from pinav.forces import AbstractCommandedForce, WallMobility
 from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
@@ -211,8 +216,8 @@ class Way:
 
     def task(
         self,
-        model: Swimmer | OverdampedSwimmer,
-        truth: Swimmer | OverdampedSwimmer,
+        model: AbstractSwimmer,
+        truth: AbstractSwimmer,
         name: str,
         places: Float[np.ndarray, "place dim"] | None = None,
     ) -> Task:
@@ -255,7 +260,7 @@ class Way:
         )
 
     def _actuation(
-        self, model: Swimmer | OverdampedSwimmer
+        self, model: AbstractSwimmer
     ) -> tuple[AbstractActuator, CommandLimits, float]:
         """The effect of commands, their limits, and the time until motion [T]."""
         propulsion = unbound(model) if takes_commands(model) else model.propulsion
@@ -278,7 +283,7 @@ class Way:
         return Rectangle(inside.min(axis=0), inside.max(axis=0))
 
 
-def _walls(model: Swimmer | OverdampedSwimmer) -> tuple[Behind, ...]:
+def _walls(model: AbstractSwimmer) -> tuple[Behind, ...]:
     """The wall that the mobility knows, which the swimmer's surface must not touch."""
     mobility = getattr(model, "mobility", None)
     if not isinstance(mobility, WallMobility):

@@ -21,7 +21,7 @@ from pinav.actuation import Command as Command
 from pinav.actuation import RollingActuator as RollingActuator
 from pinav.actuation import direction as direction
 from pinav.arguments import Scalar, State, Vector, check_positive
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import AbstractSwimmer
 from pinav.forces import AbstractForce
 
 
@@ -76,18 +76,18 @@ class SteeredSwimmer(eqx.Module):
             propulsion.
     """
 
-    dynamics: Swimmer | OverdampedSwimmer
+    dynamics: AbstractSwimmer
     actuator: AbstractActuator
 
     def __call__(self, t: Scalar, y: State, command: Command) -> State:
         """Rate of change of the state `y` at time `t` [T] under a command."""
         return self.under(command)(t, y)
 
-    def under(self, command: Command) -> Swimmer | OverdampedSwimmer:
+    def under(self, command: Command) -> AbstractSwimmer:
         """The dynamics while a command holds."""
         return self.with_propulsion(HeldThrust(self.actuator(command)))
 
-    def with_propulsion(self, thrust: AbstractForce) -> Swimmer | OverdampedSwimmer:
+    def with_propulsion(self, thrust: AbstractForce) -> AbstractSwimmer:
         """The dynamics with another propulsion."""
         # Not tree_at: the replaced propulsion may hold leaves under several names.
         return dataclasses.replace(self.dynamics, propulsion=thrust)

@@ -10,7 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from pinav.arguments import Scalar, State, Vector, check_positive, point, real_array
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import AbstractSwimmer
 from pinav.errors import InputError
 from pinav.forces import AbstractSurface
 from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
@@ -345,8 +345,6 @@ class Task(eqx.Module):
         return self.start.shape[0] > self.dim
 
 
-def steered_swimmer(
-    task: Task, dynamics: Swimmer | OverdampedSwimmer
-) -> SteeredSwimmer:
+def steered_swimmer(task: Task, dynamics: AbstractSwimmer) -> SteeredSwimmer:
     """Fitted dynamics under the commands of a task."""
     return SteeredSwimmer(dynamics, task.truth.actuator)
