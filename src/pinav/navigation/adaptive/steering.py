@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import time
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -175,25 +176,11 @@ class AdaptiveController(AbstractController[ControllerState]):
         inertial = isinstance(physics.predictor, InertialTable)
         if points is None:
             points = POINTS if inertial else FLAT_POINTS
-        objective = task.objective
-        arena, more = task.arena, math.ceil((points - 1) / FINER) + 1
-        parts = (
-            (arena, points),
-            (_window(task, objective), points),
-            (arena, more),
+        objective, finer = task.objective, math.ceil((points - 1) / FINER) + 1
+        lattice = partial(
+            Planner.of, task, objective, physics, speeds=speeds, headroom=HEADROOM
         )
-        lattices = [
-            Planner.of(
-                task,
-                objective,
-                physics,
-                points=count,
-                speeds=speeds,
-                region=region,
-                headroom=HEADROOM,
-            )
-            for region, count in parts
-        ]
+        replanner = lattice(points=points)
         thrust = float(
             greatest_rate(physics.table, physics.control_map, inertial=inertial)
         )
@@ -203,8 +190,10 @@ class AdaptiveController(AbstractController[ControllerState]):
             physics,
             motion_of(task, physics),
             thrust,
-            _crossing_time(task, lattices[0], thrust),
-            *lattices,
+            _crossing_time(task, replanner, thrust),
+            replanner,
+            window=lattice(points=points, region=_window(task, objective)),
+            detailed=lattice(points=finer),
         )
 
     @property
