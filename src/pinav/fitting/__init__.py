@@ -84,8 +84,8 @@ from pinav.fitting.matching.state import Observations as Observations
 from pinav.fitting.matching.state import TrajectoryLoss as TrajectoryLoss
 from pinav.fitting.outcome import Outcome as Outcome
 from pinav.fitting.outcome import confirm as confirm
-from pinav.fitting.structure.fit import fit_structured as fit_structured
 from pinav.fitting.structure.fits import StructuredFit as StructuredFit
 from pinav.fitting.structure.survey import is_network as is_network
 from pinav.fitting.structure.survey import is_worth_a_search as is_worth_a_search
 from pinav.fitting.structure.survey import may_turn as may_turn
+from pinav.fitting.structured import fit_structured as fit_structured

@@ -8,7 +8,7 @@ from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.evidence.evidence import LinearisedObservations, at_shape
 from pinav.fitting.rugged.free import has_many_hills
 from pinav.fitting.rugged.hills import propose_hills
-from pinav.fitting.rugged.potential_map import free_potential
+from pinav.fitting.structure.potential_map import free_potential
 from pinav.fitting.structure.response import force_quadratic
 from pinav.forces import (
     GaussianBarrier,

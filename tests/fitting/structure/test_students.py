@@ -17,7 +17,7 @@ from pinav.fitting import (
 )
 from pinav.fitting.bayes.function_prior import TangentWeights
 from pinav.fitting.bayes.neural import FitSpecification
-from pinav.fitting.structure.fit import kernels_of_teacher
+from pinav.fitting.structured import kernels_of_teacher
 from pinav.forces import (
     KernelForce,
     KernelPotential,

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
-from pinav.fitting.rugged.potential_map import SUMMIT, PotentialMap
+from pinav.fitting.structure.potential_map import SUMMIT, PotentialMap
 from pinav.forces import KernelPotential
 
 Hills = Float[np.ndarray, "hill 6"]

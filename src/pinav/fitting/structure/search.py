@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pinav.fitting.rugged.potential_map import PotentialMap
 from pinav.fitting.structure.kinds import (
     has_shape,
     lattices,
@@ -24,6 +23,7 @@ from pinav.fitting.structure.kinds import (
     turned_shears,
 )
 from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.structure.potential_map import PotentialMap
 from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.scan import Atoms, Held
 from pinav.fitting.structure.starts import (
@@ -211,7 +211,8 @@ def _unlike(trials: Sequence[Trial]) -> list[Trial]:
 
 
 def _centers(atoms: Atoms) -> Float[np.ndarray, "atom dim"]:
-    return np.stack([np.asarray(term.center) for term in atoms.terms])
+    terms: Sequence[Any] = atoms.terms
+    return np.stack([np.asarray(term.center) for term in terms])
 
 
 def _best_pair(first: Atoms, second: Atoms, linear: Any, held: Held) -> Iterator[Trial]:

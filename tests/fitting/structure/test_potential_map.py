@@ -1,7 +1,7 @@
 import numpy as np
 from tests.fitting.structure.observed_forces import observed_forces
 
-from pinav.fitting.rugged.potential_map import PotentialMap
+from pinav.fitting.structure.potential_map import PotentialMap
 from pinav.forces import GaussianBarrier, LinearForce
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 300, 2))

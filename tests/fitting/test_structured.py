@@ -10,11 +10,11 @@ from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.environments.kernels import KernelGrid, kernel_environment
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure.fit import survey_first_steps
 from pinav.fitting.structure.fits import Fits
 from pinav.fitting.structure.starts import Region, linear_term
 from pinav.fitting.structure.survey import Survey
 from pinav.fitting.structure.trace import Trace
+from pinav.fitting.structured import survey_first_steps
 from pinav.forces import (
     AbstractProfileTerm,
     KernelMixture,

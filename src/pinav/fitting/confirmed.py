@@ -1,0 +1,189 @@
+"""Fits of proposed terms that the data linearised about them confirm.
+
+Of what the search proposes the likeliest is fitted for a few steps, and about these the
+data are asked again, until the kinds of terms stay; then it is fitted to the end, with
+laws in place of profiles where that is as good, and compared with free kernels.
+"""
+
+from collections.abc import Sequence
+
+from pinav.errors import FitError
+from pinav.fitting.bayes.fit_bayes import NOT_FINITE
+from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
+from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.problem import Step
+from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
+from pinav.fitting.evidence.model_evidence import model_evidence
+from pinav.fitting.outcome import Outcome
+from pinav.fitting.rugged.free import fit_free
+from pinav.fitting.structure.fits import (
+    Fits,
+    StructuredFit,
+    evidence_of,
+    stands_alone,
+)
+from pinav.fitting.structure.kinds import signature
+from pinav.fitting.structure.laws import follow_laws
+from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.structure.search import preferred, refine, simplify
+from pinav.fitting.structure.survey import Survey
+from pinav.fitting.structure.trials import Proposal, polish
+
+
+def best_fit(
+    fits: Fits, proposals: Sequence[Proposal], free: StructuredFit | None = None
+) -> StructuredFit:
+    """The best of the fits of proposals, until one converges, and of free kernels.
+
+    Args:
+        free: the fit of free kernels alone, if there is one.
+    """
+    tried: list[EvidenceFit] = []
+    for proposal in proposals[: POLICY.fitted]:
+        fit = _fit_until_kinds_stay(fits, proposal)
+        tried += [] if fit is None else [fit]
+        if fit is not None and fit.outcome is Outcome.CONVERGED:
+            break
+    if not tried:
+        return fit_free(fits) if free is None else free
+    best = max(tried, key=evidence_of)
+    return _against_free(fits, _with_laws(fits, best), free)
+
+
+def _fit_until_kinds_stay(
+    fits: Fits, proposal: Proposal, rounds: int = POLICY.rounds
+) -> EvidenceFit | None:
+    """The fit of terms that the data linearised about it confirm; None where it fails.
+
+    Terms that explain data linearised about other states may be needless, misplaced or
+    too few. So their fit is interrupted after a few steps, and about these they are
+    polished, and where they leave more than the noise, all terms are sought again.
+    """
+    begun = fits.beside(proposal.terms).begin()
+    if begun is None:
+        fits.trace.note(proposal.terms, "the first steps of its fit diverged")
+        return None
+    survey = Survey.of(fits, begun)
+    here = polish(begun.model.environment.terms, survey.response)
+    here = here and simplify(refine(here, survey.response), survey.response)
+    if here is None or here.noise > POLICY.settled * survey.noise:
+        lawful = here and _fit_laws_early(fits, here, survey, begun)
+        if lawful is not None:
+            return lawful
+        here = _sought_again(fits, survey, here, proposal)
+    if here is None:
+        fits.trace.note(proposal.terms, "about its own fit it explains no more")
+        return None
+    is_same = signature(here.terms) == signature(proposal.terms)
+    if not is_same and rounds > 1 and not fits.trace.is_over:
+        fits.trace.note(proposal.terms, "about its own fit other terms are preferred")
+        return _fit_until_kinds_stay(fits.about(begun), here, rounds - 1)
+    if not survey.explains(here):
+        left = here.noise / survey.noise
+        fits.trace.note(here.terms, "left too much", here.log_evidence, left)
+        return None
+    return fits.try_terms(here.terms, begun)
+
+
+def _sought_again(
+    fits: Fits, survey: Survey, here: Proposal | None, before: Proposal
+) -> Proposal | None:
+    """The best of terms and of those that a new search finds, if there is time.
+
+    None where the terms are far from the noise and leave what they left before: a new
+    search would end with them again.
+    """
+    if here is not None and not survey.explains(here):
+        is_same = abs(here.noise / before.noise - 1) < POLICY.same
+        if is_same:
+            return None
+    if fits.trace.is_over:
+        return here
+    turns = not fits.kernels.is_conservative or any(t.rotational for t in before.terms)
+    found = survey.search(rotational=turns, content=POLICY.settled).run()
+    found = [refine(one, survey.response) for one in found[:1]]
+    several = found if here is None else [here, *found]
+    return preferred(several)[0] if several else None
+
+
+def _fit_laws_early(
+    fits: Fits, proposal: Proposal, survey: Survey, begun: EvidenceFit
+) -> EvidenceFit | None:
+    """The fit of terms that follow laws, where those are all that is needed.
+
+    About a centre the force of kernels vanishes; that of a wide ring does not, and
+    other terms would be sought to make up for it.
+    """
+    if not survey.explains(proposal):
+        return None
+    lawful = follow_laws(proposal.terms, survey.response, proposal.noise)
+    fit = lawful and fits.try_terms(lawful.terms, begun)
+    if fit is None or fit.hyperparameters.noise > POLICY.lawful * survey.noise:
+        return None
+    is_whole = fit.outcome is Outcome.CONVERGED and stands_alone(fit)
+    return fit if is_whole else None
+
+
+def _with_laws(fits: Fits, fit: EvidenceFit) -> EvidenceFit:
+    """The fit whose profiles follow laws, where that is as good."""
+    if fits.trace.is_over:
+        return fit
+    response = Survey.of(fits, fit).response
+    terms, noise = fit.model.environment.terms, fit.hyperparameters.noise
+    lawful = follow_laws(terms, response, noise)
+    other = lawful and fits.try_terms(lawful.terms, fit)
+    if other is None or other.outcome is not Outcome.CONVERGED:
+        return fit
+    is_as_good = evidence_of(other) > evidence_of(fit) - POLICY.decisive
+    return other if is_as_good else fit
+
+
+def _against_free(
+    fits: Fits, structured: EvidenceFit, free: StructuredFit | None
+) -> StructuredFit:
+    """The fit of terms or that of free kernels alone, by their evidence.
+
+    The free fit begins where the other ended, and ends early where it cannot win. Where
+    the evidence cannot tell, terms that need nothing beside them are preferred: they
+    are simpler, and say more where there are no data.
+    """
+    if fits.trace.is_over:
+        return StructuredFit(structured)
+    best = structured.hyperparameters.log_evidence
+    terms = structured.model.environment.terms
+    turns = any(term.rotational for term in terms) and fits.kernels.is_conservative
+    alone = fits.turning() if turns else fits
+
+    def is_coarse(step: Step) -> bool:
+        return AS_FINE_AS_ASKED.is_needed(alone.kernels, step.hyperparameters.shape)
+
+    def has_lost(step: Step) -> bool:
+        return step.hyperparameters.log_evidence < best - POLICY.clear
+
+    problem = alone.about(structured).problem()
+    outcome, steps = iterate(
+        problem,
+        fits.max_iterations,
+        alone.report,
+        lambda step: is_coarse(step) or has_lost(step),
+    )
+    if not steps:
+        return StructuredFit(structured)
+    last = steps[-1]
+    value = model_evidence(problem.linear_fit(last), last.hyperparameters).log_evidence
+    gain = evidence_of(structured) - value
+    fits.trace.note((), "free kernels from the states of the terms", value)
+    if gain > POLICY.decisive or (
+        gain > -2 * POLICY.decisive and stands_alone(structured)
+    ):
+        return StructuredFit(structured, gain)
+    if outcome is Outcome.CONVERGED and not is_coarse(last):
+        fit = evidence_fit(problem, outcome, steps, not_finite=NOT_FINITE, advice={})
+        return StructuredFit(fit, gain)
+    try:
+        free = fit_free(alone) if free is None else free
+    except FitError:
+        return StructuredFit(structured, gain)
+    if evidence_of(free.fit) < evidence_of(structured) - POLICY.decisive:
+        return StructuredFit(structured, gain)
+    return free if free.structure else StructuredFit(free.fit, gain)
