@@ -7,6 +7,7 @@ free kernels alone, and in a plane that of kernels that may turn are compared by
 evidence. A network learns from the fit of kernels that this gives.
 """
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
@@ -23,7 +24,6 @@ from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.parameters import Learn
 from pinav.fitting.confirmed import best_fit
 from pinav.fitting.engine.iterate import EvidenceProgress
-from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.rugged.free import fit_free, has_many_hills
 from pinav.fitting.structure.fits import (
@@ -159,31 +159,32 @@ PLANE = 2
 
 def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
     """The best fit of free kernels and of terms that data show."""
-    fits, survey, is_rugged = survey_first_steps(fits)
+    fits, survey = survey_first_steps(fits)
     asked = _asked(fits, survey) if weigh_rotation else SurveyedRotation(np.nan)
     turns = asked.is_plain or not fits.kernels.is_conservative
     free, found = None, []
-    if is_rugged and not turns:
+    if not (survey.is_begun or turns):
         found = _proposals(survey, rotational=False, singles_only=True)
         if asked.is_needed and not found:
             found = _proposals(survey, rotational=True, singles_only=True)
             turns = len(found) > 0
-    if is_rugged and not (turns or found):
-        # Finer kernels show what smoothing hides.
-        free = fit_free(fits)
+    if not (survey.is_begun or turns or found):
+        # Terms are sought about states that explain the data, which finer kernels do.
+        with contextlib.suppress(FitError):
+            free = fit_free(dataclasses.replace(fits, throw=False))
+    if free is not None:
         if has_many_hills(free.force):
             return _weigh_beside(fits, free) if weigh_rotation else free
-        noise = free.fit.hyperparameters.noise
-        if noise <= POLICY.explained * survey.noise:
+        if free.fit.hyperparameters.noise <= POLICY.explained * survey.noise:
             fits, survey = fits.about(free.fit), Survey.of(fits, free.fit)
             asked = _asked(fits, survey) if weigh_rotation else asked
             turns = asked.is_plain
+        if fits.throw and free.fit.outcome is not Outcome.CONVERGED:
+            free = None  # it is fitted again where it is the result, and says why
     found = found or _proposals(survey, rotational=turns)
-    is_explained = any(survey.explains(one) for one in found)
-    if weigh_rotation and asked.is_needed and not (turns or is_explained):
-        turning = _proposals(survey, rotational=True)
-        turns = any(survey.explains(one) for one in turning)
-        found = turning if turns else found
+    if weigh_rotation and asked.is_needed and not (turns or found):
+        found = _proposals(survey, rotational=True)
+        turns = len(found) > 0
     if turns and weigh_rotation:
         turning = _turning(fits, found)
         if turning is not None and turning.rotation > POLICY.decisive:
@@ -216,21 +217,17 @@ def _potential(
     return still, True
 
 
-def survey_first_steps(fits: Fits) -> tuple[Fits, Survey, bool]:
+def survey_first_steps(fits: Fits) -> tuple[Fits, Survey]:
     """A survey about the first steps of free kernels, and fits from there.
 
     Smoothed states miss the path of quick swimmers, so that data linearised about them
     suggest spurious forces. They are kept where free kernels do not explain the data,
-    as a potential cannot those of a swirl; last, whether these must be finer.
+    as a potential cannot those of a swirl.
     """
     survey, begun = Survey.of(fits), fits.begin()
-    if begun is None:
-        return fits, survey, False
-    chosen = begun.hyperparameters
-    if chosen.noise > POLICY.explained * survey.noise:
-        is_rugged = AS_FINE_AS_ASKED.is_needed(fits.kernels, chosen.shape)
-        return fits, survey, is_rugged
-    return fits.about(begun), Survey.of(fits, begun), False
+    if begun is None or begun.hyperparameters.noise > POLICY.explained * survey.noise:
+        return fits, survey
+    return fits.about(begun), Survey.of(fits, begun)
 
 
 def _asked(fits: Fits, survey: Survey) -> SurveyedRotation:
@@ -242,15 +239,11 @@ def _proposals(
 ) -> list[Proposal]:
     """Proposals that are worth a fit, those preferred by the evidence first.
 
-    About smoothed states the right terms may leave much; a few steps of the fit of
-    wrong ones lead to better states. In space one that explains the data but roughly is
-    not worth the time of its fit.
+    About states of a fit that explains the data the right terms explain them, too.
     """
     found = survey.search(rotational=rotational).run(singles_only=singles_only)
+    found = [one for one in found if survey.explains(one)]
     is_planar = survey.region.is_planar
-    most = POLICY.hopeless if is_planar else POLICY.explained
-    if survey.is_begun or singles_only or not is_planar:
-        found = [one for one in found if one.noise <= most * survey.noise]
     # In space the kernels of the search are half as many as those of a fit.
     return found if is_planar else [refine(one, survey.response, 1) for one in found]
 

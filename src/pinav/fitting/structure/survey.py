@@ -71,9 +71,11 @@ class Survey(eqx.Module):
     def explains(self, proposal: Proposal) -> bool:
         """True if terms leave little more of the data unexplained than the noise.
 
-        About smoothed states, which miss the path, they may leave more.
+        About smoothed states, which miss the path, they may leave more; in space such
+        terms are not worth the time of a fit.
         """
-        most = POLICY.explained if self.is_begun else POLICY.hopeless
+        is_smooth = self.region.is_planar and not self.is_begun
+        most = POLICY.hopeless if is_smooth else POLICY.explained
         return proposal.noise <= most * self.noise
 
     def search(self, *, rotational: bool, content: float = POLICY.content) -> Search:
