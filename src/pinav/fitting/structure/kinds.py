@@ -50,10 +50,10 @@ def simple_kinds(
             yield [wall_term(region, angle, rotational=turn) for angle in angles]
 
 
-def turned_shears() -> Float[np.ndarray, "shear 2"]:
-    """Shears of the ellipses that are scanned, in all directions."""
+def turned_shears(size: float) -> Float[np.ndarray, "shear 2"]:
+    """Shears of a size of the ellipses that are scanned, in all directions."""
     angles = 2 * np.pi * np.arange(POLICY.turns) / POLICY.turns
-    return POLICY.shear * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return size * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
 def lattices(region: Region) -> list[LatticeTerm]:

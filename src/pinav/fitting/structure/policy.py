@@ -36,7 +36,7 @@ class SearchPolicy(eqx.Module):
         ranks: shares of the data along each axis at which further centres are tried:
             where swimmers are flung out the even grid is coarse.
         angles: directions of walls.
-        shear: size of that of scanned ellipses: axes in the ratio of 2.2.
+        shears: sizes of those of scanned ellipses: axes in the ratio of 2.2 and of 6.
         turns: directions of ellipses.
         coarse_grid: places of ellipses along each side, beside the summits.
         periods: of a lattice across the data, at most.
@@ -79,8 +79,8 @@ class SearchPolicy(eqx.Module):
     grid: tuple[int, int] = (7, 5)
     ranks: tuple[int, int] = (7, 3)
     angles: int = 18
-    shear: float = 0.4
-    turns: int = 8
+    shears: tuple[float, ...] = (0.4, 0.9)
+    turns: int = 12
     coarse_grid: int = 5
     periods: int = 6
     centers: int = 8

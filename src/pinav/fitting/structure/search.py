@@ -174,14 +174,17 @@ class _Dictionary(eqx.Module):
         waves = Atoms.of(lattices(self.region), self.response)
         yield from self._best_few(waves, linear, held)
         places = np.concatenate([self.region.grid(POLICY.coarse_grid), self.summits])
-        atoms = self._ellipses(places)
-        yield from self._best_few(atoms, linear, held)
-        for walls in self.simple:
-            if isinstance(walls.terms[0], WallTerm):
-                yield from _best_pair(walls, atoms, linear, held)
+        for size in POLICY.shears:
+            atoms = self._ellipses(places, size)
+            yield from self._best_few(atoms, linear, held)
+            for walls in self.simple:
+                if isinstance(walls.terms[0], WallTerm):
+                    yield from _best_pair(walls, atoms, linear, held)
 
-    def _ellipses(self, places: Float[np.ndarray, "place 2"]) -> Atoms:
-        scanned = ellipses(self.region, places, turned_shears())
+    def _ellipses(
+        self, places: Float[np.ndarray, "place 2"], size: float = POLICY.shears[0]
+    ) -> Atoms:
+        scanned = ellipses(self.region, places, turned_shears(size))
         return Atoms.of(scanned, self.response)
 
     def _best_few(self, atoms: Atoms, linear: Any, held: Held) -> Iterator[Trial]:
@@ -240,7 +243,7 @@ def preferred(proposals: Sequence[Proposal]) -> list[Proposal]:
 def simplify(proposal: Proposal, response: ForceResponse) -> Proposal:
     """The structure without terms and centres that the evidence does not ask for."""
     for fewer in simpler(proposal.terms):
-        made = polish(fewer, response, again=POLICY.again)
+        made = polish(fewer, response)
         if made and made.log_evidence >= proposal.log_evidence - 2 * POLICY.decisive:
             return simplify(made, response)
     return proposal
