@@ -92,6 +92,22 @@ def decode(wanted: Any, document: Json, arrays: Mapping[str, np.ndarray]) -> Any
     return value
 
 
+def decode_blank(wanted: Any, document: Json) -> Any:
+    """The value of that type with zeros for all numbers that `encode` gave no form."""
+    return decode(wanted, document, dict(_blanks("", document)))
+
+
+def _blanks(path: str, document: Json) -> Iterator[tuple[str, np.ndarray]]:
+    """Zeros for each array that a document only mentions, by path."""
+    if isinstance(document, dict) and document.keys() == {"array"}:
+        yield path, np.zeros(document["array"])
+        return
+    parts = enumerate(document) if isinstance(document, list) else ()
+    parts = document.items() if isinstance(document, dict) else parts
+    for name, part in parts:
+        yield from _blanks(_join(path, name), part)
+
+
 def _encode(path: str, wanted: Any, value: Any, arrays: Arrays) -> Json:
     wanted = _of_option(wanted)
     if value is None or isinstance(value, bool | str):

@@ -36,6 +36,7 @@ from pinav.forces import (
     AbstractForce,
     AbstractProfileTerm,
     AbstractTerm,
+    KernelProfile,
     as_learned_force,
     split_structure,
 )
@@ -337,8 +338,8 @@ def _force_error(
 def _force_lines(fit: Learned, plan: FitPlan) -> dict[str, ForceLine]:
     """The force along lines through data that are not planar."""
     model: Any = fit.model
-    profile = plan.summary.profile
-    axes = range(plan.data.dim) if profile is None else profile.along
+    force = model.environment
+    axes = force.along if isinstance(force, KernelProfile) else range(plan.data.dim)
     truth = _true_environment(plan)
     return {
         plan.data.channels[axis]: force_line(

@@ -202,12 +202,12 @@ def _infer_force(
     learned = as_learned_force(result.model.environment)
     if learned is not None and learned.helmholtz is not None:
         choice = msgspec.structs.replace(plan.choice, name=MIXTURE)
-        header = msgspec.structs.replace(header, choice=choice)
+        header = dataclasses.replace(header, choice=choice)
     fit = _of_evidence(plan, header, result, search)
     if teacher is None or search is None:
         return fit
     choice = teacher_choice(teacher, header.choice)
-    header = msgspec.structs.replace(header, choice=choice)
+    header = dataclasses.replace(header, choice=choice)
     return fit.with_teacher(_of_evidence(plan, header, teacher, search))
 
 

@@ -6,12 +6,12 @@ import os
 import re
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import InputError
 from pinav.fitting.environments.catalogue import mean_drag
+from pinav.fitting.environments.kernels import kernel_environment
 from pinav.fitting.environments.summary import (
     PROFILE,
     DataSummary,
@@ -19,7 +19,7 @@ from pinav.fitting.environments.summary import (
     summarise_for,
     summarise_for_matching,
 )
-from pinav.forces import LinearDrag
+from pinav.forces import KernelPotential, LinearDrag
 from pinav.identification import (
     needs_kalman_filter,
     record_commands,
@@ -182,7 +182,7 @@ def plan_fit(
         else summarise_for(choice, data)
     )
     if chosen is not None and name == PROFILE:
-        summary = msgspec.structs.replace(summary, profile=chosen.profile(data))
+        summary = dataclasses.replace(summary, environment=chosen.profile(data))
     check_memory(data, summary)
     is_open &= isinstance(recipe, Bayes)
     return FitPlan(recipe, system, data, choice, summary, is_open, chosen)
@@ -335,7 +335,11 @@ def check_system(
 
 def check_memory(data: Trajectories, summary: DataSummary) -> None:
     """Refuse data whose linearised problem does not fit into the memory."""
-    weights = len(summary.centers) * summary.dim
+    force = summary.environment
+    laid = None if force is None else force.kernels
+    if laid is None:  # a network is taught by kernels
+        laid = kernel_environment(KernelPotential, data, dim=data.dim).kernels
+    weights = len(laid.centers) * summary.dim
     needed = 8.0 * data.states.size * weights
     available = SHARE_OF_MEMORY * free_memory()
     if needed > available:

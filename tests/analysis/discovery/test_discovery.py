@@ -15,7 +15,7 @@ from pinav.analysis.discovery.refit import Refit, RefitProblem, laplace_posterio
 from pinav.dynamics import Adaptive, FixedStep, NeuralDynamics, rollout
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome, Posterior
-from pinav.fitting.engine.constant_priors import known_model
+from pinav.fitting.engine.local_model import known_model
 from pinav.forces import GaussianBarrier
 from pinav.forces.profiles import Lorentzian
 from pinav.scenarios import barrier_crossings

@@ -37,7 +37,7 @@ from pinav.analysis.discovery.term_laws import (
     term_laws,
 )
 from pinav.errors import InputError
-from pinav.fitting.engine.constant_priors import known_model
+from pinav.fitting.engine.local_model import known_model
 from pinav.fitting.environments.summary import learned_part
 from pinav.forces import (
     CentralTerm,

@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.evidence_fit import iterate
 from pinav.fitting.evidence.weights import NoWeights
 from pinav.fitting.least_squares import Regression
 from pinav.fitting.outcome import Outcome

@@ -18,7 +18,7 @@ from pinav.fitting import (
     kernel_environment,
     neural_environment,
 )
-from pinav.fitting.environments.kernels import MOST_IN_SPACE
+from pinav.fitting.environments.kernels import MOST_WEIGHTS, OFTEN
 from pinav.fitting.environments.refinement import WORTH
 from pinav.forces import (
     AbstractForce,
@@ -198,7 +198,7 @@ def test_in_space_a_finer_grid_has_at_most_so_many_kernels():
     made = kernel_environment(KernelPotential, crowd, dim=3)
     finer = Refinement().finer(made, crowd)
     assert finer is not None
-    assert len(made.centers) < len(finer.centers) <= MOST_IN_SPACE
+    assert len(made.centers) < len(finer.centers) <= OFTEN * MOST_WEIGHTS
     assert finer.width < made.width / WORTH
     assert Refinement().finer(finer, crowd) is None
 

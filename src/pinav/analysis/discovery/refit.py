@@ -18,7 +18,7 @@ from pinav.analysis.discovery.laws import AbstractLaw, LawForce
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer, with_dtype
 from pinav.errors import FitError
 from pinav.fitting import Outcome, Posterior
-from pinav.fitting.engine.constant_priors import ParametricModel, ravel_model
+from pinav.fitting.engine.local_model import ParametricModel, ravel_model
 from pinav.fitting.engine.multiple_shooting import Linearisation, advance, linearise
 from pinav.fitting.matching.state import Observations, Trainable
 from pinav.forces.formulas import Role

@@ -32,7 +32,7 @@ from pinav.fitting import Hyperparameters, ParametricModel, ravel_model
 from pinav.fitting.bayes.neural import FitSpecification, function_prior
 from pinav.fitting.bayes.parameters import learned_environment
 from pinav.fitting.bayes.problem import BayesProblem
-from pinav.fitting.engine.constant_priors import selected_entries
+from pinav.fitting.engine.local_model import selected_entries
 from pinav.fitting.engine.multiple_shooting import linearise
 from pinav.fitting.engine.posterior import linear_rollout
 from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat, joint_posterior

@@ -16,7 +16,7 @@ from pinav.errors import InputError
 from pinav.evaluation import exact_forces, extent, require_x64
 from pinav.files import atomic_write, check_destination
 from pinav.fitting import Posterior
-from pinav.fitting.engine.constant_priors import parameter_names
+from pinav.fitting.engine.local_model import parameter_names
 from pinav.forces import AbstractForce, as_learned_force
 from pinav.learning.learned import Learned
 from pinav.trajectories import POSITION_CHANNELS

@@ -18,8 +18,7 @@ from pinav.errors import FitError
 from pinav.fitting.bayes.fit_bayes import fit_bayes
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.parameters import Learn
-from pinav.fitting.engine.evidence_fit import EvidenceFit
-from pinav.fitting.engine.iterate import EvidenceProgress
+from pinav.fitting.engine.evidence_fit import EvidenceFit, EvidenceProgress
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.outcome import Outcome

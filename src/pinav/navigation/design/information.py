@@ -31,7 +31,7 @@ from pinav.arguments import Planar, check_positive
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Observations, Posterior, ravel_model
-from pinav.fitting.engine.constant_priors import ParametricModel
+from pinav.fitting.engine.local_model import ParametricModel
 from pinav.fitting.engine.multiple_shooting import eliminate, linearise, sensitivities
 from pinav.forces import KernelPotential, SumForce
 from pinav.navigation.design.candidates import (
