@@ -327,10 +327,22 @@ def _of_option(wanted: Any) -> Any:
         real = [one for one in typing.get_args(wanted) if one is not type(None)]
         if float in real:  # a Scalar: a plain number, or an array without axes
             return float
-        if len(real) != 1:
+        family = _family(real)
+        if family is None:
             raise TypeError(f"{wanted}: what a file holds must be of one kind or null")
-        return real[0]
+        return family
     return wanted
+
+
+def _family(kinds: list[Any]) -> Any:
+    """The only kind of several, or the records that they all are; None without one."""
+    if len(kinds) == 1:
+        return kinds[0]
+    if not all(isinstance(kind, type) for kind in kinds):
+        return None
+    shared = (c for c in kinds[0].__mro__ if all(issubclass(k, c) for k in kinds))
+    nearest = next(shared)
+    return nearest if dataclasses.is_dataclass(nearest) else None
 
 
 def _parts(wanted: Any, count: int) -> tuple[Any, ...]:

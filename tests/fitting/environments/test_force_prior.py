@@ -1,7 +1,7 @@
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinav.evaluation import exact_forces
 from pinav.fitting.environments.force_prior import (
     AS_FINE_AS_FORCES,
     NOISE,
@@ -16,14 +16,9 @@ PATH = np.stack(
 )
 
 
-def forces_of(force, positions):
-    zero = jnp.zeros(2)
-    return np.array([force(0.0, jnp.asarray(x), zero) for x in positions])
-
-
 def test_the_root_is_that_of_the_smooth_process_and_a_white_part():
     barrier = GaussianBarrier(3.0, [2.0, 0.3], 1.5)
-    prior = choose_kernels(KernelPotential, PATH, PATH, forces_of(barrier, PATH))
+    prior = choose_kernels(KernelPotential, PATH, PATH, exact_forces(barrier, PATH))
     assert prior is not None
     root, size = prior.root(), prior.chosen.amplitude
     smooth = prior.environment.prior().covariance(prior.chosen.shape)
@@ -38,7 +33,7 @@ def test_kernels_are_as_fine_as_the_force_asks_for():
     widths = []
     for scale in (2.0, 0.5):
         barrier = GaussianBarrier(3.0, [2.0, 0.3], scale)
-        forces = forces_of(barrier, PATH)
+        forces = exact_forces(barrier, PATH)
         prior = choose_kernels(KernelPotential, PATH, PATH, forces)
         assert prior is not None
         assert prior.suits
@@ -50,10 +45,10 @@ def test_kernels_are_as_fine_as_the_force_asks_for():
 
 def test_the_force_of_the_mean_is_that_at_the_samples():
     barrier = GaussianBarrier(3.0, [2.0, 0.3], 1.5)
-    forces = forces_of(barrier, PATH)
+    forces = exact_forces(barrier, PATH)
     prior = choose_kernels(KernelForce, PATH, PATH, forces)
     assert prior is not None
-    missed = forces_of(prior.force, PATH) - forces
+    missed = exact_forces(prior.force, PATH) - forces
     size = np.sqrt(np.mean(forces**2))
     assert np.sqrt(np.mean(missed**2)) == pytest.approx(prior.missed * size)
     columns = force_columns(prior.environment, PATH) @ prior.mean

@@ -1,8 +1,8 @@
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinav.evaluation import exact_forces
 from pinav.fitting.environments.force_prior import AS_FINE_AS_FORCES
 from pinav.fitting.environments.kernel_layers import lay_layers, layers_root
 from pinav.fitting.environments.kernels import num_weights
@@ -15,14 +15,11 @@ LINES = CENTER + ALONG * np.concatenate([np.cos(ANGLES), np.sin(ANGLES)], axis=2
 POSITIONS = LINES.reshape(-1, 2) + [0.1, 0.0]
 
 
-def forces_of(hill, positions=POSITIONS):
-    at = jax.vmap(lambda x: hill(0.0, x, jnp.zeros(2)))
-    return np.asarray(at(jnp.asarray(positions)))
-
-
 @pytest.fixture(scope="module")
 def layers():
-    return lay_layers(POSITIONS, forces_of(PowerHill(3.0, CENTER, 0.8, 2.0))).layers
+    return lay_layers(
+        POSITIONS, exact_forces(PowerHill(3.0, CENTER, 0.8, 2.0), POSITIONS)
+    ).layers
 
 
 def test_layers_are_half_as_wide_each_and_the_finest_where_the_hill_is_steep(layers):
@@ -35,7 +32,9 @@ def test_layers_are_half_as_wide_each_and_the_finest_where_the_hill_is_steep(lay
 
 
 def test_a_smooth_force_needs_few_layers(layers):
-    smooth = lay_layers(POSITIONS, forces_of(GaussianBarrier(3.0, CENTER, 8.0)))
+    smooth = lay_layers(
+        POSITIONS, exact_forces(GaussianBarrier(3.0, CENTER, 8.0), POSITIONS)
+    )
     assert len(smooth.layers) < len(layers)
 
 
@@ -55,7 +54,7 @@ def test_weights_of_a_layer_are_as_large_as_the_forces_ask_for():
     weights = jnp.asarray(2.0 * rng.normal(size=40))
     truth = KernelPotential(weights, jnp.asarray(places[:40]), 0.8)
     root = layers_root(
-        LayeredPotential(tuple(layers)), places, forces_of(truth, places)
+        LayeredPotential(tuple(layers)), places, exact_forces(truth, places)
     )
     sizes = root.diagonal()
     np.testing.assert_array_equal(root, np.diag(sizes))

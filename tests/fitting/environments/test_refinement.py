@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import AbstractDynamics, FixedStep, rollout
 from pinav.errors import InputError
+from pinav.evaluation.force_fields import force_error_at_samples
 from pinav.fitting import (
     KernelGrid,
     Outcome,
@@ -74,15 +75,8 @@ def untrained(truth, data, grid=FEW):
     return eqx.tree_at(lambda m: m.environment, truth, environment)
 
 
-def error(found, truth, data):
-    """Relative error of the force at the observed positions."""
-    points = jnp.asarray(data.states.reshape(-1, 1))
-
-    def forces(force):
-        return np.asarray(jax.vmap(lambda x: force(0.0, x, jnp.zeros_like(x)))(points))
-
-    true = forces(truth.environment)
-    return np.linalg.norm(forces(found.model.environment) - true) / np.linalg.norm(true)
+def error(fit, truth, data):
+    return force_error_at_samples(fit.model.environment, truth.environment, data)
 
 
 @pytest.fixture(scope="module")

@@ -34,6 +34,7 @@ from pinav.fitting.environments.rates import (
     residual_forces,
     thin_rates,
 )
+from pinav.fitting.matching import recipes
 from pinav.fitting.matching.gauss_newton import Rates
 from pinav.forces import (
     AbstractForce,
@@ -45,9 +46,6 @@ from pinav.forces import (
     as_learned_force,
 )
 from pinav.trajectories import Trajectories, informative_rows
-
-MOST_RATES = 300
-"""Samples whose rates a network learns, at most."""
 
 
 def match_kernels(swimmer: Swimmer, rates: Rates) -> AbstractForce:
@@ -199,7 +197,7 @@ def rates_to_match(model: Any, trajectories: Trajectories) -> Rates | None:
         offsets = BESIDE * spread * rng.normal(size=rates.states.shape)
         beside = dataclasses.replace(rates, states=rates.states + offsets)
         return jax.tree.map(lambda *a: np.concatenate(a), rates, beside)
-    rates = thin_rates(rates, MOST_RATES)
+    rates = thin_rates(rates, recipes.MOST_SAMPLES)
     return dataclasses.replace(rates, rates=rates.rates[:, dim:])
 
 

@@ -6,6 +6,7 @@ from operator import attrgetter
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.fitting.environments.gradient_matching import kernels_of
@@ -21,6 +22,7 @@ from pinav.fitting.environments.rates import (
     residual_forces,
     thin_rates,
 )
+from pinav.fitting.matching.gauss_newton import Rates
 from pinav.forces import (
     AbstractLearnedForce,
     KernelForce,
@@ -115,7 +117,7 @@ class DataSummary:
     environment: AbstractLearnedForce | None = None
     mobility: KernelTensor | None = None
 
-    def of_fit(self, model: KnownSwimmer) -> "DataSummary":
+    def of_fit(self, model: Any) -> "DataSummary":
         """The summary of a fitted model, whose kernels may be finer than at first."""
         mobility = getattr(model, "mobility", None)
         mobility = mobility if isinstance(mobility, KernelTensor) else None
@@ -152,9 +154,8 @@ def summarise_for_matching(
     rates = observed_rates(data) if isinstance(swimmer, Swimmer) else None
     if rates is None:
         return summary
-    if choice.name.startswith("kernel-"):
-        kind = KernelPotential if choice.name == "kernel-potential" else KernelForce
-        laid = kernels_of(kind, swimmer, rates)
+    if summary.environment is not None:
+        laid = _kernels_for(summary.environment, swimmer, rates)
         return dataclasses.replace(summary, environment=laid)
     few, dim = thin_rates(rates, MOST_SAMPLES), summary.dim
     if choice.name in POSITION_NETWORKS:
@@ -172,6 +173,17 @@ def summarise_for_matching(
         mean=(*map(float, region.center), *summary.mean[dim:]),
         std=(*[region.radius] * dim, *summary.std[dim:]),
     )
+
+
+def _kernels_for(
+    environment: AbstractLearnedForce, swimmer: Swimmer, rates: Rates
+) -> AbstractLearnedForce:
+    """Kernels of the same kind as those of an environment, as the rates ask for."""
+    if isinstance(environment, KernelPotential):
+        return kernels_of(KernelPotential, swimmer, rates)
+    laid = kernels_of(KernelForce, swimmer, rates).kernels
+    assert laid is not None  # kernels are laid on places
+    return environment.kernels_on(np.asarray(laid.centers), float(laid.width))
 
 
 def summarise_for(choice: ModelChoice, data: Trajectories) -> DataSummary:
