@@ -26,7 +26,9 @@ def test_layers_are_half_as_wide_each_and_the_finest_where_the_hill_is_steep(lay
     widths = np.array([layer.width for layer in layers])
     assert len(layers) > 2
     np.testing.assert_allclose(widths[1:], 0.5 * widths[:-1])
-    reach = [np.linalg.norm(one.centers - CENTER, axis=1).max() for one in layers]
+    reach = [
+        np.linalg.norm(np.asarray(one.centers) - CENTER, axis=1).max() for one in layers
+    ]
     assert reach[0] > 14.0
     assert reach[-1] < 4.0
 
