@@ -195,15 +195,11 @@ def summarise_for(choice: ModelChoice, data: Trajectories) -> DataSummary:
 
 
 KERNELS: dict[str, Callable[[Trajectories], AbstractLearnedForce]] = {
-    "kernel-potential": lambda data: _kernels(KernelPotential, data),
-    "kernel-force": lambda data: _kernels(KernelForce, data),
-    MIXTURE: lambda data: _kernels(KernelMixture, data),
+    "kernel-potential": lambda data: kernel_environment(
+        KernelPotential, data, dim=data.dim
+    ),
+    "kernel-force": lambda data: kernel_environment(KernelForce, data, dim=data.dim),
+    MIXTURE: lambda data: kernel_environment(KernelMixture, data, dim=data.dim),
     TIMED: lambda data: changing_environment(data, dim=data.dim),
 }
 """Untrained environments of kernels around data, by the names of models."""
-
-
-def _kernels(
-    kind: type[KernelPotential | KernelForce | KernelMixture], data: Trajectories
-) -> AbstractLearnedForce:
-    return kernel_environment(kind, data, dim=data.dim)
