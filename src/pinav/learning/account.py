@@ -29,14 +29,13 @@ from pinav.fitting import (
     is_worth_a_search,
     simpler_models,
 )
-from pinav.fitting.environments.summary import MIXTURE, KnownSwimmer
+from pinav.fitting.environments.summary import MIXTURE, PROFILE, KnownSwimmer
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined
 from pinav.forces import (
     AbstractForce,
     AbstractProfileTerm,
     AbstractTerm,
-    KernelProfile,
     as_learned_force,
     split_structure,
 )
@@ -338,8 +337,8 @@ def _force_error(
 def _force_lines(fit: Learned, plan: FitPlan) -> dict[str, ForceLine]:
     """The force along lines through data that are not planar."""
     model: Any = fit.model
-    force = model.environment
-    axes = force.along if isinstance(force, KernelProfile) else range(plan.data.dim)
+    has_profile = plan.choice.name == PROFILE
+    axes = model.environment.along if has_profile else range(plan.data.dim)
     truth = _true_environment(plan)
     return {
         plan.data.channels[axis]: force_line(

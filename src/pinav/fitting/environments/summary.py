@@ -22,15 +22,12 @@ from pinav.fitting.environments.rates import (
     residual_forces,
     thin_rates,
 )
-from pinav.fitting.matching.gauss_newton import Rates
 from pinav.forces import (
     AbstractLearnedForce,
     KernelForce,
     KernelMixture,
     KernelPotential,
     KernelTensor,
-    NeuralForce,
-    NeuralPotential,
     as_learned_force,
 )
 from pinav.trajectories import Trajectories
@@ -122,8 +119,8 @@ class DataSummary:
         mobility = getattr(model, "mobility", None)
         mobility = mobility if isinstance(mobility, KernelTensor) else None
         learned = as_learned_force(model.environment)
-        if isinstance(learned, NeuralForce | NeuralPotential):
-            learned = None
+        if learned is not None and not learned.is_linear:
+            learned = None  # a network
         return dataclasses.replace(self, environment=learned, mobility=mobility)
 
 
@@ -154,9 +151,15 @@ def summarise_for_matching(
     rates = observed_rates(data) if isinstance(swimmer, Swimmer) else None
     if rates is None:
         return summary
-    if summary.environment is not None:
-        laid = _kernels_for(summary.environment, swimmer, rates)
+    if choice.name == "kernel-potential":
+        laid = kernels_of(KernelPotential, swimmer, rates)
         return dataclasses.replace(summary, environment=laid)
+    if summary.environment is not None:
+        laid = kernels_of(KernelForce, swimmer, rates).kernels
+        assert laid is not None  # kernels are laid on places
+        places = np.asarray(laid.centers), float(laid.width)
+        made = summary.environment.kernels_on(*places)
+        return dataclasses.replace(summary, environment=made)
     few, dim = thin_rates(rates, MOST_SAMPLES), summary.dim
     if choice.name in POSITION_NETWORKS:
         region = force_region(few, residual_forces(swimmer, few))
@@ -173,17 +176,6 @@ def summarise_for_matching(
         mean=(*map(float, region.center), *summary.mean[dim:]),
         std=(*[region.radius] * dim, *summary.std[dim:]),
     )
-
-
-def _kernels_for(
-    environment: AbstractLearnedForce, swimmer: Swimmer, rates: Rates
-) -> AbstractLearnedForce:
-    """Kernels of the same kind as those of an environment, as the rates ask for."""
-    if isinstance(environment, KernelPotential):
-        return kernels_of(KernelPotential, swimmer, rates)
-    laid = kernels_of(KernelForce, swimmer, rates).kernels
-    assert laid is not None  # kernels are laid on places
-    return environment.kernels_on(np.asarray(laid.centers), float(laid.width))
 
 
 def summarise_for(choice: ModelChoice, data: Trajectories) -> DataSummary:
