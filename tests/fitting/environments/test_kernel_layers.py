@@ -42,7 +42,7 @@ def test_a_smooth_force_needs_few_layers(layers):
 
 def test_a_force_that_no_kernels_explain_ends(layers):
     noise = np.random.default_rng(0).normal(size=POSITIONS.shape)
-    for laid in (lay_layers(POSITIONS, noise), LayeredPotential(layers)):
+    for laid in (lay_layers(POSITIONS, POSITIONS, noise), LayeredPotential(layers)):
         assert num_weights(laid) <= AS_FINE_AS_FORCES.max_weights
 
 

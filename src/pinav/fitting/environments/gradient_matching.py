@@ -63,9 +63,8 @@ def match_kernels(swimmer: Swimmer, rates: Rates) -> AbstractForce:
         prior = choose_kernels(kind, *samples)
         if prior is not None:
             return prior.force
-    _, positions, forces = samples
-    layers = lay_layers(positions, forces)
-    return with_weights(layers, regress(layers, positions, forces))
+    layers = lay_layers(*samples)
+    return with_weights(layers, regress(layers, samples.positions, samples.forces))
 
 
 def kernels_of(
@@ -81,7 +80,7 @@ def kernels_of(
     if prior is not None:
         return prior.environment
     if kind is KernelPotential:
-        return lay_layers(samples.positions, samples.forces)
+        return lay_layers(*samples)
     *_, finest = kernel_ladder(kind, samples.places)
     return finest
 

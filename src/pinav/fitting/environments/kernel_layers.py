@@ -37,17 +37,21 @@ ROUNDS = 12
 
 
 def lay_layers(
-    positions: Float[np.ndarray, "point dim"], forces: Float[np.ndarray, "point dim"]
+    places: Float[np.ndarray, "place dim"],
+    positions: Float[np.ndarray, "point dim"],
+    forces: Float[np.ndarray, "point dim"],
 ) -> LayeredPotential:
     """Layers of kernels, each half as wide as the one before.
 
     Each layer surrounds the positions whose force the wider ones leave unexplained.
 
     Args:
-        positions: where the force is known, not all the same.
+        places: which the widest kernels surround, not all the same [L].
+        positions: where the force is known [L].
+        forces: there [L T⁻²].
     """
     levels = np.zeros(len(positions), int)
-    laid = _layers_around(positions, levels)
+    laid = _layers_around(places, positions, levels)
     largest = float(np.linalg.norm(forces, axis=1).max())
     while True:
         explained = force_columns(laid, positions) @ regress(laid, positions, forces)
@@ -56,20 +60,23 @@ def lay_layers(
         levels = levels + asking
         if not asking.any() or levels.max() >= MOST_LAYERS:
             return laid
-        finer = _layers_around(positions, levels)
+        finer = _layers_around(places, positions, levels)
         if num_weights(finer) > AS_FINE_AS_FORCES.max_weights:
             return laid
         laid = finer
 
 
 def _layers_around(
-    positions: Float[np.ndarray, "point dim"], levels: Int[np.ndarray, " point"]
+    places: Float[np.ndarray, "place dim"],
+    positions: Float[np.ndarray, "point dim"],
+    levels: Int[np.ndarray, " point"],
 ) -> LayeredPotential:
     """Kernels of every level around the positions of this level or of finer ones."""
-    extent, layers = float(np.ptp(positions, axis=0).max()), []
+    extent, layers = float(np.ptp(places, axis=0).max()), []
     for level in range(levels.max() + 1):
-        spacing, asking = extent / ACROSS / 2.0**level, positions[levels >= level]
-        centers = kernel_centers(asking, spacing=spacing, margin=MARGIN * spacing)
+        around = positions[levels >= level] if level else places
+        spacing = extent / ACROSS / 2.0**level
+        centers = kernel_centers(around, spacing=spacing, margin=MARGIN * spacing)
         layers.append(KernelPotential.with_zero_weights(centers, WIDTH * spacing))
     return LayeredPotential(tuple(layers))
 
