@@ -36,7 +36,7 @@ from pinav.thermal.boundaries import (
 )
 from pinav.thermal.dose import cem43_segment
 from pinav.thermal.grids import CartesianGrid, RadialGrid
-from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
+from pinav.thermal.perfusion import ConstantPerfusion, RegionalPerfusion, lang
 from pinav.thermal.protocols import plan_steps
 from pinav.thermal.quantities import Number
 from pinav.thermal.rosenbrock import Rosenbrock
@@ -121,7 +121,7 @@ def _two_media() -> Iterator[Check]:
     grid = RadialGrid.sphere(10 * radius, 400)
     fraction = grid.ball(radius)
     inner, outside = Tissue(0.778, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)
-    tissue = mix(fraction, inner, outside)
+    tissue = mix((fraction, 1 - fraction), (inner, outside))
     model = reference_model(grid, 6.15e6 * fraction, None, 0.0, tissue)
     media = Medium(0.778, 1660.0 * 2540.0), Medium(0.642, 3.72e6)
     probes = probes_at(model, [0.0])
@@ -150,11 +150,12 @@ def two_shells(count: int, *, cut: bool = True) -> tuple[Bioheat, tuple[Any, ...
     """
     grid = RadialGrid.sphere(0.05, count)
     fraction = grid.ball(0.01) if cut else jnp.round(grid.ball(0.01))
+    shares, laws = (fraction, 1 - fraction), map(ConstantPerfusion, (0.833, 0.45))
     model = Bioheat(
         grid,
-        mix(fraction, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
+        mix(shares, (Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0))),
         Blood(1000.0, 4180.0),
-        MixedPerfusion(fraction, ConstantPerfusion(0.833), ConstantPerfusion(0.45)),
+        RegionalPerfusion(shares, tuple(laws)),
         (PowerSource(1.0579e5 * fraction + 700.0 * (1 - fraction), AMPLITUDE),),
         outer(Dirichlet(37.0)),
     )
