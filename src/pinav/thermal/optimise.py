@@ -263,8 +263,9 @@ class _Memory:
 
     def at(self, numbers: np.ndarray) -> _Evaluation:
         if self.place is None or not np.array_equal(numbers, self.place):
-            *found, solution = _evaluate(self.problem, jnp.asarray(numbers))
-            self.last = _Evaluation(*map(np.asarray, found), solution)
+            found = _evaluate(self.problem, jnp.asarray(numbers))
+            values, jacobian = map(np.asarray, found[:2])
+            self.last = _Evaluation(values, jacobian, found[2])
             self.place, self.count = np.array(numbers), self.count + 1
             value, *excesses = self.last.values
             if max(excesses, default=-1.0) <= FEASIBLE and value > self.best_value:
