@@ -35,7 +35,7 @@ def heated_tumour(grid, side):
         mix(shares, (Tissue(0.55, 1045.0, 3600.0), muscle)),
         Blood(),
         RegionalPerfusion(shares, (lang("tumour"), lang("muscle"))),
-        (PowerSource(2.2e5 * share, 1e4), EddySource(0.1, 0.4)),
+        (PowerSource(2.2e5 * share, 1e4), EddySource(0.4, 0.1)),
         outer(side) if len(grid.shape) == 1 else around(grid, side),
     )
 

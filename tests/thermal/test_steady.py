@@ -25,7 +25,7 @@ from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import RegionalPerfusion, lang
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import solve
-from pinav.thermal.sources import DistantEddySource, axis_distance
+from pinav.thermal.sources import EddySource, axis_distance
 from pinav.thermal.starts import (
     AtSteadyState,
     HeatState,
@@ -161,7 +161,7 @@ def test_damage_is_accumulated_beside_the_dose():
 
 def test_eddy_power_grows_with_the_square_of_the_radius():
     grid = RadialGrid.cylinder(0.1, 20)
-    source = DistantEddySource(0.4)
+    source = EddySource(0.4)
     level = source.level(4.85e3, 1e5)
     # 1.649740e4 W/m³ at 15 cm
     expected = 1.649740e4 * (grid.centers / 0.15) ** 2

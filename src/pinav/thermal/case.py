@@ -45,7 +45,7 @@ from pinav.thermal.quantities import (
     explain,
     read_module,
 )
-from pinav.thermal.sources import AbstractSource, DistantEddySource, EddySource
+from pinav.thermal.sources import EddySource
 from pinav.thermal.tissues import Blood
 
 ARRAYS = 40
@@ -122,11 +122,10 @@ class Case(Strict, frozen=True):
         return read_boundary("wall", self.wall_table)
 
     @property
-    def eddy(self) -> AbstractSource | None:
+    def eddy(self) -> EddySource | None:
         """Eddy currents, of one radius or about an axis."""
-        kinds = EddySource, DistantEddySource
         table = self.eddy_table
-        return None if table is None else read_module("eddy", kinds, table)
+        return None if table is None else read_module("eddy", (EddySource,), table)
 
     @property
     def damage(self) -> Arrhenius | None:

@@ -226,13 +226,6 @@ class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
     scale: Scale = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("amplitudes", "frequencies"):
-            values = getattr(self, name)
-            if not values or sorted(set(values)) != list(values):
-                raise ValueError(
-                    f"{name}: expected increasing numbers, got {list(values)}; sort "
-                    "the table"
-                )
         shape = [len(self.frequencies)] * len(self.amplitudes)
         if [len(row) for row in self.slp] != shape:
             raise ValueError(
@@ -240,6 +233,7 @@ class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
                 f"of {len(self.frequencies)} numbers, one for each frequency, got rows "
                 f"of {[len(row) for row in self.slp]}"
             )
+        self.heating()  # refuses a table that is not in order
 
     def heating(self) -> AbstractHeating:
         return TabulatedHeating(
