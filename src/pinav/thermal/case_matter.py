@@ -227,7 +227,7 @@ class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
 
     def __post_init__(self) -> None:
         shape = [len(self.frequencies)] * len(self.amplitudes)
-        if [len(row) for row in self.slp] != shape:
+        if any(shape) and [len(row) for row in self.slp] != shape:
             raise ValueError(
                 f"slp: expected {len(self.amplitudes)} rows, one for each amplitude, "
                 f"of {len(self.frequencies)} numbers, one for each frequency, got rows "
