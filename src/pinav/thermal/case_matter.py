@@ -40,6 +40,7 @@ from pinav.thermal.sources import (
     LinearResponse,
     LogNormalSizes,
     TabulatedHeating,
+    check_increasing,
 )
 from pinav.thermal.tissues import Blood, Tissue, preset
 
@@ -226,14 +227,14 @@ class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
     scale: Scale = 1.0
 
     def __post_init__(self) -> None:
+        check_increasing(self, "amplitudes", "frequencies")
         shape = [len(self.frequencies)] * len(self.amplitudes)
-        if any(shape) and [len(row) for row in self.slp] != shape:
+        if [len(row) for row in self.slp] != shape:
             raise ValueError(
                 f"slp: expected {len(self.amplitudes)} rows, one for each amplitude, "
                 f"of {len(self.frequencies)} numbers, one for each frequency, got rows "
                 f"of {[len(row) for row in self.slp]}"
             )
-        self.heating()  # refuses a table that is not in order
 
     def heating(self) -> AbstractHeating:
         return TabulatedHeating(

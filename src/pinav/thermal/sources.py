@@ -197,13 +197,7 @@ class TabulatedHeating(AbstractHeating):
     values: Float[Array, "amplitude frequency"] = eqx.field(converter=jnp.asarray)
 
     def __check_init__(self) -> None:
-        for name in ("amplitudes", "frequencies"):
-            axis = np.asarray(getattr(self, name))
-            if not (axis.size and np.all(axis > 0) and np.all(np.diff(axis) > 0)):
-                raise InputError(
-                    f"{name}: expected increasing numbers > 0, got {axis.tolist()}; "
-                    "sort the table"
-                )
+        check_increasing(self, "amplitudes", "frequencies")
 
     def slp(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         strength = jnp.asarray(amplitude, float)
@@ -214,6 +208,17 @@ class TabulatedHeating(AbstractHeating):
 
     def validity(self, amplitude: Scalar) -> Float[Array, ""]:
         return jnp.asarray(amplitude / self.amplitudes[-1])
+
+
+def check_increasing(table: Any, *names: str) -> None:
+    """Refuse axes of a table that are empty, not positive or not in order."""
+    for name in names:
+        axis = np.asarray(getattr(table, name), float)
+        if not (axis.size and np.all(axis > 0) and np.all(np.diff(axis) > 0)):
+            raise InputError(
+                f"{name}: expected increasing numbers > 0, got {axis.tolist()}; sort "
+                "the table"
+            )
 
 
 class AbstractSource(eqx.Module):
