@@ -172,6 +172,20 @@ def write_inputs(out: Path) -> None:
         (out / f"{name}.toml").write_text("step = 10.0\n" + coarse)
 
 
+class Pieces(NamedTuple):
+    """Arrays of one size and slices of arrays, one in a row.
+
+    Attributes:
+        labels: where each of them stands.
+        values: their elements.
+        sums: of the absolute values of each.
+    """
+
+    labels: list[str]
+    values: np.ndarray
+    sums: np.ndarray
+
+
 class Numbers(NamedTuple):
     """Numbers of a run, by the file and the path in it where they stand.
 
@@ -189,13 +203,18 @@ class Numbers(NamedTuple):
         values = np.concatenate([list(self.scalars.values()), *short, [0.0]])
         return np.unique(values[np.isfinite(values)])
 
-    def pieces(self) -> dict[int, list[tuple[str, np.ndarray]]]:
+    def pieces(self) -> dict[int, Pieces]:
         """Arrays, and slices of them along the first and the last axis, by size."""
-        by_size: dict[int, list[tuple[str, np.ndarray]]] = {}
+        by_size: dict[int, dict[str, np.ndarray]] = {}
         for name, array in self.arrays.items():
             for label, piece in _slices(name, array):
-                by_size.setdefault(piece.size, []).append((label, piece.ravel()))
-        return by_size
+                by_size.setdefault(piece.size, {})[label] = piece.ravel()
+        made = {}
+        for size, several in by_size.items():
+            values = np.stack(list(several.values()))
+            sums = np.nansum(np.abs(values), axis=1)
+            made[size] = Pieces(list(several), values, sums)
+        return made
 
 
 def _slices(name: str, array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
@@ -354,21 +373,20 @@ def _equal(a: Any, b: Any) -> bool:
     return bool(np.allclose(b, a, rtol=TOLERANCE, atol=SMALL * scale, equal_nan=True))
 
 
-def _place(
-    name: str, array: np.ndarray, pieces: dict[int, list[tuple[str, np.ndarray]]]
-) -> str:
+def _place(name: str, array: np.ndarray, pieces: dict[int, Pieces]) -> str:
     """Where an array stands, whole, or each of its slices along an axis; else empty."""
-    total = np.nansum(np.abs(array))
-    for label, piece in pieces.get(array.size, []):
-        ratio = np.nansum(np.abs(piece)) / total if total else 1.0
-        if not np.isclose([ratio] * 3, [1.0, 100.0, 0.01], rtol=1e-5).any():
-            continue
-        if _equal(array, piece):
-            return label
-        if _equal(np.sort(array, axis=None), np.sort(piece)):
-            return f"{label}, in another order"
-        if _equal(100 * array, piece) or _equal(array, 100 * piece):
-            return f"{label}, in %"
+    if same_size := pieces.get(array.size):
+        total = np.nansum(np.abs(array))
+        ratios = same_size.sums / total if total else np.ones(len(same_size.sums))
+        likely = np.isclose(ratios[:, None], [1.0, 100.0, 0.01], rtol=1e-5).any(axis=1)
+        for index in np.flatnonzero(likely):
+            label, piece = same_size.labels[index], same_size.values[index]
+            if _equal(array, piece):
+                return label
+            if _equal(np.sort(array, axis=None), np.sort(piece)):
+                return f"{label}, in another order"
+            if _equal(100 * array, piece) or _equal(array, 100 * piece):
+                return f"{label}, in %"
     if array.ndim < 2:
         return ""
     for axis in (-1, 0):

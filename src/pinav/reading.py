@@ -130,13 +130,17 @@ class Reading(Settings, frozen=True):
 
 
 def _of_file(path: Path) -> Content:
+    """What a file states; the log of commands that it names lies beside it."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(
             f"--reading {path}: expected NAME=VALUE, or a TOML file that pinav inspect "
             f"wrote: {error}"
         ) from error
+    if isinstance(log := content.get("commands"), str):
+        content["commands"] = str(path.parent / log)
+    return content
 
 
 PLAIN = Reading()

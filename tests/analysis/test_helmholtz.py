@@ -83,6 +83,24 @@ def test_what_lies_far_from_the_data_has_no_say():
     assert found.rotational_fraction < 1e-3
 
 
+def test_the_split_does_not_depend_on_rounding():
+    """On coarse grids kernels lie just within reach of the samples, or just beyond."""
+    axes = [np.linspace(-0.5, 22.7, 15), np.linspace(-6.0, 17.2, 15)]
+    points = np.stack(np.meshgrid(*axes), axis=-1)
+    force = np.stack([np.cos(points[..., 1] / 3), np.sin(points[..., 0] / 4)], axis=-1)
+    distance = np.where(np.abs(points[..., 0] - points[..., 1]) < 4.0, 0.0, np.inf)
+    fractions = {
+        round(
+            helmholtz_split(
+                FieldMap(axes[0] + shift, axes[1] - shift, force, distance), reach=1.0
+            ).rotational_fraction,
+            6,
+        )
+        for shift in 1e-12 * np.arange(-5, 6)
+    }
+    assert len(fractions) == 1
+
+
 def test_fractions_of_samples_are_those_of_each():
     field = FieldMap(AXIS, AXIS, GRADIENT, near_paths())
     forces = np.stack([GRADIENT, SWIRL, GRADIENT - SWIRL])

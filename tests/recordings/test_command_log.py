@@ -106,3 +106,12 @@ def test_a_file_with_commands_takes_no_log(files, tmp_path):
     tidy.write_text("t_s,x_um,y_um,freq_hz,alpha_rad\n0,0,0,1,0\n1,1,0,1,0\n")
     with pytest.raises(InputError, match="commands: the file has commands itself"):
         read_recording(tidy, Reading(commands=log))
+
+
+def test_a_log_lies_beside_the_file_that_names_it(files, tmp_path):
+    tracks, log = files(0.0, header="frame,alpha [rad],freq [Hz]")
+    lines = 'commands = "log.csv"\nfps = 10\n[columns]\nframe = "frame"\n'
+    (tmp_path / "reading.toml").write_text(lines + 'x = "x"\ny = "y"\n')
+    reading = Reading.of_words([str(tmp_path / "reading.toml")])
+    assert reading.commands == log
+    assert "heading" in read_recording(tracks, reading).commands

@@ -343,7 +343,9 @@ def kernel_centers(
     axes = [np.arange(a, b + spacing, spacing) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     points = grid.reshape(-1, positions.shape[1])
-    return points[KDTree(positions).query(points)[0] < margin]
+    # positions on a grid have centers at this very distance, which rounding must not
+    # include or leave out
+    return points[KDTree(positions).query(points)[0] < (1 - 1e-9) * margin]
 
 
 def kernel_values(

@@ -23,3 +23,7 @@ from pinav.scenarios.paths import true_paths as true_paths
 from pinav.scenarios.thermal_truths import brownian as brownian
 from pinav.scenarios.thermal_truths import ring as ring
 from pinav.scenarios.thermal_truths import wall as wall
+from pinav.scenarios.vessels import above_wall as above_wall
+from pinav.scenarios.vessels import bifurcation as bifurcation
+from pinav.scenarios.vessels import box as box
+from pinav.scenarios.vessels import tube as tube

@@ -1,60 +1,41 @@
 """Systems by their names: built-in scenarios, files, names in a Python file."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, runtime_checkable
 
 from jaxtyping import PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.scenarios.crossings import (
-    barrier_crossings,
-    fibres,
-    many_barriers,
-    moving_barrier,
-    paper,
-    swirl,
-)
-from pinav.scenarios.media import (
-    anisotropic_drag,
-    channel_current,
-    drift_current,
-    poiseuille,
-    porous,
-    shear,
-    shear_current,
-    varying_director,
-    vortex_current,
-)
-from pinav.scenarios.starts_and_thrusts import Scenario
-from pinav.scenarios.thermal_truths import brownian, ring, wall
-from pinav.scenarios.vessels import above_wall, bifurcation, box, tube
 from pinav.systems import System, parse_system, read_system
 
-SCENARIOS: dict[str, Scenario] = {
-    "paper": paper,
-    "barrier-crossings": barrier_crossings,
-    "many-barriers": many_barriers,
-    "fibres": fibres,
-    "swirl": swirl,
-    "anisotropic-drag": anisotropic_drag,
-    "varying-director": varying_director,
-    "moving-barrier": moving_barrier,
-    "porous": porous,
-    "shear": shear,
-    "poiseuille": poiseuille,
-    "brownian": brownian,
-    "shear-current": shear_current,
-    "channel-current": channel_current,
-    "vortex-current": vortex_current,
-    "drift-current": drift_current,
-    "box": box,
-    "above-wall": above_wall,
-    "tube": tube,
-    "bifurcation": bifurcation,
-    "wall": wall,
-    "ring": ring,
-}
-"""Named scenarios: each takes an optional random key and number of trajectories."""
+
+@runtime_checkable
+class Scenario(Protocol):
+    """A named system."""
+
+    def __call__(
+        self, key: PRNGKeyArray | None = None, count: int | None = None
+    ) -> System:
+        """The system with starts of its rule, by default of `jax.random.key(0)`."""
+        ...
+
+
+SCENARIOS: dict[str, Scenario] = {}
+"""Built-in scenarios by their names, in the order in which they are defined."""
+
+
+def with_random_starts(build: Callable[[], System]) -> Scenario:
+    """The scenario of a function that states a system and the rule of its starts.
+
+    Its name is that of the function, with hyphens.
+    """
+
+    def scenario(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+        return build().with_starts(key, count)
+
+    scenario.__doc__, scenario.__name__ = build.__doc__, build.__name__
+    SCENARIOS[build.__name__.replace("_", "-")] = scenario
+    return scenario
 
 
 def scenario(

@@ -23,7 +23,7 @@ from pinav.forces import (
     random_barriers,
     random_fibres,
 )
-from pinav.scenarios.starts_and_thrusts import with_random_starts
+from pinav.scenarios.catalogue import SCENARIOS, with_random_starts
 from pinav.systems import (
     AbstractStarts,
     CoastingStarts,
@@ -105,6 +105,9 @@ def paper(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
         rule=RING,
         times=jnp.linspace(0.0, 50.0, 501),
     )
+
+
+SCENARIOS["paper"] = paper
 
 
 @with_random_starts

@@ -30,8 +30,8 @@ from pinav.forces import (
     WavyDirector,
     ZeroForce,
 )
+from pinav.scenarios.catalogue import with_random_starts
 from pinav.scenarios.crossings import DAMPING, MANY, RING, paper_swimmer, planar_system
-from pinav.scenarios.starts_and_thrusts import with_random_starts
 from pinav.systems import Observation, System, UniformStarts
 
 

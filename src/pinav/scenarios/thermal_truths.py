@@ -19,7 +19,7 @@ from pinav.forces import (
     ZeroForce,
     stokes_drag,
 )
-from pinav.scenarios.starts_and_thrusts import with_random_starts
+from pinav.scenarios.catalogue import with_random_starts
 from pinav.systems import Observation, System, UniformStarts, Units
 
 UNITS = Units("um", "s", "pN")

@@ -11,6 +11,7 @@ belongs into the noise of a task.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from pinav.dynamics import OverdampedSwimmer
 from pinav.forces import (
@@ -24,6 +25,7 @@ from pinav.forces import (
     HarmonicTrap,
     LinearForce,
     Plane,
+    ScheduledThrust,
     Superposition,
     Tube,
     TubeFlow,
@@ -32,7 +34,7 @@ from pinav.forces import (
     ZeroForce,
     random_barriers,
 )
-from pinav.scenarios.starts_and_thrusts import out_and_back, with_random_starts
+from pinav.scenarios.catalogue import with_random_starts
 from pinav.systems import Observation, System, UniformStarts, Units
 
 UNITS = Units("um", "s", "pN")
@@ -42,6 +44,31 @@ RADIUS, VISCOSITY, EXCESS_DENSITY = 5.0, 1.0, 20.0
 
 FIELD_SEED = 2
 """The field is drawn once: keys of the scenario change its starts, not its world."""
+
+
+def out_and_back(
+    duration: float, held: float, size: float, *, steep: float = 1.0
+) -> ScheduledThrust:
+    """A thrust that jumps from direction to direction, each followed by its opposite.
+
+    Heights along z and angles about it advance by irrational parts of a turn, so that
+    the directions of any few neighbours differ much. Out and back, so that a swimmer
+    stays near its start: one schedule for all would else herd them together.
+
+    Args:
+        held: duration of each direction [T].
+        size: magnitude of the thrust.
+        steep: greatest component along z of a direction of length 1.
+    """
+    times = np.arange(0.0, duration, held)
+    pair = np.arange(len(times)) // 2
+    height = steep * (2 * np.modf(pair * (np.sqrt(2.0) - 1))[0] - 1)
+    angle = 2 * np.pi * pair * (np.sqrt(5.0) - 1) / 2
+    across = np.sqrt(1 - height**2)
+    outward = np.stack([across * np.cos(angle), across * np.sin(angle), height], axis=1)
+    sign = np.where(np.arange(len(times)) % 2 == 0, size, -size)
+    thrust = jnp.asarray(sign[:, None] * outward)
+    return ScheduledThrust(jnp.asarray(times), thrust, thrust, 0.0, 0.0)
 
 
 @with_random_starts

@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import msgspec
 
 from pinav.errors import InputError
 from pinav.systems.codec import TOML
@@ -70,17 +71,10 @@ class ThermalUnknown(eqx.Module):
         Raises:
             InputError: a value is none that the key may have.
         """
-        values = dict(table)
+        values = {name: _checked(name, value) for name, value in table.items()}
         if "period" in values:
-            values["period"] = _periods(values["period"])
-        for name in ("coordinates", "warp"):
-            if name in values:
-                values[name] = _names(name, values[name])
-        for name in ("diffusion", "observation", "reference"):
-            if not isinstance(values.get(name, ""), str):
-                raise InputError(
-                    f"unknown.{name}: expected a word, got {values[name]!r}"
-                )
+            periods = values["period"].items()
+            values["period"] = tuple(f"{name}={one!r}" for name, one in periods)
         return cls(**values)
 
     def table(self) -> TOML:
@@ -94,24 +88,23 @@ class ThermalUnknown(eqx.Module):
         return values
 
 
-def _periods(value: Any) -> tuple[str, ...]:
-    if not isinstance(value, dict) or not all(
-        isinstance(number, float | int) for number in value.values()
-    ):
-        raise InputError(
-            "unknown.period: expected numbers by coordinate, such as { x = 6.2832 }, "
-            f"got {value!r}"
-        )
-    return tuple(f"{name}={float(number)!r}" for name, number in value.items())
+_FORMS: dict[str, tuple[Any, str]] = {
+    **dict.fromkeys(("diffusion", "observation", "reference"), (str, "a word")),
+    **dict.fromkeys(
+        ("coordinates", "warp"),
+        (tuple[str, ...], 'names of coordinates, such as ["z"]'),
+    ),
+    "period": (dict[str, float], "numbers by coordinate, such as { x = 6.2832 }"),
+}
+"""Type of the value of each key in a file, and words for it."""
 
 
-def _names(key: str, value: Any) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
-        raise InputError(
-            f'unknown.{key}: expected names of coordinates, such as ["z"], got '
-            f"{value!r}"
-        )
-    return tuple(value)
+def _checked(name: str, value: Any) -> Any:
+    kind, words = _FORMS[name]
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        raise InputError(f"unknown.{name}: expected {words}, got {value!r}") from error
 
 
 FIELDS = tuple(ThermalUnknown.__dataclass_fields__)

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 
 from pinav.errors import InputError
 from pinav.recordings import units
-from pinav.recordings.layout import read_sheets
+from pinav.recordings.layout import read_sheets, table_of
 from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
 from pinav.recordings.source import AbstractFormat, Source
 from pinav.recordings.table import Table
@@ -78,7 +78,7 @@ class MagScope(AbstractFormat):
                 "x": "Pos X",
                 "y": "Pos Y",
                 "frame": "Frame",
-                "t": _column_named(tables[0], "Time", "Times"),
+                "t": tables[0].resolve(_clock(tables[0])),
             },
             scale=scale,
             particle=[number for number, t in robots.items() for _ in range(len(t))],
@@ -106,21 +106,15 @@ def _table(
     """One sheet; rows that hold no frame, but the path that was drawn, are skipped."""
     place = f"sheet {name!r}"
     header = [str(cell or "").strip() for cell in rows[0]] if rows else []
-    names = [_UNIT.sub("", cell) for cell in header]
-    if "Frame" not in names:
+    if "Frame" not in header:
         raise InputError(
             f"{place}, row 1: column 'Frame' is missing; got "
             f"{', '.join(filter(None, header)) or 'nothing'}; is it a MagScope "
             "workbook?"
         )
-    for column in filter(None, names):
-        if names.count(column) > 1:
-            raise InputError(
-                f"{place}, row 1: column {column!r} stands twice; delete one"
-            )
     width = len(header)
     body = [(i, (*row, *[None] * width)[:width]) for i, row in enumerate(rows[1:], 2)]
-    drawn = [names.index(n) for n in names if n.startswith("Path ")]
+    drawn = [k for k, name in enumerate(header) if name.startswith("Path ")]
     body = [
         (i, row)
         for i, row in body
@@ -128,25 +122,7 @@ def _table(
     ]
     if not body:
         raise InputError(f"{place}: no rows below the header; record it again")
-    columns = zip(*(row for _, row in body), strict=True)
-    named = {h: c for h, c in zip(header, columns, strict=True) if h}
-    numbers = np.array([i for i, _ in body], np.int64)
-    return Table(named, numbers, f"{place}, row", faults=faults)
-
-
-def _column_named(table: Table, *names: str) -> str:
-    """The first column of these names, whatever unit follows in brackets."""
-    bare = {_UNIT.sub("", column): column for column in table.columns}
-    for name in names:
-        if name in bare:
-            return bare[name]
-    table.column(names[0])  # raises
-    raise AssertionError(names)
-
-
-def _unit_of(column: str) -> str:
-    match = _UNIT.search(column)
-    return match[1] if match else ""
+    return table_of([(1, header), *body], f"{place}, row", faults=faults)
 
 
 def _robot(table: Table) -> Table:
@@ -158,14 +134,18 @@ def _robot(table: Table) -> Table:
 
 def _named(table: Table) -> Table:
     """Frame and position of a robot, without the units in their headings."""
-    names = ("Frame", "Pos X", "Pos Y")
-    columns = {name: table.columns[_column_named(table, name)] for name in names}
+    columns = {name: table.column(name) for name in ("Frame", "Pos X", "Pos Y")}
     return dataclasses.replace(table, columns=columns)
+
+
+def _clock(table: Table) -> str:
+    """The column of times, or of the intervals of the frames."""
+    return "Times" if "Times" in table.columns else "Time"
 
 
 def _length_unit(tables: list[Table]) -> str:
     """Unit of the positions, which all sheets share; px where none is written."""
-    words = {_unit_of(_column_named(table, "Pos X")) for table in tables}
+    words = {table.unit("Pos X") for table in tables}
     if len(words) > 1:
         raise InputError(
             f"sheets 'Robot ...': positions in {' and '.join(sorted(words))}; bring "
@@ -194,7 +174,7 @@ def _scale(
 
 def _times(table: Table) -> tuple[Float64[np.ndarray, " row"], tuple[str, ...]]:
     """Times of a robot's rows [s]: as they are, or from the intervals of the frames."""
-    column = _column_named(table, "Time", "Times")
+    column = table.resolve(_clock(table))
     values = table.numbers(column)
     notes: tuple[str, ...] = ()
     if column != "Times":
@@ -240,7 +220,8 @@ def _commands(
         name = _COMMANDS.get(_UNIT.sub("", column))
         if name is not None:
             target = COMMAND_UNITS[name]
-            factor = units.command(name, target, _unit_of(column) or target)
+            stated = _UNIT.search(column)
+            factor = units.command(name, target, stated[1] if stated else target)
             values = factor * table.numbers(column, lost=True)
             commands[name] = np.where(known, values[row], np.nan)
     missing = int((~known).sum())

@@ -1,9 +1,10 @@
 """Body parts: DeepLabCut as CSV or HDF5, and the analysis files of SLEAP."""
 
 import csv
-import pickletools
+import io
+import pickle
 from collections.abc import Sequence
-from typing import Any, final
+from typing import Any, NoReturn, final
 
 import numpy as np
 
@@ -155,68 +156,32 @@ def _from_hdf5(source: Source) -> tuple[np.ndarray, dict[str, Table]]:
     return frames.whole_numbers("frame", least=0), _parts(names, list(values.T), frames)
 
 
-def _column_names(content: bytes) -> list[tuple[str, ...]]:
-    """The list of tuples of words that pandas keeps as a serialised object.
+class _Words(pickle.Unpickler):
+    """Makes words, numbers, tuples and lists; a name of anything else is refused."""
 
-    Only instructions that make words, tuples and lists are obeyed; all others are
-    refused.
-    """
-    stack: list[Any] = []
-    memo: dict[int, Any] = {}
+    def find_class(self, module: str, name: str) -> NoReturn:
+        raise pickle.UnpicklingError(f"unexpected name {module}.{name}")
+
+
+def _column_names(content: bytes) -> list[tuple[str, ...]]:
+    """The list of tuples of words that pandas keeps as a serialised object."""
     try:
-        for code, argument, _ in pickletools.genops(content):
-            _obey(code.name, argument, stack, memo)
-    except (ValueError, IndexError, KeyError) as error:
+        names = _Words(io.BytesIO(content)).load()
+    except Exception as error:  # whatever a damaged object leads to
         raise InputError(
             f"table: its names of columns cannot be read ({error}); export it as CSV"
         ) from error
-    names = stack[-1] if stack else None
     if not isinstance(names, list) or not all(
-        isinstance(words, tuple) and len(words) in (3, 4) for words in names
+        isinstance(words, tuple)
+        and len(words) in (3, 4)
+        and all(isinstance(word, str) for word in words)
+        for words in names
     ):
         raise InputError(
             "table: expected columns named by scorer, body part and coordinate; "
             "export it as CSV"
         )
     return names
-
-
-_MARK = object()
-_WORDS = ("UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "STRING", "BINSTRING")
-
-
-def _obey(name: str, argument: Any, stack: list[Any], memo: dict[int, Any]) -> None:
-    """One instruction that makes words, tuples or lists."""
-    if name in _WORDS:
-        stack.append(argument)
-    elif name in ("MARK", "EMPTY_LIST"):
-        stack.append(_MARK if name == "MARK" else [])
-    elif name in ("LIST", "TUPLE"):
-        items = _since_mark(stack)
-        stack.append(items if name == "LIST" else tuple(items))
-    elif name == "TUPLE3":
-        stack[-3:] = [tuple(stack[-3:])]
-    elif name == "APPEND":
-        item = stack.pop()
-        stack[-1].append(item)
-    elif name == "APPENDS":
-        items = _since_mark(stack)
-        stack[-1].extend(items)
-    elif name in ("PUT", "BINPUT", "LONG_BINPUT"):
-        memo[argument] = stack[-1]
-    elif name == "MEMOIZE":
-        memo[len(memo)] = stack[-1]
-    elif name in ("GET", "BINGET", "LONG_BINGET"):
-        stack.append(memo[argument])
-    elif name not in ("PROTO", "FRAME", "STOP"):
-        raise ValueError(f"unexpected instruction {name}")
-
-
-def _since_mark(stack: list[Any]) -> list[Any]:
-    items: list[Any] = []
-    while (item := stack.pop()) is not _MARK:
-        items.insert(0, item)
-    return items
 
 
 @final

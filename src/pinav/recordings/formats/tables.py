@@ -28,6 +28,8 @@ class KnownTable(AbstractFormat):
         length_unit: unit of the positions, where no column states it.
         unit_column: heading of a column that states the unit of length.
         untracked: label of rows without a track.
+        pixels: beginning of the heading of frames in a table whose positions are pixels
+            whatever `length_unit` says.
         remedy: advice on the program's export where a column is missing.
     """
 
@@ -42,12 +44,13 @@ class KnownTable(AbstractFormat):
         length_unit: str = "px",
         unit_column: str = "",
         untracked: str = "",
+        pixels: str = "",
         remedy: str = "export it again",
     ) -> None:
         self.name, self.columns, self.optional = name, dict(columns), optional
         self.behind, self.signs = behind, set(signs)
         self.length_unit, self.unit_column = length_unit, unit_column
-        self.untracked, self.remedy = untracked, remedy
+        self.untracked, self.pixels, self.remedy = untracked, pixels, remedy
 
     def suits(self, source: Source) -> bool:
         names = source.column_names
@@ -84,7 +87,7 @@ class KnownTable(AbstractFormat):
         unit = self.length_unit
         if self.unit_column in table.columns:
             unit = str(table.columns[self.unit_column][0])
-        if headings.get("frame", "").startswith("Slice n"):  # ImageJ's, drawn by hand
+        if self.pixels and headings["frame"].startswith(self.pixels):
             unit = "px"
         if self.untracked:
             table = tracked(table, headings["particle"], self.untracked)
@@ -169,6 +172,7 @@ IMAGEJ = KnownTable(
     optional=("particle",),
     behind=" n.*",
     length_unit="?",
+    pixels="Slice n",
     remedy="tick centroid and stack position in Set Measurements",
 )
 """`X, Y` or `XM, YM` with a `Slice` (Results); `Track n°, Slice n°, X, Y` by hand.
