@@ -162,6 +162,16 @@ def crossings(samples: int, count: int = 4, key: int = 3):
 
 
 @contextlib.contextmanager
+def standard_promotion():
+    """Promotion of types as users have it, in all threads."""
+    jax.config.update("jax_numpy_dtype_promotion", "standard")
+    try:
+        yield
+    finally:
+        jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+@contextlib.contextmanager
 def cheap_residual_fields():
     """Leave kernels out of an identification: tests/identification has them."""
     from pinav.identification.selection import RESIDUALS
@@ -206,11 +216,7 @@ class FittedRuns:
 
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        jax.config.update("jax_numpy_dtype_promotion", "standard")  # in all threads
-        try:
+        with standard_promotion(), cheap_residual_fields(), blank_figures():
             words = RUNS[name](folder)
-            with cheap_residual_fields(), blank_figures():
-                assert cli.run([*words, "--out", str(folder / RUN)]) == 0
-        finally:
-            jax.config.update("jax_numpy_dtype_promotion", "strict")
+            assert cli.run([*words, "--out", str(folder / RUN)]) == 0
         (folder / "done").touch()

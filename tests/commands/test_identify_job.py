@@ -1,13 +1,11 @@
 """`pinav fit RECORDING`: from a file to a table, a verdict and a page."""
 
-import contextlib
 import dataclasses
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
-from tests.fitted_runs import circling
+from tests.fitted_runs import circling, standard_promotion
 
 from pinav import cli
 from pinav.commands import IDENTIFY
@@ -30,16 +28,6 @@ from pinav.recordings import Reading
 from pinav.report import sections_text
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories, is_trajectories, save
-
-
-@contextlib.contextmanager
-def standard_promotion():
-    """As users have it, in all threads."""
-    jax.config.update("jax_numpy_dtype_promotion", "standard")
-    try:
-        yield
-    finally:
-        jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
 def identify_file(recording, folder, *more):

@@ -151,7 +151,6 @@ def scaling_figure(force: Series, rollouts: Series, *, quantity: str) -> Figure:
 def _scaling(
     series: Series, labels: tuple[str, str], *, legend: int = 0, ax: Axes
 ) -> None:
-    prepare_axes(ax)
     ticks = sorted({x for points in series.values() for x, _ in points})
     least = min((x for x in ticks if x > 0), default=1.0)
     place = {x: x if x > 0 else least / 2 for x in ticks}

@@ -116,7 +116,6 @@ def single_rollouts(
 
 
 def _single_rollout(one: ShownRollout, time: str, *, ax: Axes) -> None:
-    prepare_axes(ax)
     origin = one.observed[0]
     seen, path = one.observed - origin, one.predicted - origin
     ax.plot(*seen.T, color=TRACK, lw=WIDE, label="observed")
@@ -182,8 +181,8 @@ def horizon_errors(
     ax = prepare_axes(ax)
     for index, (name, values) in enumerate(relative.items()):
         style = style_of(name, index)
-        line = {"color": style.color, "ls": style.dash, "label": style.label}
-        ax.plot(horizons, values, marker="o", ms=3, lw=THIN, **line)
+        line = {"color": style.color, "ls": style.dash, "lw": THIN}
+        ax.plot(horizons, values, marker="o", ms=3, label=style.label, **line)
     ax.set(xscale="log", yscale="log")
     ax.set_xticks(list(horizons), [f"{h:g}" for h in horizons])
     ax.minorticks_off()

@@ -52,7 +52,6 @@ class Influence(eqx.Module):
 
     Attributes:
         removals: change of them where one trajectory is left out.
-        first_order: the same by the infinitesimal jackknife.
         constants: change of them per unit of each constant, the data fitted anew.
         leverages: $\mathrm{tr}\,h_i$, how many parameters a trajectory determines.
         distances: Cook's $\Delta_i^\top C^{-1} \Delta_i$ over the sum of all leverages.
@@ -61,7 +60,6 @@ class Influence(eqx.Module):
     free: ParametricModel
     theta: Float[np.ndarray, " parameter"]
     removals: Float[np.ndarray, "trajectory parameter"]
-    first_order: Float[np.ndarray, "trajectory parameter"]
     constants: dict[str, Float[np.ndarray, " parameter"]]
     leverages: Float[np.ndarray, " trajectory"]
     distances: Float[np.ndarray, " trajectory"]
@@ -170,7 +168,7 @@ def _influence(
         _removal(normal, gradient, covariance, chosen.noise, index)
         for index, (normal, gradient) in enumerate(each)
     ]
-    removals, first, leverages, distances = map(np.array, zip(*removed, strict=True))
+    removals, leverages, distances = map(np.array, zip(*removed, strict=True))
     slopes = {
         name: _slope(covariance, hessian, place, chosen.noise, known=not learned[place])
         for name, place in places.items()
@@ -179,7 +177,6 @@ def _influence(
         free=free,
         theta=np.asarray(theta),
         removals=removals,
-        first_order=first,
         constants=slopes,
         leverages=leverages,
         distances=distances / leverages.sum(),
@@ -234,10 +231,8 @@ def _removal(
     covariance: Hessian,
     noise: float,
     index: int,
-) -> tuple[
-    Float[np.ndarray, " parameter"], Float[np.ndarray, " parameter"], float, float
-]:
-    """Change of the parameters, the same to first order, leverage, and distance."""
+) -> tuple[Float[np.ndarray, " parameter"], float, float]:
+    """Change of the parameters, leverage, and distance."""
     values, vectors = np.linalg.eigh(hessian)
     kept = values > 1e-14 * values[-1]
     roots, vectors = np.sqrt(values[kept]), vectors[:, kept]
@@ -252,8 +247,8 @@ def _removal(
             "parameters; learn fewer constants"
         )
     pulled = np.linalg.solve(left, residuals)
-    spread = float(pulled @ leverage @ pulled)
-    return gain @ pulled, gain @ residuals, float(np.trace(leverage)), spread
+    distance = float(pulled @ leverage @ pulled)
+    return gain @ pulled, float(np.trace(leverage)), distance
 
 
 def _slope(
