@@ -244,7 +244,7 @@ def test_a_table_follows_a_force_in_time():
     table, error = tabulate(
         FORCES["circling barrier"](), TableBox((0.0, 0.0), (10.0, 10.0), (0.0, 2.0))
     )
-    assert table.values.shape[0] > 1
+    assert table.table.values.shape[0] > 1
     assert error < 0.02
 
 
