@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from pinav.arguments import Scalar, Vector
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import AbstractSwimmer, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import ZeroFlow, ZeroForce, cubic_weights
 from pinav.navigation.task.steering import HeldThrust, SteeredSwimmer
@@ -194,7 +194,7 @@ def tabulate(
 
 @eqx.filter_jit
 def _map(
-    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, points: Float[Array, "point dim"]
+    dynamics: AbstractSwimmer, t: Scalar, points: Float[Array, "point dim"]
 ) -> Float[Array, "point channel"]:
     """Channels at many points; compiled once for all models of one form."""
     at = _rates if isinstance(dynamics, Swimmer) else _velocities
@@ -206,9 +206,7 @@ BATCH = 512
 """Points at which a model is evaluated at once."""
 
 
-def _rates(
-    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, x: Vector
-) -> Float[Array, " channel"]:
+def _rates(dynamics: AbstractSwimmer, t: Scalar, x: Vector) -> Float[Array, " channel"]:
     """Acceleration at rest, and minus its change by a unit of velocity."""
     swimmer = _with_thrust(dynamics, jnp.zeros_like(x))
 
@@ -219,7 +217,7 @@ def _rates(
 
 
 def _velocities(
-    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, x: Vector
+    dynamics: AbstractSwimmer, t: Scalar, x: Vector
 ) -> Float[Array, " channel"]:
     """Velocity without thrust, and its change by a unit of thrust."""
 
@@ -242,9 +240,7 @@ def _linear(
     return jnp.concatenate([zero, (sign * jnp.stack(columns, axis=1)).ravel()])
 
 
-def _with_thrust(
-    dynamics: Swimmer | OverdampedSwimmer, thrust: Vector
-) -> Swimmer | OverdampedSwimmer:
+def _with_thrust(dynamics: AbstractSwimmer, thrust: Vector) -> AbstractSwimmer:
     return eqx.tree_at(lambda swimmer: swimmer.propulsion, dynamics, HeldThrust(thrust))
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import AbstractSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.navigation.adaptive.steering import AdaptiveController
@@ -19,6 +19,7 @@ from pinav.navigation.predictors import split_rates, tabulate_model
 from pinav.navigation.tables import FieldTable
 from pinav.navigation.task.steering import SteeredSwimmer, physics_only
 from pinav.navigation.task.task import Task, steered_swimmer
+from pinav.trajectories import Trajectories
 
 PLACES = 256
 """Places of the data at most at which the fit is told how well it knows the force."""
@@ -46,7 +47,7 @@ def environment_rate(task: Task, model: SteeredSwimmer) -> GivenForce:
 
 def with_prior_of(
     adaptive: AdaptiveController,
-    swimmer: Swimmer | OverdampedSwimmer,
+    swimmer: AbstractSwimmer,
     posterior: Posterior,
     places: Points,
 ) -> AdaptiveController:
@@ -86,6 +87,13 @@ def with_prior_of(
     prior = BeliefPrior(rate, places[chosen], covariance)
     first = adaptive.believe(adaptive.first_frame)
     return dataclasses.replace(adaptive, known=prior.lead(first))
+
+
+def observed_places(data: Trajectories) -> Points:
+    """Positions of trajectories that were observed [L]."""
+    return np.concatenate(
+        [p.states[p.observed[:, : data.dim].all(axis=1), : data.dim] for p in data]
+    )
 
 
 def with_truth(adaptive: AdaptiveController) -> AdaptiveController:
