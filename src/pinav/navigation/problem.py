@@ -16,7 +16,7 @@ from pinav.errors import InputError
 from pinav.evaluation import enclosing_cube
 from pinav.fitting import AbstractLearned, Posterior
 from pinav.navigation.adaptive.flight import ORACLE
-from pinav.navigation.adaptive.prior import observed_places, with_prior_of
+from pinav.navigation.adaptive.prior import mobilities, observed_places, with_prior_of
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.control.controller import AbstractController
@@ -234,4 +234,9 @@ def suggest_trajectory(
         min(task.time_limit, float(np.median(spans)), SAMPLES * interval),
     )
     key = jax.random.fold_in(jax.random.key(seed), 2)
-    return suggest_next(Stage(adaptive, experiment, fitted, route), key=key)
+    found = suggest_next(Stage(adaptive, experiment, fitted, route), key=key)
+    if found is None or task.inertial:
+        return found
+    # What a belief knows without inertia are velocities; a fit knows forces.
+    traces = np.trace(mobilities(adaptive.physics, route), axis1=1, axis2=2)
+    return found.scale(2 / float(np.mean(traces)))

@@ -18,7 +18,7 @@ POSITIONS = LINES.reshape(-1, 2) + [0.1, 0.0]
 @pytest.fixture(scope="module")
 def layers():
     return lay_layers(
-        POSITIONS, exact_forces(PowerHill(3.0, CENTER, 0.8, 2.0), POSITIONS)
+        POSITIONS, POSITIONS, exact_forces(PowerHill(3.0, CENTER, 0.8, 2.0), POSITIONS)
     ).layers
 
 
@@ -35,7 +35,7 @@ def test_layers_are_half_as_wide_each_and_the_finest_where_the_hill_is_steep(lay
 
 def test_a_smooth_force_needs_few_layers(layers):
     smooth = lay_layers(
-        POSITIONS, exact_forces(GaussianBarrier(3.0, CENTER, 8.0), POSITIONS)
+        POSITIONS, POSITIONS, exact_forces(GaussianBarrier(3.0, CENTER, 8.0), POSITIONS)
     )
     assert len(smooth.layers) < len(layers)
 

@@ -181,9 +181,8 @@ class FlightsCell(msgspec.Struct, frozen=True):
 
 def navigation_problem(settings: NavigateSettings, run: Learned) -> NavigationProblem:
     """The navigation problem of a run, from its system and model alone."""
-    if run.data.dim > 1:
-        settings.check_dimension(run.data.dim)
-    way = dataclasses.replace(way_of(settings), sensor_noise=settings.sensor_noise)
+    way = way_of(settings, max(run.data.dim, 2))
+    way = dataclasses.replace(way, sensor_noise=settings.sensor_noise)
     drawn = settings.samples if settings.samples > 1 else 0
     return NavigationProblem.of(run, way, samples=drawn, seed=settings.seed)
 

@@ -2,11 +2,10 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from pinav.dynamics import AbstractSwimmer, Swimmer
 from pinav.errors import InputError
@@ -15,8 +14,7 @@ from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import axes_of
 from pinav.navigation.belief.given import BeliefPrior, GivenForce, take_for_granted
 from pinav.navigation.belief.kernels import Points
-from pinav.navigation.predictors import split_rates, tabulate_model
-from pinav.navigation.tables import FieldTable
+from pinav.navigation.predictors import TabulatedModel, split_rates, tabulate_model
 from pinav.navigation.task.steering import SteeredSwimmer, physics_only
 from pinav.navigation.task.task import Task, steered_swimmer
 from pinav.trajectories import Trajectories
@@ -79,8 +77,7 @@ def with_prior_of(
     chosen = np.linspace(0, len(places) - 1, min(len(places), PLACES)).astype(int)
     rows = posterior.force_jacobians(places[chosen])
     if not task.inertial:
-        mobility = _mobility(adaptive.physics.table, jnp.asarray(places[chosen]))
-        rows = np.asarray(mobility, float) @ rows
+        rows = mobilities(adaptive.physics, places[chosen]) @ rows
     rows = rows.reshape(-1, rows.shape[-1])
     covariance = rows @ posterior.covariance @ rows.T
     covariance += (DISTRUST * adaptive.thrust) ** 2 * np.eye(len(rows))
@@ -112,9 +109,9 @@ def with_truth(adaptive: AdaptiveController) -> AdaptiveController:
     return dataclasses.replace(adaptive, known=belief)
 
 
-@eqx.filter_jit
-def _mobility(
-    table: FieldTable, places: Float[Array, "point 2"]
-) -> Float[Array, "point 2 2"]:
-    channels = jax.vmap(lambda x: table(jnp.zeros(()), x))(places)
-    return split_rates(channels)[1]
+def mobilities(
+    physics: TabulatedModel, places: Points
+) -> Float[np.ndarray, "point 2 2"]:
+    """Mobility at places, of tables of a swimmer without inertia."""
+    channels = jax.jit(jax.vmap(lambda x: physics.table(0.0, x)))(jnp.asarray(places))
+    return np.asarray(split_rates(channels)[1], float)

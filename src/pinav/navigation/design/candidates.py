@@ -366,6 +366,16 @@ class Suggestion:
     sd_after_random: float | None = None
     path: Float[np.ndarray, "sample 2"] | None = None
 
+    def scale(self, factor: float) -> "Suggestion":
+        """The same with standard deviations in another unit."""
+        random = self.sd_after_random
+        return dataclasses.replace(
+            self,
+            sd=factor * self.sd,
+            sd_after=factor * self.sd_after,
+            sd_after_random=None if random is None else factor * random,
+        )
+
 
 RANDOM = 12
 """Random trajectories beside which a suggestion is put."""
