@@ -11,7 +11,6 @@ from pinav.fitting import (
     TrajectoryLoss,
     defect_recipe,
     fit,
-    kernel_environment,
     rates_to_match,
 )
 from pinav.fitting.environments.catalogue import build
@@ -102,16 +101,13 @@ def test_a_force_without_potential_is_told_from_one_with():
 
 def test_kernels_stay_where_the_force_acts():
     narrow = TRUTH.with_environment(GaussianBarrier(3.0, [2.0, 0.3], 0.3))
-    seen = observe(narrow)
-    environment = match_kernels(narrow, rates_of(seen))
-    layers = getattr(environment, "layers", (environment,))
-    centers = np.concatenate([np.asarray(layer.centers) for layer in layers])
-    distance = np.linalg.norm(centers - [2.0, 0.3], axis=1)
-    # They reach four spacings beyond the force; around all samples that is farther.
-    assert distance.max() < 0.85 * np.ptp(seen.states[..., :2], axis=(0, 1)).max()
-    everywhere = kernel_environment(KernelPotential, seen, dim=2)
-    farthest = np.linalg.norm(np.asarray(everywhere.centers) - [2.0, 0.3], axis=1)
-    assert distance.max() < 0.8 * farthest.max()
+    rates = rates_of(observe(narrow))
+    sizes = np.linalg.norm(residual_forces(narrow, rates), axis=1)
+    acting = rates.states[sizes >= 1e-7 * sizes.max(), :2]
+    assert len(acting) < len(sizes)
+    environment = match_kernels(narrow, rates)
+    gaps = np.asarray(environment.centers)[:, None] - acting
+    assert np.linalg.norm(gaps, axis=2).min(axis=1).max() < 4 * environment.width
 
 
 def test_too_few_samples_give_no_rates(data):
