@@ -158,9 +158,12 @@ def _decode_array(key: str, axes: list[str], value: Any, context: Context) -> An
         raise InputError(f"{key}: expected finite numbers, got {_show(value)}")
     named = {"dim": context.dim}
     sizes = [int(a) if a.isdigit() else named.get(a) for a in axes]
-    fits = len(sizes) == numbers.ndim and all(
-        size in (None, actual)
-        for size, actual in zip(sizes, numbers.shape, strict=True)
+    fits = axes == ["..."] or (
+        len(sizes) == numbers.ndim
+        and all(
+            size in (None, actual)
+            for size, actual in zip(sizes, numbers.shape, strict=True)
+        )
     )
     if not fits:
         shape = " by ".join(
