@@ -54,6 +54,7 @@ from pinav.identification.rollouts import (
     stacking_weight,
 )
 from pinav.identification.tracks import Track, after, before
+from pinav.settings import FRACTION
 from pinav.systems import System
 
 LEAST_SQUARES = "least squares"
@@ -259,8 +260,7 @@ def split(track: Track, fraction: float) -> tuple[Track, Track]:
     Raises:
         InputError: `fraction` is not between 0 and 1, or a part is too short.
     """
-    if not 0 < fraction < 1:
-        raise InputError(f"split fraction: expected between 0 and 1, got {fraction}")
+    FRACTION.check("split fraction", fraction)
     first, last = track.span
     moment = first + fraction * (last - first)
     return before(track, moment), after(track, moment)

@@ -10,21 +10,10 @@ from jaxtyping import Bool, Float64, Int64
 from pinav.reading import Reading
 from pinav.recordings import units
 from pinav.recordings.table import Table
+from pinav.trajectories import COMMAND_UNITS as COMMAND_UNITS
 
 FRAMES = "frame"
 """Unit of times that are only numbers of frames."""
-
-COMMAND_UNITS: Mapping[str, str] = {
-    "frequency": "Hz",
-    "heading": "rad",
-    "gamma": "rad",
-    "psi": "rad",
-    "field_x": "1",
-    "field_y": "1",
-    "field_z": "1",
-    "acoustic_frequency": "Hz",
-}
-"""The commands that recordings have, and their units."""
 
 
 @final

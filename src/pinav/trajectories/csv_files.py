@@ -12,9 +12,8 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.trajectories.npz_files import Metadata, metadata_text, parse_metadata
-from pinav.trajectories.tables import split_headings
 from pinav.trajectories.trajectories import Trajectories
-from pinav.trajectories.trajectory import check_increasing
+from pinav.trajectories.trajectory import check_increasing, split_headings
 
 PREFIX = "# pinav:"
 
