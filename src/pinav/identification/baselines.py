@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
 from pinav.identification.forecast import (
@@ -39,9 +39,10 @@ class Baseline(eqx.Module):
 def least_squares(track: Track) -> Baseline:
     """Gain matrix and drift by least squares of the velocity: no delay, no noise."""
     begin = time.perf_counter()
-    parts = [_velocities(piece, min(WINDOW, 2 * track.width)) for piece in track.pieces]
-    velocities, design = map(np.concatenate, zip(*parts, strict=True))
-    best = np.linalg.lstsq(design, velocities, rcond=None)[0]
+    parts = [(piece, *velocities(track, piece)) for piece in track.pieces]
+    design = np.concatenate([_regressors(piece)[rows] for piece, _, rows in parts])
+    targets = np.concatenate([values for _, values, _ in parts])
+    best = np.linalg.lstsq(design, targets, rcond=None)[0]
 
     def velocity(piece: Trajectory) -> np.ndarray:
         return _regressors(piece) @ best
@@ -49,17 +50,18 @@ def least_squares(track: Track) -> Baseline:
     return Baseline("least squares", velocity, time.perf_counter() - begin)
 
 
-def _velocities(piece: Trajectory, window: float) -> tuple[np.ndarray, np.ndarray]:
-    """Velocities at all samples whose window lies within the segment; regressors."""
-    times = piece.times
+def velocities(
+    track: Track, piece: Trajectory
+) -> tuple[Float[np.ndarray, "row 2"], Bool[np.ndarray, " time"]]:
+    """Velocities [L T⁻¹] of a segment where a window lies within it, and a mask."""
+    times, window = piece.times, min(WINDOW, 2 * track.width)
     low = np.searchsorted(times, times - window / 2)
     high = np.searchsorted(times, times + window / 2, side="right") - 1
     inner = (times - times[0] >= window / 2) & (times[-1] - times >= window / 2)
     inner &= high > low
     low, high = low[inner], high[inner]
     interval = (times[high] - times[low])[:, None]
-    velocity = (piece.states[high] - piece.states[low]) / interval
-    return velocity, _regressors(piece)[inner]
+    return (piece.states[high] - piece.states[low]) / interval, inner
 
 
 def _regressors(piece: Trajectory) -> Float[np.ndarray, "time 3"]:
