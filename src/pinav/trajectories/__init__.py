@@ -13,7 +13,6 @@ from pinav.trajectories.files import is_trajectories as is_trajectories
 from pinav.trajectories.files import load as load
 from pinav.trajectories.files import save as save
 from pinav.trajectories.selection import Split as Split
-from pinav.trajectories.selection import bootstrap as bootstrap
 from pinav.trajectories.selection import concatenate as concatenate
 from pinav.trajectories.selection import informative_rows as informative_rows
 from pinav.trajectories.selection import informative_samples as informative_samples

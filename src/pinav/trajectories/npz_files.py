@@ -5,7 +5,7 @@ import math
 import os
 import zipfile
 import zlib
-from typing import IO, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import msgspec
 import numpy as np
@@ -141,7 +141,7 @@ def _check_sizes(file: BinaryIO) -> None:
                     )
 
 
-def read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
+def read_header(stream: Any) -> tuple[tuple[int, ...], np.dtype]:
     """Shape and type of an array, as NumPy's format states them before its values."""
     version = np.lib.format.read_magic(stream)
     read = np.lib.format.read_array_header_1_0
