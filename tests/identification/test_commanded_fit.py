@@ -1,5 +1,7 @@
 """A field of position is found beside commands and a wandering velocity."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +16,7 @@ from pinav.fitting import (
     model_evidence,
     neural_environment,
 )
-from pinav.forces import KernelForce, NeuralForce
+from pinav.forces import KernelForce, NeuralForce, ShearFlow
 from pinav.identification import (
     fit_commanded,
     fit_track,
@@ -23,6 +25,7 @@ from pinav.identification import (
     tracks,
     with_learned,
 )
+from pinav.systems import FreeNumber
 from pinav.trajectories import Trajectories
 
 pytestmark = pytest.mark.slow
@@ -188,3 +191,17 @@ def test_networks_and_inertia_are_refused():
     network = neural_environment(NeuralForce, data, key=KEY, width=4, dim=2)
     with pytest.raises(InputError, match="choose kernel-force"):
         fit_commanded(system, data, network)
+
+
+def test_an_open_number_that_is_not_learned_here_is_refused():
+    """It would be left at its placeholder, and taken for known."""
+    data = recording(4, duration=20.0)
+    system, _ = identified(data)
+    shear = ShearFlow(0.1)
+    opened = dataclasses.replace(
+        system,
+        swimmer=dataclasses.replace(system.swimmer, flow=shear),
+        learn=(FreeNumber("flow.rate"),),
+    )
+    with pytest.raises(InputError, match=r"learn: flow\.rate cannot be learned"):
+        fit_commanded(opened, data, None)

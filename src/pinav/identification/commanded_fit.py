@@ -210,6 +210,13 @@ class _Problem:
                 "for a fit with commands or a wandering velocity, got order 2"
             )
         design = Design.of(system, Blocks.of(track))
+        learnable = {GAIN, DRIFT, *(number.path for number in design.parameters)}
+        if ignored := {number.path for number in system.learn} - learnable:
+            raise InputError(
+                f"system {system.name!r} learn: {', '.join(sorted(ignored))} cannot be "
+                "learned beside commands or a wandering velocity; state it in the "
+                "system and drop it from the table [learn]"
+            )
         # Priors of a system are used where nothing else tells the scale of a number.
         own = [parameter.prior is not None for parameter in design.parameters]
         stated = np.where(own, np.nan, stated_coordinates(system, design))
