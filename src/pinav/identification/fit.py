@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
-from pinav.dynamics import OverdampedSwimmer
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError
 from pinav.fitting import (
     Estimate,
@@ -366,7 +366,7 @@ class CandidateSearch:
 
     def joint_posterior(
         self,
-        swimmer: OverdampedSwimmer,
+        swimmer: Swimmer | OverdampedSwimmer,
         learned: Float[np.ndarray, " learned"],
         spread: Float[np.ndarray, "learned learned"],
         linear_mean: Callable[[np.ndarray], np.ndarray],
