@@ -13,6 +13,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one pool of threads: see the docs
 
+import dataclasses
 import tempfile
 from pathlib import Path
 
@@ -25,14 +26,12 @@ from pinav.figures.images import save_figure
 from pinav.figures.navigation import plan_map
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.forces import KernelPotential
+from pinav.navigation.adaptive.prior import observed_places, with_prior_of
+from pinav.navigation.adaptive.steering import AdaptiveController
+from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.control.controller import StraightLine
 from pinav.navigation.control.default import controller
-from pinav.navigation.design.candidates import Experiment, best_candidate
-from pinav.navigation.design.information import (
-    PosteriorInformation,
-    PriorField,
-    prior_uncertainty,
-)
+from pinav.navigation.design.candidates import Experiment, Stage, suggest_next
 from pinav.navigation.maps import Course
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.task.catalogue import task, training
@@ -105,29 +104,19 @@ print(f"regret, median of the pairs: {ratio.value:.3f}")
 
 # %%
 start = np.asarray(crossing.start[:2])
-experiment = Experiment(
-    actuator=crossing.truth.actuator,
-    limits=crossing.limits,
-    region=Rectangle(start - 0.3, start + 0.3),
-    noise=np.full(4, fit.hyperparameters.noise),
-    duration=8.0,
+recorded = dataclasses.replace(
+    crossing, truth=model, sensor_noise=float(fit.hyperparameters.noise)
 )
-uncertainty = prior_uncertainty(
+known = with_prior_of(
+    AdaptiveController.of(recorded, MEAN_FORCE),
     fit.model,
-    data,
-    fit.states,
-    noise=fit.hyperparameters.noise,
-    prior=PriorField(crossing.arena, strength=0.4),
+    fit.posterior,
+    observed_places(data),
 )
+experiment = Experiment(recorded, Rectangle(start - 0.3, start + 0.3), duration=8.0)
 way = np.asarray(route.ys[::10, :2])
-information = PosteriorInformation.of(uncertainty, way, experiment, crossing.arena)
-first, later = jax.random.split(jax.random.key(3))
-best, sd = best_candidate(
-    information,
-    experiment,
-    experiment.draw(24, key=first),
-    variations=24,
-    keys=[later],
-)
-print(f"headings: {np.round(np.asarray(best.heading), 2)}")
-print(f"sd of the force along the route: {information.sd_now:.2g} -> {sd:.2g}")
+stage = Stage(known, experiment, known.believe(known.first_frame), way)
+found = suggest_next(stage, key=jax.random.key(3))
+assert found is not None
+print(f"headings: {np.round(found.heading, 2)}")
+print(f"sd of the force along the route: {found.sd:.2g} -> {found.sd_after:.2g}")

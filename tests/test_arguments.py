@@ -38,7 +38,7 @@ def test_no_program_is_compiled_for_a_new_shape():
     assert any("compile" in event for event in events)
 
 
-@pytest.mark.parametrize("name", ["max_frequency", "max_turning_rate", "max_amplitude"])
+@pytest.mark.parametrize("name", ["max_frequency", "max_turning_rate"])
 def test_a_limit_may_be_infinite_and_is_positive(name):
     """Of coils that turn at once, say: that of `CommandLimits(1.0)`."""
     assert CommandLimits(1.0).max_turning_rate == math.inf

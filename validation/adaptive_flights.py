@@ -39,9 +39,10 @@ from pinav.navigation import (
 from pinav.navigation.adaptive.flight import Flight, fly, score_force
 from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.steering import AdaptiveController
-from pinav.navigation.adaptive.strategies import MeanForce, with_known
+from pinav.navigation.adaptive.strategies import MEAN_FORCE, with_known
 from pinav.navigation.belief.belief import Frame
-from pinav.navigation.design.campaign import record_positions, run_campaign
+from pinav.navigation.design.campaign import run_campaign
+from pinav.navigation.design.candidates import Experiment
 from pinav.navigation.trials.situation import (
     Situation,
     advance_compiled,
@@ -309,8 +310,8 @@ def end_campaign(world: str, design: str, number: int) -> Ending:
         number: seed of the noise.
     """
     task = online_task(world, position_noise=NOISE, delay=0.0)
-    adaptive = AdaptiveController.of(task, MeanForce())
-    experiment = record_positions(task, task.arena, 5.0)
+    adaptive = AdaptiveController.of(task, MEAN_FORCE)
+    experiment = Experiment(task, task.arena, 5.0)
     campaign = run_campaign(
         adaptive,
         DESIGNS[design],

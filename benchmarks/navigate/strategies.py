@@ -18,9 +18,8 @@ from pinav.navigation import (
 )
 from pinav.navigation.adaptive.flight import ORACLE
 from pinav.navigation.adaptive.strategies import (
-    AbstractStrategy,
+    MEAN_FORCE,
     ExplorationBonus,
-    MeanForce,
 )
 from pinav.report import as_text
 from pinav.runs import RunFolder
@@ -28,8 +27,8 @@ from pinav.runs import RunFolder
 TASKS = ("barrier-weak", "keep-out", "many-barriers", "fibres", "vortex", "shear")
 """Tasks in a force, or a current, that is learned on the way."""
 
-STRATEGIES: Mapping[str, AbstractStrategy] = {
-    "mean force": MeanForce(),
+STRATEGIES: Mapping[str, ExplorationBonus] = {
+    "mean force": MEAN_FORCE,
     "exploration bonus": ExplorationBonus(),
 }
 """What is compared."""

@@ -59,7 +59,6 @@ def metrics(judged):
     return RunFolder.open(judged).read_json("evaluation.json")["value"]
 
 
-@pytest.mark.slow
 def test_noisy_positions_get_estimated_starts(metrics):
     assert metrics["has_estimated_starts"]
     row = metrics["rmse"]["model"]
@@ -68,7 +67,6 @@ def test_noisy_positions_get_estimated_starts(metrics):
     assert row["diverged"] == 0
 
 
-@pytest.mark.slow
 def test_rollouts_are_told_apart_at_the_training_horizon(metrics):
     assert metrics["horizon"] == pytest.approx(5.0)
     sources = metrics["rollouts"]["model"]
@@ -80,7 +78,6 @@ def test_rollouts_are_told_apart_at_the_training_horizon(metrics):
     assert inside["median"] <= inside["high"]
 
 
-@pytest.mark.slow
 def test_the_force_is_judged_by_region(metrics):
     force = metrics["force"]["model"]
     assert force.keys() == {"visited", "near", "unvisited", "everywhere"}
@@ -91,7 +88,6 @@ def test_the_force_is_judged_by_region(metrics):
     assert metrics["regions"] == {"visited": 0.35, "near": 1.0}
 
 
-@pytest.mark.slow
 def test_bands_residuals_and_constants_are_judged(metrics):
     coverage = metrics["coverage"]
     assert coverage.keys() == {
@@ -112,7 +108,6 @@ def test_bands_residuals_and_constants_are_judged(metrics):
     assert abs(expected) < 4
 
 
-@pytest.mark.slow
 def test_four_trajectories_are_too_few_for_a_conformal_band(metrics):
     found = metrics["calibration"]
     assert "4 calibration trajectories are too few" in found["says"]
@@ -120,7 +115,6 @@ def test_four_trajectories_are_too_few_for_a_conformal_band(metrics):
     assert found["data"] == "calibration.npz"
 
 
-@pytest.mark.slow
 def test_the_report_and_the_table_hold_the_evaluation(judged, metrics):
     page = (judged / "report.html").read_text()
     for words in (
@@ -155,7 +149,6 @@ def test_a_fit_from_its_own_starts_says_so(tiny_fit, capsys):
     assert "coverage" not in stored
 
 
-@pytest.mark.slow
 def test_data_of_other_channels_are_refused(judged, tmp_path):
     path = tmp_path / "other.csv"
     path.write_text("t,x\n0,0\n1,1\n")

@@ -8,8 +8,8 @@ from pinav.errors import InputError
 from pinav.evaluation import (
     CalibrationOutcome,
     calibrate,
+    exact_start_bands,
     least_count,
-    rollout_bands,
     trajectory_scores,
 )
 from pinav.fitting import Posterior
@@ -109,8 +109,6 @@ def test_mistakes_are_named():
     unseen = trajectories([np.zeros((3, 2))], observed=[np.arange(3)[:, None] > [0, 0]])
     with pytest.raises(InputError, match="trajectory 0: no observed sample within"):
         trajectory_scores(unseen, zeros[:1], ones[:1], horizon=0.1)
-    with pytest.raises(InputError, match="trajectory 0: its first sample is not full"):
-        rollout_bands(coasting(), unseen, 0.1)
     for scores in (np.array([]), np.array([1.0, np.nan]), np.array([-1.0])):
         with pytest.raises(InputError, match="scores: expected one number >= 0"):
             calibrate(scores)
@@ -131,6 +129,12 @@ def coasting(damping=DAMPING, sd=0.02):
     return Posterior(free, np.asarray(theta), np.array([[sd**2]]))
 
 
+def bands(posterior, data):
+    """Rollouts from noisy first samples, and the deviations of what is observed."""
+    found = exact_start_bands(posterior, data, start_sd=NOISE)
+    return found.ys, found.observable_sd(NOISE)
+
+
 def observed_coasting(count, seed):
     """Noisy samples of the closed-form solution from random starts."""
     rng = np.random.default_rng(seed)
@@ -145,9 +149,9 @@ def observed_coasting(count, seed):
 def test_calibrated_bands_hold_new_trajectories_even_of_a_wrong_model(damping):
     posterior = coasting(damping)
     held_out, new = observed_coasting(39, 0), observed_coasting(200, 1)
-    scores = trajectory_scores(held_out, *rollout_bands(posterior, held_out, NOISE))
+    scores = trajectory_scores(held_out, *bands(posterior, held_out))
     found = calibrate(scores, 0.1)
-    inside = found.covers(new, *rollout_bands(posterior, new, NOISE))
+    inside = found.covers(new, *bands(posterior, new))
     # Given the calibration, coverage has a beta distribution: sd 0.05 here.
     assert inside.mean() > 0.9 - 3 * 0.05
     assert found.radius > (2.0 if damping == DAMPING else 4.0)
@@ -157,5 +161,5 @@ def test_calibrated_bands_hold_new_trajectories_even_of_a_wrong_model(damping):
 def test_a_rollout_that_blows_up_scores_infinity(damping):
     data = observed_coasting(2, 0)
     wild = eqx.tree_at(lambda p: p.mean, coasting(), np.array([damping]))
-    scores = trajectory_scores(data, *rollout_bands(wild, data, NOISE))
+    scores = trajectory_scores(data, *bands(wild, data))
     np.testing.assert_array_equal(scores, np.inf)

@@ -2,7 +2,13 @@ import numpy as np
 import pytest
 
 from pinav.errors import InputError
-from pinav.evaluation import error_curve, position_errors, quantile, summarise
+from pinav.evaluation import (
+    error_curve,
+    position_errors,
+    quantile,
+    summarise,
+    without_first,
+)
 from pinav.trajectories import Trajectories
 
 TIMES = np.linspace(0.0, 10.0, 101)
@@ -73,10 +79,10 @@ def test_what_was_not_observed_is_not_scored():
     assert whole.high == pytest.approx(0.5)
     late = summarise(position_errors(predictions, holes, domain=20.0), after=5.0)
     assert late.trajectories == 1
-    scored = position_errors(predictions, data, scored_from=90).scored
-    assert scored.sum() == 2 * 11
+    rest = without_first(data, 90)
+    assert position_errors(predictions, rest, domain=20.0).scored.sum() == 2 * 11
     with pytest.raises(InputError, match="no observed position is left to score"):
-        position_errors(predictions, data, scored_from=101)
+        position_errors(predictions, without_first(data, 101), domain=20.0)
 
 
 def test_quantiles_do_not_interpolate():

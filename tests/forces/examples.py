@@ -12,8 +12,7 @@ from pinav.actuation import LinearProgramme, RotatingField, SaturatingResponse
 from pinav.analysis.discovery.laws import LawForce
 from pinav.analysis.discovery.potentials import GAUSSIAN
 from pinav.forces import GaussianBarrier, KernelPotential, LinearDrag
-from pinav.navigation.design.candidates import CommandedThrust
-from pinav.navigation.task.steering import HeldThrust, RollingActuator
+from pinav.navigation.task.steering import HeldThrust
 
 KEY = jax.random.key(0)
 T, X, V = 0.4, jnp.array([4.2, 5.5]), jnp.array([0.3, -0.1])
@@ -166,9 +165,6 @@ FORCES: dict[str, Callable[[], Any]] = {
         *(jnp.array([0.0, 1.0]), jnp.ones((2, 2)), jnp.zeros((2, 2)), 0.1, 0.2)
     ),
     "held thrust": lambda: HeldThrust(jnp.array([0.3, -0.2])),
-    "commanded thrust": lambda: CommandedThrust(
-        PROGRAMME, RollingActuator(jnp.eye(2), SaturatingResponse(3.0))
-    ),
     "weight": lambda: forces.Weight(1.5, 50.0, [0.3, -1.0]),
     "double layer": lambda: forces.DoubleLayer(
         0.3, 1.2, 0.5, forces.Plane([0.2, 1.0], 0.4)

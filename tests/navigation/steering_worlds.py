@@ -89,6 +89,25 @@ def open_water(*, inert=False, environment=None, drift=(0.0, 0.0), **changes):
     return Task(**settings | {"start": jnp.asarray(settings["start"])})
 
 
+START = {2: np.array([-2.0, -1.0]), 3: np.array([-1.5, -1.0, -0.5])}
+GOAL = {2: np.array([2.5, 1.5]), 3: np.array([1.5, 1.0, 0.5])}
+TOLERANCE = {2: 0.2, 3: 0.25}
+"""Of the tasks in a small square, or cube, of water."""
+
+
+def swimming(drift=(0.0, 0.0), **changes):
+    """From a place to a place at speed 1 in a small square, or cube, of water."""
+    dim = len(drift)
+    half, limit = {2: (4.0, 20.0), 3: (2.5, 15.0)}[dim]
+    options = {
+        "start": START[dim],
+        "objective": ReachGoal(GOAL[dim], TOLERANCE[dim]),
+        "arena": Rectangle([-half] * dim, [half] * dim),
+        "time_limit": limit,
+    }
+    return open_water(drift=drift, **options | changes)
+
+
 def drifted_time(way, drift, tolerance):
     """Time over a way at speed 1: |way - w T| = T + tolerance, its first root."""
     way, w = np.asarray(way), np.asarray(drift)

@@ -4,35 +4,40 @@ import dataclasses
 
 import numpy as np
 
+from pinav.commands.settings import numbers
 from pinav.commands.steering_settings import SteeringSettings
 from pinav.errors import InputError
 from pinav.evaluation import enclosing_cube
-from pinav.forces import ZeroForce
-from pinav.navigation import Task, Way
+from pinav.navigation import Suggestion, Task, Way
+from pinav.report import Table
 from pinav.systems import System
 from pinav.trajectories import Trajectories
 
 
-def system_task(settings: SteeringSettings, system: System) -> Task:
-    """The task of going through the true environment of a system, without data."""
-    _check_planar(settings, system)
-    truth = system.true_swimmer
-    return way_of(settings).task(truth, truth, system.name)
+def system_task(
+    settings: SteeringSettings, system: System, data: Trajectories | None = None
+) -> Task:
+    """The task of going through the true environment of a system.
 
-
-def known_task(settings: SteeringSettings, system: System, data: Trajectories) -> Task:
-    """The same in a system of which nothing more than data are known.
-
-    The truth of the task is the known physics; the arena surrounds the data, too.
+    Where there are data nothing else is known of that: the truth of the task is the
+    known physics, and the arena surrounds the data, too.
     """
-    _check_planar(settings, system)
+    if system.dim != 2:
+        raise InputError(
+            f"system: expected a swimmer in the plane, got {system.name!r}, which has "
+            f"{system.dim} dimensions; state a system with dimension = 2"
+        )
+    way = way_of(settings, 2)
+    if data is None:
+        truth = system.true_swimmer
+        return way.task(truth, truth, system.name)
     if data.dim != 2:
         raise InputError(
             f"--data: expected positions in the plane, got {', '.join(data.channels)}"
         )
     corners = np.array(enclosing_cube(data))
-    swimmer = system.swimmer.with_environment(ZeroForce())
-    return way_of(settings).task(swimmer, swimmer, system.name, corners)
+    known = system.swimmer.without_environment()
+    return way.task(known, known, system.name, corners)
 
 
 def observe_positions(known: Task, position_noise: float) -> Task:
@@ -51,27 +56,30 @@ def observe_positions(known: Task, position_noise: float) -> Task:
     )
 
 
-def _check_planar(settings: SteeringSettings, system: System) -> None:
-    if system.dim != 2:
-        raise InputError(
-            f"system: expected a swimmer in the plane, got {system.name!r}, which has "
-            f"{system.dim} dimensions; state a system with dimension = 2"
-        )
-    settings.check_dimension(2)
+def programme_table(suggestion: Suggestion, caption: str, name: str) -> Table:
+    """The commands of a trajectory to record next, and the file that holds them."""
+    series = suggestion.times, suggestion.frequency, suggestion.heading
+    rows = list(zip(*(values.tolist() for values in series), strict=True))
+    return Table(("t", "frequency", "heading"), rows, caption, name)
 
 
-def way_of(settings: SteeringSettings) -> Way:
-    """The way that the options state."""
-    start, goal = settings.places()
-    box = settings.box()
-    half = 0 if box is None else len(box) // 2
+def way_of(settings: SteeringSettings, dim: int) -> Way:
+    """The way that the options state.
+
+    Raises:
+        InputError: a place has not as many coordinates as the swimmer.
+    """
+    settings.places()
+    box, start, goal = settings.arena, settings.start or "", settings.goal or ""
+    corners = None if box is None else numbers("--arena", box, 2 * dim)
+    discs = (numbers("--keep-out", text, dim + 1) for text in settings.keep_out)
     return Way(
-        start,
-        goal,
+        numbers("--from", start, dim),
+        numbers("--to", goal, dim),
         tolerance=settings.tolerance,
         thrust=settings.thrust,
-        keep_out=tuple(settings.discs()),
-        arena=None if box is None else (box[:half], box[half:]),
+        keep_out=tuple(discs),
+        arena=None if corners is None else (corners[:dim], corners[dim:]),
         step=settings.step,
         time_limit=settings.time_limit,
         noise=settings.noise,

@@ -62,20 +62,3 @@ class SteeringSettings(Settings, frozen=True):
             )
         start, goal = self.start, self.goal
         return numbers("--from", start, 2, 3), numbers("--to", goal, 2, 3)
-
-    def check_dimension(self, dim: int) -> None:
-        """Refuse places that have not as many coordinates as the swimmer."""
-        given = [("--from", self.start, dim), ("--to", self.goal, dim)]
-        given += [("--arena", self.arena, 2 * dim)]
-        given += [("--keep-out", text, dim + 1) for text in self.keep_out]
-        for name, text, count in given:
-            if text is not None:
-                numbers(name, text, count)
-
-    def discs(self) -> list[tuple[float, ...]]:
-        """Centre and radius of each disc or ball that must not be entered."""
-        return [numbers("--keep-out", text, 3, 4) for text in self.keep_out]
-
-    def box(self) -> tuple[float, ...] | None:
-        """Corners of the arena."""
-        return None if self.arena is None else numbers("--arena", self.arena, 4, 6)

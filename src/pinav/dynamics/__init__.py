@@ -17,6 +17,7 @@ from pinav.dynamics.solvers import Adaptive as Adaptive
 from pinav.dynamics.solvers import ForwardOnly as ForwardOnly
 from pinav.dynamics.solvers import VectorField as VectorField
 from pinav.dynamics.swimmers import AbstractDynamics as AbstractDynamics
+from pinav.dynamics.swimmers import AbstractSwimmer as AbstractSwimmer
 from pinav.dynamics.swimmers import Model as Model
 from pinav.dynamics.swimmers import NeuralDynamics as NeuralDynamics
 from pinav.dynamics.swimmers import OverdampedSwimmer as OverdampedSwimmer

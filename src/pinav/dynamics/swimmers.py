@@ -39,7 +39,22 @@ class AbstractDynamics(eqx.Module):
         """Rate of change of the state `y` at time `t` [T]."""
 
 
-class Swimmer(AbstractDynamics):
+class AbstractSwimmer(AbstractDynamics):
+    """A swimmer of known physics in an environment, which is the unknown."""
+
+    propulsion: eqx.AbstractVar[AbstractForce]
+    environment: eqx.AbstractVar[AbstractForce]
+
+    def with_environment(self: Model, environment: AbstractForce) -> Model:
+        """The swimmer in another environment."""
+        return dataclasses.replace(self, environment=environment)
+
+    def without_environment(self: Model) -> Model:
+        """The swimmer with its known physics alone."""
+        return self.with_environment(ZeroForce())
+
+
+class Swimmer(AbstractSwimmer):
     r"""A swimmer with inertia, $\dot x = v$, $\dot v = $ sum of three forces.
 
     Its state stacks position and velocity, y = (x, v), in any dimension. Mass is
@@ -68,16 +83,8 @@ class Swimmer(AbstractDynamics):
         )
         return jnp.concatenate([v, acceleration + self.known_force(t, x, v)])
 
-    def with_environment(self, environment: AbstractForce) -> "Swimmer":
-        """The swimmer in another environment."""
-        return dataclasses.replace(self, environment=environment)
 
-    def without_environment(self) -> "Swimmer":
-        """The swimmer with its known physics alone."""
-        return self.with_environment(ZeroForce())
-
-
-class OverdampedSwimmer(AbstractDynamics):
+class OverdampedSwimmer(AbstractSwimmer):
     r"""A swimmer without inertia, $\dot x = u(t, x) + M(x) (F_p + F_e)$.
 
     Its state is the position alone, y = x, in any dimension. This is the limit of
@@ -112,14 +119,6 @@ class OverdampedSwimmer(AbstractDynamics):
         force = self.propulsion(t, y, at_rest) + self.environment(t, y, at_rest)
         force = force + self.known_force(t, y, at_rest)
         return self.flow(t, y) + self.mobility(y, force)
-
-    def with_environment(self, environment: AbstractForce) -> "OverdampedSwimmer":
-        """The swimmer in another environment."""
-        return dataclasses.replace(self, environment=environment)
-
-    def without_environment(self) -> "OverdampedSwimmer":
-        """The swimmer with its known physics alone."""
-        return self.with_environment(ZeroForce())
 
 
 class NeuralDynamics(AbstractDynamics):

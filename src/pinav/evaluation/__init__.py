@@ -4,7 +4,6 @@ from pinav.evaluation.conformal import Calibration as Calibration
 from pinav.evaluation.conformal import CalibrationOutcome as CalibrationOutcome
 from pinav.evaluation.conformal import calibrate as calibrate
 from pinav.evaluation.conformal import least_count as least_count
-from pinav.evaluation.conformal import rollout_bands as rollout_bands
 from pinav.evaluation.conformal import trajectory_scores as trajectory_scores
 from pinav.evaluation.coverage import NOMINAL as NOMINAL
 from pinav.evaluation.coverage import Bands as Bands

@@ -25,10 +25,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pinav.dynamics import FixedStep
 from pinav.errors import InputError
-from pinav.evaluation.coverage import exact_start_bands
-from pinav.fitting.engine.posterior import Posterior
 from pinav.trajectories import Trajectories
 
 Samples = Float[np.ndarray, "trajectory time state"]
@@ -192,31 +189,6 @@ def trajectory_scores(
     normalised = np.abs(errors) / np.where(usable, sd, 1.0)
     normalised[counted & ~finite] = np.inf
     return normalised.max(axis=(1, 2))
-
-
-def rollout_bands(
-    posterior: Posterior,
-    trajectories: Trajectories,
-    noise: float,
-    *,
-    solver: FixedStep | None = None,
-) -> tuple[Samples, Samples]:
-    """Rollouts from each first sample, and standard deviations of what is observed.
-
-    To first order, from the uncertainty of the parameters, and the noise of the start
-    and of each observation.
-
-    Raises:
-        InputError: a first sample is not fully observed.
-    """
-    for index, first in enumerate(trajectories.observed[:, 0]):
-        if not first.all():
-            raise InputError(
-                f"trajectory {index}: its first sample is not fully observed, so no "
-                "rollout can start there; drop the samples before a complete one"
-            )
-    bands = exact_start_bands(posterior, trajectories, solver, start_sd=noise)
-    return bands.ys, bands.observable_sd(noise)
 
 
 def _check_miscoverage(miscoverage: float) -> None:

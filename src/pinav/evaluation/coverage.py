@@ -195,17 +195,16 @@ class Bands(eqx.Module):
 def exact_start_bands(
     posterior: Posterior,
     trajectories: Trajectories,
-    solver: FixedStep | None = None,
     *,
     start_sd: float = 0.0,
     wandering: WanderingVelocity | None = None,
 ) -> Bands:
-    """Bands of rollouts from first samples, exact unless said otherwise."""
+    """Bands of rollouts from first samples, which err by `start_sd`."""
     states = trajectories.states.shape[2]
     by_parameter = np.zeros((len(trajectories), states, len(posterior.mean)))
     spread = np.tile(start_sd**2 * np.eye(states), (len(trajectories), 1, 1))
     starts = trajectories.states[:, 0]
-    bands = _bands(posterior, trajectories, starts, by_parameter, spread, solver)
+    bands = _bands(posterior, trajectories, starts, by_parameter, spread)
     return _widen(bands, posterior, trajectories, wandering, 1)
 
 
@@ -214,7 +213,6 @@ def estimated_start_bands(
     trajectories: Trajectories,
     starts: Starts,
     noise: float,
-    solver: FixedStep | None = None,
     *,
     wandering: WanderingVelocity | None = None,
 ) -> Bands:
@@ -225,12 +223,12 @@ def estimated_start_bands(
         jnp.asarray(posterior.mean),
         jnp.asarray(starts.lifted),
         head,
-        FixedStep() if solver is None else solver,
+        FixedStep(),
     )
     rows = -np.asarray(linear.start_rows)[:, :, : len(posterior.mean)]
     factors = np.asarray(linear.start_factor)
     spread = noise**2 * _inverses(np.swapaxes(factors, 1, 2) @ factors)
-    bands = _bands(posterior, trajectories, starts.states, rows, spread, solver)
+    bands = _bands(posterior, trajectories, starts.states, rows, spread)
     return _widen(bands, posterior, trajectories, wandering, starts.count)
 
 
@@ -270,15 +268,13 @@ def _bands(
     starts: Float[np.ndarray, "trajectory state"],
     by_parameter: Float[np.ndarray, "trajectory state parameter"],
     spread: Float[np.ndarray, "trajectory state state"],
-    solver: FixedStep | None,
 ) -> Bands:
     """One trajectory after the other, so that those of equal length compile once."""
-    solver = FixedStep() if solver is None else solver
     theta, covariance = map(on_device, (posterior.mean, posterior.covariance))
     models = driven_models(posterior.free, theta, trajectories)
     each = zip(starts, by_parameter, spread, trajectories.times, strict=True)
     rows = [
-        _linear_band(driven, theta, covariance, tuple(map(on_device, start)), solver)
+        _linear_band(driven, theta, covariance, tuple(map(on_device, start)))
         for driven, start in zip(models, each, strict=True)
     ]
     ys, sd = (np.stack(part) for part in zip(*rows, strict=True))
@@ -291,9 +287,9 @@ def _linear_band(
     theta: Float[Array, " parameter"],
     covariance: Float[Array, "parameter parameter"],
     start: tuple[Array, ...],
-    solver: FixedStep,
 ) -> tuple[Float[Array, "time state"], Float[Array, "time state"]]:
     y0, by_parameter, spread, times = start
+    solver = FixedStep()
     ys, _ = solver.solve(driven(theta), y0, times)
     columns = sensitivities(driven, theta, ys, times, solver).columns
     to_start = columns[..., len(theta) : -1]

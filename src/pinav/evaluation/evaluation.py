@@ -9,7 +9,11 @@ from collections.abc import Mapping
 import equinox as eqx
 import numpy as np
 
-from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
+from pinav.dynamics import (
+    AbstractDynamics,
+    AbstractSwimmer,
+    Outcome,
+)
 from pinav.evaluation.force_fields import Agreement, Regions, force_agreement
 from pinav.evaluation.judgement import (
     CalibratedBand,
@@ -213,5 +217,5 @@ def _forces(
     return {
         name: force_agreement(*setting.force_fields(model), setting.regions)
         for name, model in models.items()
-        if isinstance(model, Swimmer | OverdampedSwimmer)
+        if isinstance(model, AbstractSwimmer)
     }

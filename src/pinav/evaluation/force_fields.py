@@ -125,16 +125,15 @@ def field_map(
     force: AbstractForce,
     trajectories: Trajectories,
     *,
-    time: float | None = None,
     limits: tuple[float, float, float, float] | None = None,
     points: int = 57,
 ) -> FieldMap:
     """The force of a swimmer at rest at each point of a planar grid.
 
+    Where it depends on time each point takes that of its nearest sample, the reading
+    most favourable to such a field.
+
     Args:
-        time: time [T] at which a field that depends on it is drawn; unless given,
-            each grid point takes the time of its nearest sample, the reading most
-            favourable to such a field.
         limits: x from, x to, y from, y to [L]; a square around the data unless given.
 
     Raises:
@@ -145,8 +144,7 @@ def field_map(
     x, y = np.linspace(x_from, x_to, points), np.linspace(y_from, y_to, points)
     grid = np.stack(np.meshgrid(x, y), axis=-1)
     flat = grid.reshape(-1, 2)
-    distance, nearest_times = _nearest_samples(flat, trajectories)
-    ts = nearest_times if time is None else np.full_like(nearest_times, time)
+    distance, ts = _nearest_samples(flat, trajectories)
     return FieldMap(
         x,
         y,

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import AbstractSwimmer
 from pinav.errors import InputError
 from pinav.evaluation.conformal import Calibration, calibrate, trajectory_scores
 from pinav.evaluation.coverage import (
@@ -142,7 +142,7 @@ def band_coverage(
         if clean is not None:
             coverage["rollouts from clean starts"] = _clean_coverage(setting, clean)
     is_known = setting.truth is not None and setting.is_planar
-    if is_known and isinstance(model, Swimmer | OverdampedSwimmer):
+    if is_known and isinstance(model, AbstractSwimmer):
         learned, true = setting.force_fields(model)
         sd = fit.posterior.force_sd(true.points).reshape(true.force.shape)
         masks = setting.regions.masks(true.distance)

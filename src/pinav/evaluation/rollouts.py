@@ -46,30 +46,24 @@ def position_errors(
     predictions: Float[np.ndarray, "trajectory time state"],
     trajectories: Trajectories,
     *,
-    scored_from: int = 0,
     domain: float | None = None,
 ) -> RolloutErrors:
     """Errors of the predicted positions against the observed ones.
-
-    Args:
-        scored_from: index of the first sample that counts.
 
     Raises:
         InputError: nothing is left to score.
     """
     dim = trajectories.dim
-    is_observed = np.asarray(trajectories.observed[..., :dim].all(-1))
-    scored = np.array(is_observed)
-    scored[:, :scored_from] = False
+    scored = np.asarray(trajectories.observed[..., :dim].all(-1))
     if not scored.any():
         raise InputError(
-            "rollout errors: no observed position is left to score after the first "
-            f"{scored_from} samples; give longer trajectories"
+            "rollout errors: no observed position is left to score; give longer "
+            "trajectories"
         )
     domain = extent(trajectories) if domain is None else domain
     offsets = predictions[..., :dim] - trajectories.states[..., :dim]
     distance = np.linalg.norm(offsets, axis=-1)
-    lost = is_observed & ~(distance <= domain)
+    lost = scored & ~(distance <= domain)
     diverged = np.logical_or.accumulate(lost, axis=1)
     return RolloutErrors(
         elapsed=trajectories.times - trajectories.times[:, :1],

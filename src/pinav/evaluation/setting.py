@@ -8,7 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
+from pinav.dynamics import (
+    AbstractDynamics,
+    AbstractSwimmer,
+    Outcome,
+)
 from pinav.errors import InputError
 from pinav.evaluation.force_fields import (
     FieldMap,
@@ -92,9 +96,7 @@ class Setting:
             return True
         return self.fit.posterior is not None and self.diffusion is None
 
-    def force_fields(
-        self, model: Swimmer | OverdampedSwimmer
-    ) -> tuple[FieldMap, FieldMap]:
+    def force_fields(self, model: AbstractSwimmer) -> tuple[FieldMap, FieldMap]:
         """Learned and true force around the training data."""
         if self.truth is None or self.truth.environment is None:
             raise InputError("force: expected a system with a true environment")

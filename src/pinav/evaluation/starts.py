@@ -59,7 +59,6 @@ def estimate_starts(
     trajectories: Trajectories,
     *,
     count: int = START_SAMPLES,
-    solver: FixedStep | None = None,
 ) -> Starts:
     r"""Least squares for each start, the model fixed.
 
@@ -79,7 +78,7 @@ def estimate_starts(
     states = on_device(smooth_states(head, dim))
     scale = np.maximum(np.ptp(np.asarray(states), axis=1), np.finfo(float).tiny)
     free = ParametricModel(with_dtype(dynamics, jnp.float64), _nothing)
-    solver = FixedStep(substeps=4) if solver is None else solver
+    solver = FixedStep(substeps=4)
     nothing, settled = jnp.zeros(0), np.zeros(len(head), bool)
     for _ in range(STEPS):
         linear = linearise_driven(free, nothing, states, head, solver)

@@ -31,18 +31,10 @@ from pinav.navigation.control.default import StateEstimation as StateEstimation
 from pinav.navigation.control.default import controller as controller
 from pinav.navigation.control.mppi import GradientMPC as GradientMPC
 from pinav.navigation.control.mppi import PathIntegral as PathIntegral
-from pinav.navigation.design.candidates import (
-    CandidateTrajectories as CandidateTrajectories,
-)
 from pinav.navigation.design.candidates import Experiment as Experiment
+from pinav.navigation.design.candidates import Stage as Stage
 from pinav.navigation.design.candidates import Suggestion as Suggestion
-from pinav.navigation.design.candidates import best_candidate as best_candidate
-from pinav.navigation.design.information import (
-    PosteriorInformation as PosteriorInformation,
-)
-from pinav.navigation.design.information import PriorField as PriorField
-from pinav.navigation.design.information import prior_uncertainty as prior_uncertainty
-from pinav.navigation.maps import ArenaGrid as ArenaGrid
+from pinav.navigation.design.candidates import suggest_next as suggest_next
 from pinav.navigation.maps import Course as Course
 from pinav.navigation.maps import ForceMaps as ForceMaps
 from pinav.navigation.planning.plan import Route as Route
@@ -59,7 +51,6 @@ from pinav.navigation.task.catalogue import task as task
 from pinav.navigation.task.catalogue import training as training
 from pinav.navigation.task.steering import AbstractActuator as AbstractActuator
 from pinav.navigation.task.steering import CommandLimits as CommandLimits
-from pinav.navigation.task.steering import HelicalActuator as HelicalActuator
 from pinav.navigation.task.steering import RollingActuator as RollingActuator
 from pinav.navigation.task.steering import SteeredSwimmer as SteeredSwimmer
 from pinav.navigation.task.steering import physics_only as physics_only

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import InputError
-from pinav.evaluation import distances
+from pinav.evaluation import FieldMap, distances
 from pinav.fitting import AbstractLearned
 from pinav.forces import forces_at
 from pinav.navigation.adaptive.flight import (
@@ -23,7 +23,7 @@ from pinav.navigation.adaptive.flight import (
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.design.candidates import Suggestion
-from pinav.navigation.maps import ArenaGrid, Course, ForceMaps
+from pinav.navigation.maps import Course, ForceMaps
 from pinav.navigation.planning.plan import Route, TimeToGo
 from pinav.navigation.problem import (
     LEARNED,
@@ -263,7 +263,8 @@ def compare_models(
     way = _positions(task, route)
 
     def suggest() -> Suggestion | None:
-        return suggest_trajectory(problem, way, seed=seed)
+        is_steady = len(plan.tables.table.values) == 1
+        return suggest_trajectory(problem, way, seed=seed) if is_steady else None
 
     if attempts is not None:
         tried, suggestion = attempts(problem.models), suggest()
@@ -376,20 +377,19 @@ def _positions(task: Task, route: Route) -> Float[np.ndarray, "time dim"]:
 
 def _maps(problem: NavigationProblem) -> ForceMaps:
     """Learned and true force on the arena, and the posterior's standard deviation."""
-    grid = ArenaGrid.over(Course.of(problem.task), MAP_POINTS)
-    learned = grid.field(
-        partial(_forces, problem.model), distances(grid.places, problem.fit.data)
-    )
+    grid = Course.of(problem.task).grid(MAP_POINTS)
+    far = distances(grid.points, problem.fit.data).reshape(grid.distance.shape)
+    learned = dataclasses.replace(_map(problem.model, grid), distance=far)
     truth = sd = None
     if problem.truth is not None:
-        truth = grid.field(partial(_forces, problem.task.truth))
+        truth = _map(problem.task.truth, grid)
     if problem.posterior is not None:
-        sd = grid.lay(problem.posterior.force_sd(grid.places))
+        sd = problem.posterior.force_sd(grid.points).reshape(grid.force.shape)
     return ForceMaps(learned, truth, sd)
 
 
-def _forces(
-    swimmer: SteeredSwimmer, points: Float[np.ndarray, "point 2"]
-) -> Float[np.ndarray, "point 2"]:
-    times = np.zeros(len(points))
-    return np.asarray(forces_at(swimmer.dynamics.environment, times, points))
+def _map(swimmer: SteeredSwimmer, grid: FieldMap) -> FieldMap:
+    """The force of a swimmer's environment at the points of a map, at first."""
+    times = np.zeros(len(grid.points))
+    forces = forces_at(swimmer.dynamics.environment, times, grid.points)
+    return grid.showing(np.asarray(forces).reshape(grid.force.shape))

@@ -1,17 +1,12 @@
 """Maps of a task: its places, and forces on a grid over its arena."""
 
 import dataclasses
-from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from pinav.evaluation import FieldMap
 from pinav.navigation.task.task import Disc, ReachGoal, Task
-
-Places = Float[np.ndarray, "place 2"]
-"""Positions in the plane [L]."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -43,43 +38,12 @@ class Course:
             discs=np.array(discs, float).reshape(-1, dim + 1),
         )
 
-
-class ArenaGrid(NamedTuple):
-    """Equally spaced points of an arena."""
-
-    x: Float[np.ndarray, " x"]
-    y: Float[np.ndarray, " y"]
-
-    @classmethod
-    def over(cls, course: Course, points: int) -> "ArenaGrid":
-        """The grid with so many points along each side of the arena."""
-        lower, upper = course.arena
+    def grid(self, points: int) -> FieldMap:
+        """A map of no force, with so many points along each side of the arena."""
+        lower, upper = self.arena
         x, y = np.linspace(lower, upper, points).T
-        return cls(x, y)
-
-    @property
-    def places(self) -> Places:
-        """All points, those of a row one after the other [L]."""
-        return np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
-
-    def lay(self, values: Float[np.ndarray, "place 2"]) -> Float[np.ndarray, "y x 2"]:
-        """Values at `places` as a map."""
-        return np.asarray(values, float).reshape(len(self.y), len(self.x), 2)
-
-    def field(
-        self,
-        force: Callable[[Places], Float[np.ndarray, "place 2"]],
-        distance: Float[np.ndarray, " place"] | None = None,
-    ) -> FieldMap:
-        """A force on the grid.
-
-        Args:
-            force: takes positions.
-            distance: of each of `places` from the data [L]; zeros unless given.
-        """
-        shape = len(self.y), len(self.x)
-        far = np.zeros(shape) if distance is None else distance.reshape(shape)
-        return FieldMap(self.x, self.y, self.lay(force(self.places)), far)
+        shape = len(y), len(x)
+        return FieldMap(x, y, np.zeros((*shape, 2)), np.zeros(shape))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

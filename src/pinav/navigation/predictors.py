@@ -240,6 +240,12 @@ def entry_fraction(
     return jnp.where(beyond <= 0, 0.0, fraction)
 
 
+STEEPNESS = 4.0
+"""Cost of time at a wall, beside that of time itself."""
+
+RISK_AVERSION = 4.0
+"""The same where the spread of a model is as great as the thrust."""
+
 HEADINGS = 24
 """Directions in which the greatest thrust is looked for."""
 
@@ -258,7 +264,6 @@ def tabulate_model(
     model: SteeredSwimmer,
     *,
     samples: Sequence[SteeredSwimmer] = (),
-    risk_aversion: float = 4.0,
     margin: float | None = None,
     points: int | None = None,
     times: int = 41,
@@ -270,7 +275,6 @@ def tabulate_model(
         model: what is believed.
         samples: of the posterior of the model, none or at least two: their spread makes
             uncertain regions cost more.
-        risk_aversion: cost of time where that spread is as great as the thrust.
         margin: from walls, over which time costs more [L]; half the tolerance or what
             the noise asks for unless given.
         points: of the tables, along the longer side; 81 in the plane and 41 in space
@@ -300,9 +304,9 @@ def tabulate_model(
         task.keep_out,
         task.arena,
         noise_margin(task) if margin is None else margin,
-        4.0,
+        STEEPNESS,
         spread,
-        risk_aversion,
+        RISK_AVERSION,
     )
     return TabulatedModel(table, predictor, drive, time_cost)
 

@@ -2,36 +2,30 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Float, PRNGKeyArray
 
 from pinav.dynamics import (
     AbstractDynamics,
-    FixedStep,
-    OverdampedSwimmer,
-    Swimmer,
+    AbstractSwimmer,
     takes_commands,
 )
 from pinav.errors import InputError
 from pinav.evaluation import enclosing_cube
 from pinav.fitting import AbstractLearned, Posterior
 from pinav.navigation.adaptive.flight import ORACLE
+from pinav.navigation.adaptive.prior import mobilities, observed_places, with_prior_of
+from pinav.navigation.adaptive.steering import AdaptiveController
+from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
 from pinav.navigation.design.candidates import (
-    CandidateTrajectories,
     Experiment,
+    Stage,
     Suggestion,
-    best_candidate,
-)
-from pinav.navigation.design.information import (
-    PosteriorInformation,
-    PriorField,
-    prior_uncertainty,
+    suggest_next,
 )
 from pinav.navigation.task.catalogue import Way
 from pinav.navigation.task.steering import SteeredSwimmer, greatest_thrust, physics_only
@@ -82,7 +76,7 @@ class NavigationProblem:
                 has places of another dimension.
         """
         model, dim = fit.model, fit.data.dim
-        if not isinstance(model, Swimmer | OverdampedSwimmer) or dim < 2:
+        if not isinstance(model, AbstractSwimmer) or dim < 2:
             raise InputError(
                 "navigate: expected a fit of a swimmer in the plane or in space, got "
                 f"the model {fit.choice.name} of {', '.join(fit.data.channels)}"
@@ -102,7 +96,7 @@ class NavigationProblem:
             samples=tuple(
                 steered_swimmer(task, draw)
                 for draw in _draws(fit, samples, seed)
-                if isinstance(draw, Swimmer | OverdampedSwimmer)
+                if isinstance(draw, AbstractSwimmer)
             ),
             truth=truth,
             fit=fit,
@@ -193,17 +187,8 @@ def _posterior(fit: AbstractLearned, model: AbstractDynamics) -> Posterior | Non
     return None if takes_commands(model) or fit.data.dim > 2 else fit.posterior
 
 
-CANDIDATES = 48
-"""Candidate trajectories in each round."""
-
-ROUNDS = 3
-"""Rounds of the search."""
-
 SAMPLES = 120
 """Samples of a suggested trajectory at most."""
-
-STRENGTH = 0.5
-"""Forces that there may be away from the data, in units of the greatest thrust."""
 
 
 def suggest_trajectory(
@@ -211,78 +196,47 @@ def suggest_trajectory(
 ) -> Suggestion | None:
     """The trajectory that would tell most about the force along a route.
 
+    It is released near the start and observed as the data were, without white noise.
+    The fitted force is believed as far as its posterior knows it, and elsewhere forces
+    may be as strong as a belief that begins without data takes them to be.
+
     Returns:
-        The trajectory; none where the fit has no evidence that one could improve.
+        The trajectory; none where the fit has no evidence that one could improve, or
+        every candidate leaves the arena.
 
     Raises:
-        InputError: every candidate leaves the arena.
+        InputError: the model changes in time.
     """
     task, fit = problem.task, problem.fit
     if problem.posterior is None:
         return None
-    uncertainty = prior_uncertainty(
-        problem.model.dynamics,
-        fit.data,
-        fit.evidence.states,
-        noise=fit.noise,
-        prior=PriorField(task.arena, STRENGTH * problem.thrust),
-    )
-    design = _experiment(problem)
-    expected_sd = PosteriorInformation.of(uncertainty, route, design, task.arena)
-    key = jax.random.fold_in(jax.random.key(seed), 2)
-    drawn = design.draw(CANDIDATES, key=key)
-    random = np.array([expected_sd(drawn[k]) for k in range(CANDIDATES)])
-    _, first, *later = jax.random.split(key, ROUNDS + 1)
-    best, sd_after = best_candidate(
-        expected_sd,
-        design,
-        design.draw(CANDIDATES, key=first),
-        variations=CANDIDATES - 1,
-        keys=later,
-    )
-    if not np.isfinite(sd_after):
-        raise InputError(
-            "suggest: each of the candidates leaves the arena; expected one that "
-            "stays inside, so make trajectories shorter or the arena larger"
-        )
-    inside = np.isfinite(random)
-    return Suggestion.of(
-        design,
-        best,
-        expected_sd.sd_now,
-        sd_after,
-        sd_after_random=float(np.median(random[inside])) if inside.any() else None,
-        path=np.asarray(_states(problem.model, design, best))[:, :2],
-    )
-
-
-def _experiment(problem: NavigationProblem) -> Experiment:
-    """Released near the start, observed as the data were."""
-    task, data = problem.task, problem.fit.data
-    near = np.full(2, problem.goal.tolerance)
-    start = np.asarray(task.start[:2])
+    data, start = fit.data, np.asarray(task.start[:2])
     spans = [piece.times[-1] - piece.times[0] for piece in data]
     interval = float(np.median(np.concatenate([np.diff(p.times) for p in data])))
-    duration = min(task.time_limit, float(np.median(spans)), SAMPLES * interval)
-    noise = np.full(len(task.start), np.inf)
-    channels = np.flatnonzero(data.observed.any(axis=(0, 1)))
-    noise[channels] = problem.fit.noise
-    return Experiment(
-        actuator=task.truth.actuator,
-        limits=task.limits,
-        region=Rectangle(start - near, start + near),
-        noise=noise,
-        duration=duration,
-        interval=interval,
-        knot=max(duration / 8, interval),
-        turning=1.2 / (duration / 8) ** 0.5,
+    recorded = dataclasses.replace(
+        task,
+        truth=problem.model,
+        step=interval,
+        noise=0.0,
+        sensor_noise=float(fit.noise),
     )
-
-
-@eqx.filter_jit
-def _states(
-    model: Any, design: Experiment, candidate: CandidateTrajectories
-) -> Float[Array, "time state"]:
-    driven = model.with_propulsion(design.thrust(candidate))
-    states, _ = FixedStep().solve(driven, candidate.starts, design.times)
-    return states
+    adaptive = with_prior_of(
+        AdaptiveController.of(recorded, MEAN_FORCE),
+        problem.model.dynamics,
+        problem.posterior,
+        observed_places(data),
+    )
+    assert adaptive.known is not None
+    fitted = dataclasses.replace(adaptive.known, filters=(adaptive.known.best,))
+    experiment = Experiment(
+        recorded,
+        Rectangle(start - problem.goal.tolerance, start + problem.goal.tolerance),
+        min(task.time_limit, float(np.median(spans)), SAMPLES * interval),
+    )
+    key = jax.random.fold_in(jax.random.key(seed), 2)
+    found = suggest_next(Stage(adaptive, experiment, fitted, route), key=key)
+    if found is None or task.inertial:
+        return found
+    # What a belief knows without inertia are velocities; a fit knows forces.
+    traces = np.trace(mobilities(adaptive.physics, route), axis1=1, axis2=2)
+    return found.scale(2 / float(np.mean(traces)))

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from pinav.arguments import Scalar, Vector
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import AbstractSwimmer, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import ZeroFlow, ZeroForce, cubic_weights
 from pinav.navigation.task.steering import HeldThrust, SteeredSwimmer
@@ -92,8 +92,7 @@ class FieldTable(eqx.Module):
     but one it continues as a constant, and so before its first and after its last time.
 
     Attributes:
-        start: first time [T].
-        interval: between times [T], positive.
+        interval: between times [T], positive; the first one is 0.
         lasting: further channels, which do not change in time, or None; looked up once
             where the values are looked up at two times.
 
@@ -103,7 +102,6 @@ class FieldTable(eqx.Module):
 
     grid: Grid
     values: Float[Array, "time *lattice channel"]
-    start: Scalar = 0.0
     interval: Scalar = 1.0
     lasting: Float[Array, "*lattice more"] | None = None
 
@@ -158,7 +156,7 @@ class FieldTable(eqx.Module):
         shape = (min(count, 2), *points, channels)
         if count == 1:
             return jax.lax.dynamic_slice(self.values, (0, *corner, 0), shape)[0]
-        moment = jnp.clip((jnp.asarray(t) - self.start) / self.interval, 0, count - 1)
+        moment = jnp.clip(jnp.asarray(t) / self.interval, 0, count - 1)
         first = jnp.minimum(jnp.floor(moment), count - 2)
         begin = (first.astype(int), *corner, 0)
         block = jax.lax.dynamic_slice(self.values, begin, shape)
@@ -178,7 +176,7 @@ def tabulate(
     Args:
         model: whose propulsion commands replace.
         grid: where.
-        times: when [T], equally spaced; one time where nothing changes.
+        times: when [T], equally spaced from 0; one time where nothing changes.
 
     Raises:
         InputError: a value is not finite.
@@ -189,12 +187,12 @@ def tabulate(
     _check_finite(values, grid)
     interval = float(times[1] - times[0]) if len(times) > 1 else 1.0
     lattice = jnp.asarray(values.reshape(len(times), *grid.shape, -1))
-    return FieldTable(grid, lattice, float(times[0]), interval)
+    return FieldTable(grid, lattice, interval)
 
 
 @eqx.filter_jit
 def _map(
-    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, points: Float[Array, "point dim"]
+    dynamics: AbstractSwimmer, t: Scalar, points: Float[Array, "point dim"]
 ) -> Float[Array, "point channel"]:
     """Channels at many points; compiled once for all models of one form."""
     at = _rates if isinstance(dynamics, Swimmer) else _velocities
@@ -206,9 +204,7 @@ BATCH = 512
 """Points at which a model is evaluated at once."""
 
 
-def _rates(
-    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, x: Vector
-) -> Float[Array, " channel"]:
+def _rates(dynamics: AbstractSwimmer, t: Scalar, x: Vector) -> Float[Array, " channel"]:
     """Acceleration at rest, and minus its change by a unit of velocity."""
     swimmer = _with_thrust(dynamics, jnp.zeros_like(x))
 
@@ -219,7 +215,7 @@ def _rates(
 
 
 def _velocities(
-    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, x: Vector
+    dynamics: AbstractSwimmer, t: Scalar, x: Vector
 ) -> Float[Array, " channel"]:
     """Velocity without thrust, and its change by a unit of thrust."""
 
@@ -242,9 +238,7 @@ def _linear(
     return jnp.concatenate([zero, (sign * jnp.stack(columns, axis=1)).ravel()])
 
 
-def _with_thrust(
-    dynamics: Swimmer | OverdampedSwimmer, thrust: Vector
-) -> Swimmer | OverdampedSwimmer:
+def _with_thrust(dynamics: AbstractSwimmer, thrust: Vector) -> AbstractSwimmer:
     return eqx.tree_at(lambda swimmer: swimmer.propulsion, dynamics, HeldThrust(thrust))
 
 
@@ -324,4 +318,4 @@ def force_spread(tables: Sequence[FieldTable]) -> FieldTable:
     first = tables[0]
     rates = jnp.stack([table.values[..., : first.grid.dim] for table in tables])
     variance = jnp.mean(jnp.var(rates, axis=0, ddof=1), axis=-1, keepdims=True)
-    return FieldTable(first.grid, jnp.sqrt(variance), first.start, first.interval)
+    return FieldTable(first.grid, jnp.sqrt(variance), first.interval)

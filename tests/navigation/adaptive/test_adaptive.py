@@ -24,8 +24,8 @@ from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.safety import check_command
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import (
+    MEAN_FORCE,
     ExplorationBonus,
-    MeanForce,
     axes_of,
     mean_and_spread,
     with_known,
@@ -36,7 +36,7 @@ from pinav.navigation.predictors import tabulate_model
 from pinav.navigation.task.task import ReachGoal
 
 STRATEGIES = {
-    "mean": MeanForce(),
+    "mean": MEAN_FORCE,
     "bonus": ExplorationBonus(),
     "bold": ExplorationBonus(boldness=2),
 }

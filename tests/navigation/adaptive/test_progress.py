@@ -16,8 +16,8 @@ from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.safety import choose_command
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import (
+    MEAN_FORCE,
     ExplorationBonus,
-    MeanForce,
     Progress,
     axes_of,
 )
@@ -86,7 +86,7 @@ def test_a_new_place_ends_a_stall_and_the_boldness_stays():
 def still():
     """The vortex' task in water at rest."""
     swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0)
-    return AdaptiveController.of(vortex(swimmer), MeanForce(), points=21)
+    return AdaptiveController.of(vortex(swimmer), MEAN_FORCE, points=21)
 
 
 def walled(adaptive):
@@ -108,7 +108,7 @@ def test_the_bold_take_nothing_from_what_is_known(still):
     belief = oracle.believe(frame_at(1.0, 5.0))
     certain, bold = (
         strategy.tables(belief, still.physics, still.thrust)
-        for strategy in (MeanForce(), ExplorationBonus(boldness=3))
+        for strategy in (MEAN_FORCE, ExplorationBonus(boldness=3))
     )
     np.testing.assert_allclose(bold.table.values, certain.table.values, atol=1e-12)
     np.testing.assert_allclose(bold.time_cost.spread.values, 0.0, atol=1e-9)

@@ -14,7 +14,7 @@ from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import (
     DelayCompensation,
     StateEstimation,
-    Timing,
+    predict_onset,
 )
 from pinav.navigation.trials.situation import advance, begin, observe
 
@@ -54,9 +54,8 @@ def test_the_predicted_state_is_that_in_which_the_command_comes_into_force(
 ):
     """From there the command leads to the true state at the next control step."""
     task = task_of(model, delay=delay)
-    timing = Timing(task.step, task.delay)
     predictor, key = SwimmerPredictor(model), jax.random.key(3)
-    predict = eqx.filter_jit(lambda seen: timing.predict(predictor, seen))
+    predict = eqx.filter_jit(lambda seen: predict_onset(predictor, task.timing, seen))
     move = eqx.filter_jit(lambda now, c: advance(task, model, now, c, key))
     now, ahead, commands, states = begin(task), [], [], []
     for step in range(8):
@@ -75,11 +74,11 @@ def test_the_predicted_state_is_that_in_which_the_command_comes_into_force(
 
 def test_the_controller_inside_is_told_what_will_be():
     model = MODELS["overdamped"]
-    timing = Timing(0.1, 0.2)
-    controller = DelayCompensation(Wanderer(2), SwimmerPredictor(model), timing)
     task = task_of(model, delay=0.2)
+    predictor = SwimmerPredictor(model)
+    controller = DelayCompensation(Wanderer(2), predictor, task.timing)
     seen = observe(task, begin(task), jax.random.key(0))
-    ahead = timing.predict(SwimmerPredictor(model), seen)
+    ahead = predict_onset(predictor, task.timing, seen)
     _, (time, state) = controller(seen, controller.start(seen), key=jax.random.key(0))
     assert float(time) == pytest.approx(0.2)
     assert jnp.allclose(state, ahead.state)
@@ -93,7 +92,7 @@ def test_the_state_is_as_far_off_as_the_filter_says(kind, delay):
     controller = StateEstimation(
         Wanderer(2),
         SwimmerPredictor(truth),
-        Timing(task.step, task.delay),
+        task.timing,
         noise=task.noise,
         sensor_noise=task.sensor_noise,
     )

@@ -5,7 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.navigation.steering_worlds import SwimmerPredictor, drifted_time, open_water
+from tests.navigation import steering_worlds
+from tests.navigation.steering_worlds import SwimmerPredictor, drifted_time, swimming
 
 from pinav.errors import InputError
 from pinav.navigation.control.controller import (
@@ -24,21 +25,10 @@ from pinav.navigation.task.task import (
     Disc,
     FollowPath,
     ReachGoal,
-    Rectangle,
 )
 from pinav.navigation.trials.closed_loop import run, run_many
 
-START, GOAL = np.array([-2.0, -1.0]), np.array([2.5, 1.5])
-
-
-def swimming(drift=(0.0, 0.0), **changes):
-    options = {
-        "start": START,
-        "objective": ReachGoal(GOAL, 0.2),
-        "arena": Rectangle([-4.0, -4.0], [4.0, 4.0]),
-        "time_limit": 20.0,
-    }
-    return open_water(drift=drift, **options | changes)
+START, GOAL = steering_worlds.START[2], steering_worlds.GOAL[2]
 
 
 @pytest.fixture(scope="module")

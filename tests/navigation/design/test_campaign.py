@@ -1,15 +1,20 @@
 """Campaigns: what is chosen, recorded, learned, and when it is enough."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.navigation.steering_worlds import frame_at, vortex
 
+from pinav.dynamics import Swimmer
 from pinav.errors import InputError
-from pinav.navigation import Disc, Experiment, Rectangle
+from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
+from pinav.navigation import CommandLimits, Disc, Experiment, Rectangle
 from pinav.navigation.adaptive.steering import AdaptiveController
-from pinav.navigation.adaptive.strategies import MeanForce
+from pinav.navigation.adaptive.strategies import MEAN_FORCE
+from pinav.navigation.belief.belief import Frame
 from pinav.navigation.design.campaign import (
     Decision,
     decide,
@@ -23,27 +28,22 @@ from pinav.navigation.design.candidates import (
     InformedDesign,
     RandomDesign,
     Stage,
+    best_candidate,
     expected_sd,
+    imagine,
+    suggest_next,
 )
 
-NOISE = 0.02
+NOISE, KEY = 0.02, jax.random.key(1)
 
 
 def experiment_of(problem, duration=3.0, region=None):
-    return Experiment(
-        actuator=problem.truth.actuator,
-        limits=problem.limits,
-        region=problem.arena if region is None else region,
-        noise=np.full(2, NOISE),
-        duration=duration,
-        interval=problem.step,
-        knot=duration / 8,
-    )
+    return Experiment(problem, problem.arena if region is None else region, duration)
 
 
 @pytest.fixture(scope="module")
 def adaptive():
-    return AdaptiveController.of(vortex(), MeanForce(), points=21)
+    return AdaptiveController.of(vortex(), MEAN_FORCE, points=21)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def belief(adaptive):
 def straight(experiment, start, heading, frequency=None):
     """A single programme with one heading."""
     knots = len(experiment.knots)
-    most = experiment.limits.max_frequency if frequency is None else frequency
+    most = experiment.task.limits.max_frequency if frequency is None else frequency
     return CandidateTrajectories(
         jnp.asarray(start, float), jnp.full(knots, most), jnp.full(knots, heading)
     )
@@ -82,7 +82,7 @@ def test_a_record_is_the_true_path_with_the_error_of_the_sensor():
     problem = vortex(noise=0.0)
     experiment = experiment_of(problem)
     chosen = straight(experiment, [3.0, 5.0], 0.4)
-    frames, path = record(problem, experiment, chosen, key=jax.random.key(1))
+    frames, path = record(experiment, chosen, key=jax.random.key(1))
     assert [f.time for f in frames] == pytest.approx(
         problem.step * np.arange(len(path))
     )
@@ -104,7 +104,7 @@ def test_a_record_ends_at_the_edge_of_the_arena():
     experiment = experiment_of(problem, duration=8.0)
     edge = float(problem.arena.upper[0]) - 0.3
     chosen = straight(experiment, [edge, 5.0], 0.0)
-    frames, path = record(problem, experiment, chosen, key=jax.random.key(0))
+    frames, path = record(experiment, chosen, key=jax.random.key(0))
     assert len(frames) == len(path) < 0.5 * experiment.duration / problem.step
     assert np.all(path <= np.asarray(problem.arena.upper))
 
@@ -118,7 +118,7 @@ def test_what_was_recorded_lowers_the_error_there(adaptive, belief):
     for k in range(3):
         start = before[k * len(before) // 3]
         chosen = straight(experiment, start, heading)
-        frames, _ = record(problem, experiment, chosen, key=jax.random.key(k))
+        frames, _ = record(experiment, chosen, key=jax.random.key(k))
         later = learn(adaptive, later, frames)
     _, spread = later.force(before)
     _, unknown = belief.force(before)
@@ -139,6 +139,88 @@ def test_a_candidate_along_the_way_tells_more_than_one_elsewhere(adaptive, belie
     edge = float(problem.arena.upper[0]) - 0.05
     leaves = straight(experiment, [edge, 5.0], 0.0)
     assert expected_sd(stage, leaves) == np.inf
+
+
+@pytest.mark.parametrize("environment", ["current", "barrier"])
+def test_what_is_expected_is_what_frames_along_the_expected_path_teach(environment):
+    """The filter that leads and sees what it expected is as sure as was expected."""
+    changes = {"noise": 0.05, "sensor_noise": 0.03}
+    swimmer = None
+    if environment == "barrier":
+        swimmer = Swimmer(
+            ZeroForce(), LinearDrag(0.5), GaussianBarrier(1.0, [5.0, 5.0], 1.0)
+        )
+    adaptive = AdaptiveController.of(
+        vortex(swimmer, **changes), MEAN_FORCE, points=13, speeds=5
+    )
+    belief = adaptive.believe(frame_at(2.0, 2.0))
+    way = np.linspace([2.0, 2.0], [4.0, 2.5], 9)
+    experiment = experiment_of(adaptive.task)
+    candidate = experiment.draw(1, key=jax.random.key(3))[0]
+    stage = Stage(adaptive, experiment, belief, way)
+    later, path = imagine(stage, candidate)
+    step, sd = 2 * adaptive.task.step, adaptive.task.position_sd / np.sqrt(2)
+    commands = experiment.commands(candidate, step * (np.arange(len(path) - 1) + 0.5))
+    alone = dataclasses.replace(belief, filters=(belief.best,), longest=step)
+    frames = [Frame(0.0, path[0], sd, np.zeros(2))]
+    for k, command in enumerate(commands):
+        thrust = np.asarray(adaptive.task.truth.actuator(command))
+        frames.append(Frame(step * (k + 1), path[k + 1], sd, thrust))
+    taught = learn(adaptive, alone, frames, sd)
+    np.testing.assert_allclose(taught.force(way), later.force(way), atol=1e-9)
+    rms = np.sqrt(np.mean(taught.force(way)[1] ** 2))
+    assert expected_sd(stage, candidate) == pytest.approx(rms, rel=1e-9)
+
+
+def test_less_noise_tells_more(adaptive, belief):
+    way, sds = np.linspace([2.0, 2.0], [4.0, 2.0], 9), []
+    for noise in (0.002, 0.02, 0.2, 20.0):
+        problem = dataclasses.replace(adaptive.task, sensor_noise=noise)
+        doubtful = dataclasses.replace(adaptive, task=problem)
+        experiment = experiment_of(problem)
+        chosen = straight(experiment, [2.0, 2.0], 0.0)
+        sds.append(expected_sd(Stage(doubtful, experiment, belief, way), chosen))
+    assert np.all(np.diff(sds) > 0)
+    now = np.sqrt(np.mean(belief.best.force(way)[1] ** 2))
+    assert sds[-1] == pytest.approx(now, rel=0.01)
+
+
+def test_a_search_only_improves_from_round_to_round(adaptive):
+    experiment = experiment_of(adaptive.task)
+    first = experiment.draw(8, key=jax.random.key(6))
+    keys = jax.random.split(jax.random.key(16), 2)
+
+    def judge(candidate):
+        """Nothing is known of some: where their first heading is to the left."""
+        heading = float(candidate.heading[0])
+        return np.inf if np.cos(heading) < 0 else abs(heading % 6.28 - 0.1)
+
+    sds = [
+        best_candidate(
+            judge, experiment, first, variations=3, keys=list(keys)[:rounds]
+        )[1]
+        for rounds in (0, 1, 2)
+    ]
+    assert sds[0] == min(judge(first[k]) for k in range(8)) < np.inf
+    assert sds[0] >= sds[1] >= sds[2]
+    assert sds[0] > sds[2]
+
+
+def test_random_programmes_obey_limits_and_region():
+    limits = CommandLimits(1.0, max_turning_rate=1.2)
+    problem = vortex(Swimmer(ZeroForce(), LinearDrag(0.5), ZeroForce()), limits=limits)
+    experiment = experiment_of(problem, 8.0, Rectangle([0.0, 0.0], [1.0, 1.0]))
+    drawn = experiment.draw(50, key=jax.random.key(10))
+    varied = experiment.vary(drawn[0], 50, key=jax.random.key(11))
+    for made in (drawn, varied):
+        assert np.all((made.frequency >= 0) & (made.frequency <= 1.0))
+        assert np.all(np.abs(np.diff(made.heading)) <= 1.2 + 1e-12)
+        assert np.all(made.starts[:, 2:] == 0)
+        assert np.all((made.starts[:, :2] >= 0) & (made.starts[:, :2] <= 1))
+    assert np.abs(np.diff(drawn.heading)).max() == pytest.approx(1.2)
+    np.testing.assert_array_equal(varied.starts, np.tile(drawn.starts[:1], (50, 1)))
+    with pytest.raises(InputError, match="Experiment.duration: expected > 0"):
+        experiment_of(problem, duration=0.0)
 
 
 def test_a_grid_fills_the_region_evenly(adaptive, belief):
@@ -164,7 +246,7 @@ def test_a_grid_fills_the_region_evenly(adaptive, belief):
 
 def test_nobody_is_released_in_a_disc():
     disc = Disc([5.0, 5.0], 2.0)
-    adaptive = AdaptiveController.of(vortex(keep_out=(disc,)), MeanForce(), points=21)
+    adaptive = AdaptiveController.of(vortex(keep_out=(disc,)), MEAN_FORCE, points=21)
     region = Rectangle([2.5, 2.5], [7.5, 7.5])
     experiment = experiment_of(adaptive.task, region=region)
     belief, way = adaptive.believe(frame_at(1.0, 5.0)), np.zeros((2, 2))
@@ -180,6 +262,28 @@ def test_nobody_is_released_in_a_disc():
     stage = Stage(adaptive, inside, belief, way)
     with pytest.raises(InputError, match="release: expected a place outside"):
         RandomDesign().choose(stage, key=jax.random.key(0))
+
+
+def test_a_suggestion_tells_more_than_random_programmes_or_there_is_none(
+    adaptive, belief
+):
+    region = Rectangle([0.5, 4.5], [1.5, 5.5])
+    experiment = experiment_of(adaptive.task, 1.5, region)
+    way = np.linspace([1.0, 5.0], [3.0, 5.0], 9)
+    found = suggest_next(Stage(adaptive, experiment, belief, way), key=KEY)
+    assert found.sd_after < found.sd_after_random < found.sd
+    rms = np.sqrt(np.mean(belief.force(way)[1] ** 2))
+    assert found.sd == pytest.approx(rms)
+    np.testing.assert_array_equal(found.path[0], found.start)
+    assert found.times[-1] == 1.5
+    assert len(found.times) == len(found.frequency) == len(found.heading)
+    assert np.all(found.frequency <= adaptive.task.limits.max_frequency)
+    cell = Rectangle([0.9, 4.9], [1.1, 5.1])
+    caged = dataclasses.replace(
+        adaptive, task=dataclasses.replace(adaptive.task, arena=cell)
+    )
+    stage = Stage(caged, experiment_of(caged.task, 1.5), belief, way)
+    assert suggest_next(stage, key=KEY) is None
 
 
 @pytest.mark.slow

@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.navigation.steering_worlds import drifted_time, open_water, rolling
+from tests.navigation import steering_worlds
+from tests.navigation.steering_worlds import drifted_time, rolling, swimming
 
 from pinav.dynamics import Swimmer
 from pinav.errors import InputError
@@ -22,23 +23,10 @@ from pinav.navigation.task.task import (
     Disc,
     FollowPath,
     LinePath,
-    ReachGoal,
-    Rectangle,
     Wall,
 )
 
-GOAL, TOLERANCE = np.array([2.5, 1.5]), 0.2
-ARENA = Rectangle([-4.0, -4.0], [4.0, 4.0])
-
-
-def swimming(drift=(0.0, 0.0), **changes):
-    options = {
-        "start": (-2.0, -1.0),
-        "objective": ReachGoal(GOAL, TOLERANCE),
-        "arena": ARENA,
-        "time_limit": 20.0,
-    }
-    return open_water(drift=drift, **options | changes)
+GOAL, TOLERANCE = steering_worlds.GOAL[2], steering_worlds.TOLERANCE[2]
 
 
 def planned(task, **settings):
@@ -69,7 +57,7 @@ def test_time_to_go_converges_with_the_grid():
 def test_against_a_drift_that_is_faster_only_a_cone_reaches_the_goal():
     """With drift w = 2 and speed 1, headings fill a cone of half angle 30 degrees."""
     plan = planned(swimming((2.0, 0.0)), points=61)
-    points = np.asarray(ARENA.lower) + np.indices((61, 61)).transpose(1, 2, 0) * 8 / 60
+    points = -4.0 + np.indices((61, 61)).transpose(1, 2, 0) * 8 / 60
     away = GOAL - points
     angle = np.abs(np.arctan2(away[..., 1], away[..., 0]))
     far = np.linalg.norm(away, axis=-1) > 1.5

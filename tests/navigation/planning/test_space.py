@@ -4,9 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.navigation.steering_worlds import drifted_time, open_water, rolling
+from tests.navigation import steering_worlds
+from tests.navigation.steering_worlds import drifted_time, rolling, swimming
 
-from pinav.actuation import LinearResponse
+from pinav.actuation import LinearResponse, StepOutResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import ConstantForce, LinearDrag, Plane, SampledFlow, Tube, ZeroForce
@@ -15,28 +16,19 @@ from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.predictors import ControlMap, tabulate_model
 from pinav.navigation.task.steering import (
     CommandLimits,
-    HelicalActuator,
     RollingActuator,
     all_directions,
     direction,
     direction_angles,
 )
-from pinav.navigation.task.task import Behind, Disc, ReachGoal, Rectangle, Wall
+from pinav.navigation.task.task import Behind, Disc, Rectangle, Wall
 from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.metrics import summary
 
 ROLLING = RollingActuator(jnp.eye(3), LinearResponse())
-START, GOAL, TOLERANCE = np.array([-1.5, -1.0, -0.5]), np.array([1.5, 1.0, 0.5]), 0.25
-
-
-def swimming(drift=(0.0, 0.0, 0.0), **changes):
-    options = {
-        "start": START,
-        "objective": ReachGoal(GOAL, TOLERANCE),
-        "arena": Rectangle([-2.5] * 3, [2.5] * 3),
-        "time_limit": 15.0,
-    }
-    return open_water(drift=drift, **options | changes)
+START, GOAL = steering_worlds.START[3], steering_worlds.GOAL[3]
+TOLERANCE = steering_worlds.TOLERANCE[3]
+STILL = (0.0, 0.0, 0.0)
 
 
 def planned(task, points=25):
@@ -60,7 +52,7 @@ def test_time_to_go_in_a_uniform_drift_is_that_of_the_closed_form(drift):
 @pytest.mark.slow
 def test_the_way_round_a_ball_is_two_tangents_and_an_arc():
     radius = 0.9
-    task = swimming(keep_out=(Disc([0.0, 0.0, 0.0], radius),))
+    task = swimming(STILL, keep_out=(Disc([0.0, 0.0, 0.0], radius),))
     plan = planned(task, points=33)
     ends = np.linalg.norm(START), np.linalg.norm(GOAL)
     tangents = [np.sqrt(end**2 - radius**2) for end in ends]
@@ -110,7 +102,7 @@ def test_directions_in_space_are_unit_vectors_all_around():
 
 
 def test_the_thrust_of_a_screw_is_along_the_command_in_space():
-    screw = HelicalActuator(gain=1.0, moment=1.0, amplitude=1.0, rotational_drag=0.1)
+    screw = RollingActuator(0.6 * jnp.eye(3), StepOutResponse(1.0))
     thrust = screw(jnp.array([0.5, 0.7, -0.4]))
     ahead = direction(jnp.array([0.7, -0.4]))
     np.testing.assert_allclose(thrust, jnp.linalg.norm(thrust) * ahead, atol=1e-12)
@@ -166,13 +158,13 @@ def test_a_plan_in_a_drift_that_changes_is_that_of_its_mean():
     velocities = jnp.array([[0.5, 0.1, 0.0], [0.1, -0.1, 0.0]])
     flow = SampledFlow(times, velocities)
     swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, flow)
-    changing = swimming(truth=rolling(swimmer, 3))
+    changing = swimming(STILL, truth=rolling(swimmer, 3))
     expected, plan = planned(steady, points=13), planned(changing, points=13)
     np.testing.assert_allclose(plan.values, expected.values, atol=2e-5)
 
 
 def test_samples_in_a_flow_that_changes_differ_by_their_forces_alone():
-    task = swimming()
+    task = swimming(STILL)
     flow = SampledFlow(jnp.array([0.0, 15.0]), jnp.array([[0.5, 0, 0], [0.1, 0, 0]]))
     samples = [
         rolling(
@@ -189,13 +181,13 @@ def test_samples_in_a_flow_that_changes_differ_by_their_forces_alone():
 
 
 def test_inertia_in_space_is_refused():
-    task = swimming(start=(-1.5, -1.0, -0.5, 0.0, 0.0, 0.0))
+    task = swimming(STILL, start=(-1.5, -1.0, -0.5, 0.0, 0.0, 0.0))
     heavy = Swimmer(ZeroForce(), LinearDrag(1.0), ZeroForce())
     with pytest.raises(InputError, match=r"expected a swimmer without inertia in 3"):
         time_to_go(task, rolling(heavy, 3))
 
 
 def test_places_in_a_wall_in_space_are_refused_by_their_coordinates():
-    task = swimming(keep_out=(Disc(GOAL, 0.5),))
+    task = swimming(STILL, keep_out=(Disc(GOAL, 0.5),))
     with pytest.raises(InputError, match=r"goal: .* got \(1.5, 1, 0.5\) in a wall"):
         planned(task)

@@ -11,7 +11,7 @@ from pinav.errors import InputError
 from pinav.navigation.control.controller import StraightLine
 from pinav.navigation.task import catalogue as tasks
 from pinav.navigation.task.steering import greatest_thrust, physics_only
-from pinav.navigation.task.task import FollowPath, ReachGoal, clearance
+from pinav.navigation.task.task import FollowPath, ReachGoal
 from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.situation import begin
 from pinav.scenarios import scenario
@@ -28,7 +28,7 @@ def test_every_task_fits_together(name):
     assert rate.shape == task.start.shape
     assert jnp.all(jnp.isfinite(rate))
     for t in jnp.linspace(0.0, task.time_limit, 9):
-        assert clearance(task.objective.target(t), task.keep_out, task.arena) > 0.2
+        assert task.clearance(task.objective.target(t)) > 0.2
     if isinstance(task.objective, ReachGoal):
         assert task.objective.distance(task.start[:2]) > 1.0
     else:

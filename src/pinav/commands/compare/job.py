@@ -40,7 +40,7 @@ from pinav.learning.plan import choose_system
 from pinav.report import Paragraph, Section, Table
 from pinav.runs import RunFolder
 from pinav.systems import System
-from pinav.trajectories import Trajectories, load, with_missing_channels
+from pinav.trajectories import Trajectories, load, with_all_channels
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,7 +179,7 @@ def check_settings(settings: CompareSettings, data: Trajectories) -> System:
     known = choose_system(settings.system, data)
     inert = isinstance(known.swimmer, Swimmer)
     if "first-order" in settings.models and (
-        not inert or data.observed[..., len(_positions(data)) :].any()
+        not inert or data.observed[..., data.dim :].any()
     ):
         raise InputError(
             "--models first-order: expected physics with inertia and positions alone, "
@@ -245,15 +245,10 @@ def fit_model(
     kernels = "kernel-potential" if name in KERNEL_POTENTIAL else name
     choice = ModelChoice(kernels)
     summary = summarise_for(choice, data)
-    swimmer, inputs = known.swimmer, data
+    swimmer, inputs = known.swimmer, with_all_channels(data, known)
     if name == "first-order" and isinstance(swimmer, Swimmer):
-        swimmer, inputs = (
-            _without_inertia(swimmer, summary),
-            data.only(_positions(data)),
-        )
-    elif isinstance(swimmer, Swimmer) and len(_positions(data)) == len(data.channels):
-        unseen = known.channels[len(data.channels) :]
-        inputs = with_missing_channels(data, {n: known.units[n] for n in unseen})
+        swimmer = _without_inertia(swimmer, summary)
+        inputs = data.only(known.position_channels)
     if name == "isotropic-drag":
         swimmer = with_linear_drag(swimmer, summary)
     if name == "anisotropic-drag":
@@ -277,10 +272,6 @@ def _without_inertia(swimmer: Swimmer, summary: DataSummary) -> OverdampedSwimme
     """The limit of strong drag: the mobility is one over the drag."""
     mobility = 1 / mean_drag(swimmer, summary)
     return OverdampedSwimmer(swimmer.propulsion, swimmer.environment, mobility)
-
-
-def _positions(data: Trajectories) -> list[str]:
-    return list(data.channels[: data.dim])
 
 
 def verdicts(rows: dict[str, ComparedModel]) -> list[ComparisonVerdict]:

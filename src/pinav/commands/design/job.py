@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import jax
 import numpy as np
@@ -12,7 +13,11 @@ from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.design import DesignOptions, DesignSettings
 from pinav.commands.results import fingerprint, keep, start_run
-from pinav.commands.steering import known_task, observe_positions, system_task
+from pinav.commands.steering import (
+    observe_positions,
+    programme_table,
+    system_task,
+)
 from pinav.errors import InputError
 from pinav.figures.images import Picture
 from pinav.figures.navigation import bounds_figure, recordings_figure
@@ -21,16 +26,14 @@ from pinav.navigation import (
     Course,
     Experiment,
     Rectangle,
-    Suggestion,
     Task,
 )
 from pinav.navigation.adaptive.flight import map_belief
-from pinav.navigation.adaptive.strategies import MeanForce
+from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.design.campaign import (
     Campaign,
     believe_data,
     decide,
-    record_positions,
     run_campaign,
 )
 from pinav.navigation.design.candidates import (
@@ -46,9 +49,7 @@ from pinav.navigation.design.result import (
     DesignResult,
 )
 from pinav.report import AbstractBlock, Cell, Paragraph, Section, Table
-from pinav.runs import RunFolder
 from pinav.scenarios import find_system
-from pinav.systems import System
 from pinav.trajectories import concatenate
 
 DESIGNS: Mapping[str, AbstractDesign] = {
@@ -62,18 +63,44 @@ DESIGNS: Mapping[str, AbstractDesign] = {
 def run(options: DesignOptions) -> CommandResult:
     """Design experiments as the command line does."""
     settings, system = options.settings, find_system(options.system)
-    work = _suggest if options.data else _compare
-    return keep(DESIGN, *work(options, settings, system))
+    parts = [read_data(path) for path in options.data]
+    data = concatenate(parts) if len(parts) > 1 else next(iter(parts), None)
+    task = system_task(settings, system, data)
+    adaptive = AdaptiveController.of(
+        observe_positions(task, settings.position_noise), MEAN_FORCE
+    )
+    experiment = _experiment(settings, adaptive.task)
+    identity = {} if data is None else {"data": fingerprint(data)}
+    folder = start_run(DESIGN, options, settings, system=options.system, **identity)
+    result = partial(
+        DesignResult,
+        system=system.name,
+        accuracy=settings.accuracy,
+        course=Course.of(task),
+        thrust=adaptive.thrust,
+    )
+    if data is None:
+        return keep(DESIGN, folder, _compare(settings, adaptive, experiment, result))
+    belief = believe_data(adaptive, system.swimmer, data, settings.position_noise)
+    decision = decide(adaptive, belief)
+    stage = Stage(adaptive, experiment, belief, decision.way)
+    seen = (p.states[p.observed[:, :2].all(axis=1), :2] for p in data)
+    found = result(
+        maps=map_belief(task, belief),
+        decision=decision,
+        paths={"recorded": tuple(seen)},
+        next=suggest_next(stage, key=jax.random.key(settings.seed)),
+    )
+    return keep(DESIGN, folder, found)
 
 
 def _compare(
-    options: DesignOptions, settings: DesignSettings, system: System
-) -> tuple[RunFolder, DesignResult]:
+    settings: DesignSettings,
+    adaptive: AdaptiveController,
+    experiment: Experiment,
+    result: Callable[..., DesignResult],
+) -> DesignResult:
     """Simulated campaigns of each design, in pairs of the same noise."""
-    task = system_task(settings, system)
-    adaptive = _adaptive(task, settings)
-    experiment = _experiment(settings, adaptive)
-    folder = start_run(DESIGN, options, settings, system=options.system)
     campaigns: dict[str, list[Campaign]] = {name: [] for name in settings.designs}
     work = list(itertools.product(range(settings.seeds), campaigns))
     for index, name in tqdm(work, desc="campaigns", unit="campaign"):
@@ -88,13 +115,9 @@ def _compare(
         )
         campaigns[name].append(campaign)
     first, *_ = next(iter(campaigns.values()))
-    return folder, DesignResult(
-        system=system.name,
-        accuracy=settings.accuracy,
-        course=Course.of(task),
-        maps=map_belief(task, first.belief),
+    return result(
+        maps=map_belief(adaptive.task, first.belief),
         decision=first.decisions[-1],
-        thrust=adaptive.thrust,
         paths={name: some[0].paths for name, some in campaigns.items()},
         designs={name: CampaignSummary.of(some) for name, some in campaigns.items()},
         bounds={
@@ -107,46 +130,9 @@ def _compare(
     )
 
 
-def _suggest(
-    options: DesignOptions, settings: DesignSettings, system: System
-) -> tuple[RunFolder, DesignResult]:
-    """The knowledge of recordings, and the trajectory to record next."""
-    parts = [read_data(path) for path in options.data]
-    data = concatenate(parts) if len(parts) > 1 else parts[0]
-    task = known_task(settings, system, data)
-    adaptive = _adaptive(task, settings)
-    experiment = _experiment(settings, adaptive)
-    folder = start_run(
-        DESIGN, options, settings, system=options.system, data=fingerprint(data)
-    )
-    belief = believe_data(adaptive, system.swimmer, data, settings.position_noise)
-    decision = decide(adaptive, belief)
-    stage = Stage(adaptive, experiment, belief, decision.way)
-    return folder, DesignResult(
-        system=system.name,
-        accuracy=settings.accuracy,
-        course=Course.of(task),
-        maps=map_belief(task, belief),
-        decision=decision,
-        thrust=adaptive.thrust,
-        paths={
-            "recorded": tuple(
-                piece.states[piece.observed[:, :2].all(axis=1), :2] for piece in data
-            )
-        },
-        next=suggest_next(stage, key=jax.random.key(settings.seed)),
-    )
-
-
-def _adaptive(task: Task, settings: DesignSettings) -> AdaptiveController:
-    return AdaptiveController.of(
-        observe_positions(task, settings.position_noise), MeanForce()
-    )
-
-
-def _experiment(settings: DesignSettings, adaptive: AdaptiveController) -> Experiment:
+def _experiment(settings: DesignSettings, task: Task) -> Experiment:
     """The recording of trajectories, and the region of release."""
-    task, box = adaptive.task, settings.release_box()
+    box = settings.release_box()
     if settings.duration < 2 * task.step:
         raise InputError(
             f"--duration: expected two steps or more, got {settings.duration:g} with "
@@ -163,7 +149,7 @@ def _experiment(settings: DesignSettings, adaptive: AdaptiveController) -> Exper
                 f"--release: expected a rectangle inside of the arena, got "
                 f"{settings.release}; state a larger one with --arena"
             )
-    return record_positions(task, region, settings.duration)
+    return Experiment(task, region, settings.duration)
 
 
 CAPTION = (
@@ -180,7 +166,8 @@ def sections(result: DesignResult) -> list[Section]:
     if result.designs:
         outcome += [design_table(result), _bounds(result)]
     if result.next is not None:
-        outcome.append(_programme(result.next))
+        caption = "Commands of the trajectory to record next; linear between the times."
+        outcome.append(programme_table(result.next, caption, "next"))
     return [Section("Outcome", outcome), Section("Recordings", [_map(result)])]
 
 
@@ -252,14 +239,6 @@ def _next_sentence(result: DesignResult) -> str:
         f"{y:.4g}): the standard deviation of the force along the way, now "
         f"{advice.sd:.3g}, should then be {advice.sd_after:.3g}."
     )
-
-
-def _programme(advice: Suggestion) -> Table:
-    """The commands of the trajectory to record next."""
-    series = advice.times, advice.frequency, advice.heading
-    rows = list(zip(*(values.tolist() for values in series), strict=True))
-    caption = "Commands of the trajectory to record next; linear between the times."
-    return Table(("t", "frequency", "heading"), rows, caption, "next")
 
 
 def _bounds(result: DesignResult) -> Picture:

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import TypeVar
 
 import msgspec
-import numpy as np
 
 from pinav.commands.navigate import NavigateSettings, OnlineSettings
 from pinav.commands.steering import observe_positions, system_task, way_of
 from pinav.commands.sweep import Sweep
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import AbstractSwimmer
 from pinav.errors import InputError
 from pinav.learning.learned import Learned
 from pinav.navigation import (
@@ -34,7 +33,7 @@ from pinav.navigation import (
     fly_swimmer,
     task,
 )
-from pinav.navigation.adaptive.prior import with_prior_of
+from pinav.navigation.adaptive.prior import observed_places, with_prior_of
 from pinav.runs import RunFolder
 from pinav.scenarios import find_system
 from pinav.sweeps import Cell
@@ -75,7 +74,7 @@ def with_prior(
             f"{_words(run.system.base_units)}; fit and task must have the same units"
         )
     model, path = run.model, run.folder.path
-    if not isinstance(model, Swimmer | OverdampedSwimmer):
+    if not isinstance(model, AbstractSwimmer):
         raise InputError(
             f"RUN: expected a fitted swimmer, got the model {run.choice.name} of {path}"
         )
@@ -84,9 +83,8 @@ def with_prior(
             f"RUN: expected a fit with a posterior, got {path}, which has none; "
             "fit with --recipe bayes"
         )
-    dim = run.data.dim
-    places = [p.states[p.observed[:, :dim].all(axis=1), :dim] for p in run.data]
-    return with_prior_of(adaptive, model, run.posterior, np.concatenate(places))
+    places = observed_places(run.data)
+    return with_prior_of(adaptive, model, run.posterior, places)
 
 
 def _words(units: Units) -> str:
@@ -183,9 +181,8 @@ class FlightsCell(msgspec.Struct, frozen=True):
 
 def navigation_problem(settings: NavigateSettings, run: Learned) -> NavigationProblem:
     """The navigation problem of a run, from its system and model alone."""
-    if run.data.dim > 1:
-        settings.check_dimension(run.data.dim)
-    way = dataclasses.replace(way_of(settings), sensor_noise=settings.sensor_noise)
+    way = way_of(settings, max(run.data.dim, 2))
+    way = dataclasses.replace(way, sensor_noise=settings.sensor_noise)
     drawn = settings.samples if settings.samples > 1 else 0
     return NavigationProblem.of(run, way, samples=drawn, seed=settings.seed)
 

@@ -11,6 +11,7 @@ from pinav.commands.navigate.online_sections import (
     percent_interval,
     ratio_interval,
 )
+from pinav.commands.steering import programme_table
 from pinav.figures.animation import Trails, save_animation
 from pinav.figures.images import Movie, Picture
 from pinav.figures.navigation import (
@@ -135,14 +136,12 @@ def _advice(suggestion: Suggestion, unit: str) -> str:
 
 def _programme(suggestion: Suggestion, unit: str) -> Table:
     """The commands of the suggested trajectory."""
-    series = suggestion.times, suggestion.frequency, suggestion.heading
-    rows = list(zip(*(values.tolist() for values in series), strict=True))
     x, y = suggestion.start
     caption = (
         f"Commands of the trajectory to record next, released at ({x:.4g}, {y:.4g}) "
         f"for {quantity(suggestion.times[-1], unit)}; linear between the times."
     )
-    return Table(("t", "frequency", "heading"), rows, caption, "suggestion")
+    return programme_table(suggestion, caption, "suggestion")
 
 
 def _plan(result: Navigation) -> Picture:

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.steering import AdaptiveController, ControllerState
 from pinav.navigation.belief.belief import Belief
-from pinav.navigation.maps import ArenaGrid, Course, ForceMaps
+from pinav.navigation.maps import Course, ForceMaps
 from pinav.navigation.task.steering import physics_only
 from pinav.navigation.task.task import Task
 from pinav.navigation.trials.closed_loop import episode, last_observation
@@ -211,71 +211,74 @@ def fly(
         key: random key of noise, sensor and controller.
         every: time between the beliefs that are kept, to be shown [T].
     """
-    task, notes, now, memory = adaptive.task, _Notes(every), None, None
+    task, notes, moments, now, memory = adaptive.task, [], [], None, None
+
+    def note(now: Situation, memory: ControllerState) -> None:
+        notes.append(_Note.of(now, memory))
+        if memory.belief.time >= len(moments) * every - 1e-9:
+            moments.append(memory.belief)
+
     for step in episode(task, adaptive, key=key):
-        notes.frame(step.before, step.memory)
-        notes.decision(step.memory)
         now, memory = step.after, step.memory
+        note(step.before, memory)
     assert now is not None
     assert memory is not None
     memory = adaptive.learn(memory, last_observation(task, now, key))
-    notes.frame(now, memory)
-    path = np.stack(notes.states)[:, :2]
-    error, cover = score_force(path, memory.belief, task)
+    note(now, memory)
+    all_notes = _Note(*(np.array(values) for values in zip(*notes, strict=True)))
+    error, cover = score_force(all_notes.place, memory.belief, task)
     flight = Flight(
-        path=path,
+        path=all_notes.place,
         reached=bool(now.reached),
         violated=bool(now.violated),
         arrival_time=float(now.arrival_time),
         clearance=float(now.clearance),
-        consistency=float(np.mean(notes.consistency[1:])),
-        changed=notes.changed,
-        stalls=notes.stalls,
-        learn_times=np.array(notes.learn_times),
-        command_times=np.array(notes.command_times),
-        replan_times=np.array(notes.replan_times),
+        consistency=float(np.mean(all_notes.surprise[1:])),
+        changed=int(
+            np.sum(all_notes.changed[:-1])
+        ),  # no command follows the last frame
+        stalls=int(np.sum(all_notes.stalled)),
+        learn_times=all_notes.learn_time[np.isfinite(all_notes.learn_time)],
+        command_times=all_notes.command_time[:-1],
+        replan_times=all_notes.plan_time[np.isfinite(all_notes.plan_time)],
         memory=memory.belief.nbytes,
         force_error=error,
         cover=cover,
     )
-    return Visit(flight, memory.belief, tuple(notes.moments))
+    return Visit(flight, memory.belief, tuple(moments))
 
 
-@dataclasses.dataclass
-class _Notes:
-    """Notes on a flight, as it goes."""
+class _Note(NamedTuple):
+    """A frame of a flight, or all of them, with the controller's memory then.
 
-    every: float
-    due: float = 0.0
-    stalls: int = 0
-    changed: int = 0
-    states: list[np.ndarray] = dataclasses.field(default_factory=list)
-    consistency: list[float] = dataclasses.field(default_factory=list)
-    moments: list[Belief] = dataclasses.field(default_factory=list)
-    learn_times: list[float] = dataclasses.field(default_factory=list)
-    command_times: list[float] = dataclasses.field(default_factory=list)
-    replan_times: list[float] = dataclasses.field(default_factory=list)
+    Attributes:
+        surprise: squared error of the believed position over its variance, a component.
+        changed: True where the safety filter gave another command than the controller.
+    """
 
-    def frame(self, now: Situation, memory: ControllerState) -> None:
-        """The situation after a frame, and what is believed of it."""
-        state, believed = np.asarray(now.state, float), memory.belief.state
-        error = state[:2] - believed.mean[:2]
-        spread = believed.covariance[:2, :2]
-        self.states.append(state)
-        self.consistency.append(float(error @ np.linalg.solve(spread, error)) / 2)
-        self.stalls += memory.progress.stalled
-        if math.isfinite(memory.learn_time):
-            self.learn_times.append(memory.learn_time)
-        if math.isfinite(memory.plan_time):
-            self.replan_times.append(memory.plan_time)
-        if memory.belief.time >= self.due - 1e-9 and math.isfinite(self.every):
-            self.moments.append(memory.belief)
-            self.due += self.every
+    place: np.ndarray
+    surprise: Any
+    stalled: Any
+    changed: Any
+    learn_time: Any
+    plan_time: Any
+    command_time: Any
 
-    def decision(self, memory: ControllerState) -> None:
-        """A command was given."""
-        self.command_times.append(memory.command_time)
-        self.changed += memory.verdict is not None and memory.verdict.changed
+    @classmethod
+    def of(cls, now: Situation, memory: ControllerState) -> "_Note":
+        """The note on a situation, and on what is believed of it."""
+        place, believed = np.asarray(now.state, float)[:2], memory.belief.state
+        error, spread = place - believed.mean[:2], believed.covariance[:2, :2]
+        verdict = memory.verdict
+        return cls(
+            place,
+            float(error @ np.linalg.solve(spread, error)) / 2,
+            memory.progress.stalled,
+            verdict is not None and verdict.changed,
+            memory.learn_time,
+            memory.plan_time,
+            memory.command_time,
+        )
 
 
 MAP_POINTS = 41
@@ -290,9 +293,9 @@ MOMENTS_KEPT = 40
 
 def map_belief(task: Task, belief: Belief) -> ForceMaps:
     """The learned force on the arena, and its standard deviation."""
-    grid = ArenaGrid.over(Course.of(task), MAP_POINTS)
-    mean, sd = belief.force(grid.places)
-    return ForceMaps(grid.field(lambda _: mean), sd=grid.lay(sd))
+    grid = Course.of(task).grid(MAP_POINTS)
+    mean, sd = (part.reshape(grid.force.shape) for part in belief.force(grid.points))
+    return ForceMaps(grid.showing(mean), sd=sd)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -319,20 +322,22 @@ class ShownFlight:
     @classmethod
     def of(cls, task: Task, visit: Visit) -> "ShownFlight":
         """The figures' part of a flight with moments."""
-        grid, path = ArenaGrid.over(Course.of(task), MAP_POINTS), visit.flight.path
-        mean, sd = visit.belief.force(path)
-        truth = grid.field(lambda places: true_force(task, places))
-        maps = dataclasses.replace(map_belief(task, visit.belief), truth=truth)
+        path, maps = visit.flight.path, map_belief(task, visit.belief)
+        field, (mean, sd) = maps.learned, visit.belief.force(path)
+        truth = true_force(task, field.points).reshape(field.force.shape)
         count = len(visit.moments) - 1
         picked = np.linspace(0, count, MOMENTS).round().astype(int)
         moments = [visit.moments[k] for k in picked]
-        beliefs = [belief.force(grid.places) for belief in moments]
-        means, sds = (
-            np.stack([grid.lay(values) for values in part])
-            for part in zip(*beliefs, strict=True)
+        shown = [map_belief(task, belief) for belief in moments]
+        return cls(
+            maps=dataclasses.replace(maps, truth=field.showing(truth)),
+            truth=true_force(task, path),
+            mean=mean,
+            sd=sd,
+            times=np.array([belief.time for belief in moments]),
+            means=np.stack([one.learned.force for one in shown]),
+            sds=np.stack([one.sd for one in shown if one.sd is not None]),
         )
-        times = np.array([belief.time for belief in moments])
-        return cls(maps, true_force(task, path), mean, sd, times, means, sds)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

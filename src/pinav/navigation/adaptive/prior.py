@@ -2,23 +2,22 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import AbstractSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import axes_of
 from pinav.navigation.belief.given import BeliefPrior, GivenForce, take_for_granted
 from pinav.navigation.belief.kernels import Points
-from pinav.navigation.predictors import split_rates, tabulate_model
-from pinav.navigation.tables import FieldTable
+from pinav.navigation.predictors import TabulatedModel, split_rates, tabulate_model
 from pinav.navigation.task.steering import SteeredSwimmer, physics_only
 from pinav.navigation.task.task import Task, steered_swimmer
+from pinav.trajectories import Trajectories
 
 PLACES = 256
 """Places of the data at most at which the fit is told how well it knows the force."""
@@ -46,7 +45,7 @@ def environment_rate(task: Task, model: SteeredSwimmer) -> GivenForce:
 
 def with_prior_of(
     adaptive: AdaptiveController,
-    swimmer: Swimmer | OverdampedSwimmer,
+    swimmer: AbstractSwimmer,
     posterior: Posterior,
     places: Points,
 ) -> AdaptiveController:
@@ -78,14 +77,20 @@ def with_prior_of(
     chosen = np.linspace(0, len(places) - 1, min(len(places), PLACES)).astype(int)
     rows = posterior.force_jacobians(places[chosen])
     if not task.inertial:
-        mobility = _mobility(adaptive.physics.table, jnp.asarray(places[chosen]))
-        rows = np.asarray(mobility, float) @ rows
+        rows = mobilities(adaptive.physics, places[chosen]) @ rows
     rows = rows.reshape(-1, rows.shape[-1])
     covariance = rows @ posterior.covariance @ rows.T
     covariance += (DISTRUST * adaptive.thrust) ** 2 * np.eye(len(rows))
     prior = BeliefPrior(rate, places[chosen], covariance)
     first = adaptive.believe(adaptive.first_frame)
     return dataclasses.replace(adaptive, known=prior.lead(first))
+
+
+def observed_places(data: Trajectories) -> Points:
+    """Positions of trajectories that were observed [L]."""
+    return np.concatenate(
+        [p.states[p.observed[:, : data.dim].all(axis=1), : data.dim] for p in data]
+    )
 
 
 def with_truth(adaptive: AdaptiveController) -> AdaptiveController:
@@ -104,9 +109,9 @@ def with_truth(adaptive: AdaptiveController) -> AdaptiveController:
     return dataclasses.replace(adaptive, known=belief)
 
 
-@eqx.filter_jit
-def _mobility(
-    table: FieldTable, places: Float[Array, "point 2"]
-) -> Float[Array, "point 2 2"]:
-    channels = jax.vmap(lambda x: table(jnp.zeros(()), x))(places)
-    return split_rates(channels)[1]
+def mobilities(
+    physics: TabulatedModel, places: Points
+) -> Float[np.ndarray, "point 2 2"]:
+    """Mobility at places, of tables of a swimmer without inertia."""
+    channels = jax.jit(jax.vmap(lambda x: physics.table(0.0, x)))(jnp.asarray(places))
+    return np.asarray(split_rates(channels)[1], float)

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Planar, State
-from pinav.navigation.adaptive.strategies import MeanForce
+from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.controller import Observation, TrajectoryPrediction
 from pinav.navigation.predictors import TabulatedModel, TimeCost
@@ -88,7 +88,7 @@ def check_command(
     if near > farthest(np.asarray(observation.state), thrust, horizon):
         return CommandVerdict(command, near, changed=False)
     # The tables of the last plan are older than the belief, by half a time unit.
-    predictor = MeanForce().tables(belief, physics, thrust).predictor
+    predictor = MEAN_FORCE.tables(belief, physics, thrust).predictor
     # A camera may be far quicker than a swimmer that takes minutes to cross the arena.
     step = max(prediction.step, horizon / MOST)
     prediction = dataclasses.replace(prediction, predictor=predictor, step=step)

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import time
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -13,7 +14,6 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pinav.errors import InputError
 from pinav.navigation.adaptive.safety import CommandVerdict, check_command
 from pinav.navigation.adaptive.strategies import (
-    AbstractStrategy,
     ExplorationBonus,
     Progress,
     motion_of,
@@ -29,10 +29,9 @@ from pinav.navigation.control.controller import (
     Observation,
     TrajectoryPrediction,
 )
-from pinav.navigation.control.default import Timing
+from pinav.navigation.control.default import predict_onset
 from pinav.navigation.control.mppi import PathIntegral
-from pinav.navigation.planning.plan import TimeToGo, check_places
-from pinav.navigation.planning.replanning import HEADROOM, Replanner
+from pinav.navigation.planning.plan import Planner, TimeToGo, check_places
 from pinav.navigation.predictors import (
     InertialTable,
     TabulatedModel,
@@ -40,7 +39,7 @@ from pinav.navigation.predictors import (
     tabulate_model,
 )
 from pinav.navigation.task.steering import Command, physics_only
-from pinav.navigation.task.task import ReachGoal, Rectangle, Task
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task, Timing
 from pinav.navigation.trials.situation import mean_thrust
 
 POINTS, SPEEDS = 25, 11
@@ -57,6 +56,12 @@ HORIZON = 0.3
 
 PATIENCE = 0.5
 """How long a swimmer may come nowhere new, over the time to cross the arena."""
+
+HEADROOM = 1.25
+"""Greatest speed of the lattice over that of the thrust against the drag alone."""
+
+TO_THE_END = 400
+"""Sweeps after which any plan has settled."""
 
 SWEEPS = 12
 """Sweeps of a plan from the values before."""
@@ -86,7 +91,7 @@ class ControllerState:
         planned: time at which it was made [T].
         controls: sequence of thrusts that is improved from step to step.
         pending: commands that waited at the last decision, as in `Observation`.
-        verdict: of the safety filter on the last command; none where it is not used.
+        verdict: of the safety filter on the last command; none before the first.
         learn_time: computing time of the last frame [s]; NaN for the first one.
         plan_time: computing time of a plan that this frame made [s]; NaN without one.
         command_time: computing time of the last command [s].
@@ -94,7 +99,7 @@ class ControllerState:
 
     belief: Belief
     plan: TimeToGo
-    lattice: Replanner
+    lattice: Planner
     planned: float
     leader: int
     controls: Controls
@@ -121,30 +126,27 @@ class AdaptiveController(AbstractController[ControllerState]):
         replanner: lattice over the arena.
         window: lattice about the goal, with finer cells.
         detailed: lattice over the arena with finer cells, for a swimmer that stalled.
-        safe: True where the last filter is used.
         known: belief whose map is kept, such as that of an earlier visit or of a fit;
             nothing is known of the force unless given.
     """
 
     task: Task
-    strategy: AbstractStrategy
+    strategy: ExplorationBonus
     physics: TabulatedModel
     motion: AbstractMotion
     thrust: float
     crossing: float
-    replanner: Replanner
-    window: Replanner
-    detailed: Replanner
-    safe: bool = True
+    replanner: Planner
+    window: Planner
+    detailed: Planner
     known: Belief | None = None
 
     @classmethod
     def of(
         cls,
         task: Task,
-        strategy: AbstractStrategy | None = None,
+        strategy: ExplorationBonus | None = None,
         *,
-        safe: bool = True,
         points: int | None = None,
         speeds: int = SPEEDS,
     ) -> "AdaptiveController":
@@ -153,7 +155,6 @@ class AdaptiveController(AbstractController[ControllerState]):
         Args:
             task: what is to be done.
             strategy: `ExplorationBonus` unless given.
-            safe: True to use the last filter.
             points: number of points of the lattice along the arena.
             speeds: the same along a velocity.
 
@@ -175,19 +176,11 @@ class AdaptiveController(AbstractController[ControllerState]):
         inertial = isinstance(physics.predictor, InertialTable)
         if points is None:
             points = POINTS if inertial else FLAT_POINTS
-        objective = task.objective
-        arena, more = task.arena, math.ceil((points - 1) / FINER) + 1
-        parts = (
-            (arena, points),
-            (_window(task, objective), points),
-            (arena, more),
+        objective, finer = task.objective, math.ceil((points - 1) / FINER) + 1
+        lattice = partial(
+            Planner.of, task, objective, physics, speeds=speeds, headroom=HEADROOM
         )
-        lattices = [
-            Replanner.of(
-                task, objective, physics, points=count, speeds=speeds, window=window
-            )
-            for window, count in parts
-        ]
+        replanner = lattice(points=points)
         thrust = float(
             greatest_rate(physics.table, physics.control_map, inertial=inertial)
         )
@@ -197,9 +190,10 @@ class AdaptiveController(AbstractController[ControllerState]):
             physics,
             motion_of(task, physics),
             thrust,
-            _crossing_time(task, lattices[0], thrust),
-            *lattices,
-            safe=safe,
+            _crossing_time(task, replanner, thrust),
+            replanner,
+            window=lattice(points=points, region=_window(task, objective)),
+            detailed=lattice(points=finer),
         )
 
     @property
@@ -252,7 +246,7 @@ class AdaptiveController(AbstractController[ControllerState]):
         state = belief.state.mean
         return ControllerState(
             belief=belief,
-            plan=self.replanner.plan(tables),
+            plan=self.replanner.plan(tables, sweeps=TO_THE_END),
             lattice=self.replanner,
             planned=belief.time,
             leader=belief.leader,
@@ -304,7 +298,7 @@ class AdaptiveController(AbstractController[ControllerState]):
         if lattice is memory.lattice:
             plan = lattice.plan(tables, memory.plan.values, sweeps=sweeps)
         else:
-            plan = lattice.plan(tables)
+            plan = lattice.plan(tables, sweeps=TO_THE_END)
         jax.block_until_ready(plan.values)
         return dataclasses.replace(
             memory,
@@ -339,25 +333,22 @@ class AdaptiveController(AbstractController[ControllerState]):
             PathIntegral(
                 prediction, ArrivalCost(memory.plan), GradientGuide(memory.plan)
             ),
-            Timing(task.step, task.delay),
+            task.timing,
             observation,
             memory.controls,
             key,
         )
-        verdict = None
-        if self.safe:
-            verdict = check_command(
-                command,
-                ahead,
-                belief,
-                prediction,
-                self.physics,
-                tables.time_cost,
-                self.thrust,
-                HORIZON * self.crossing,
-            )
-            command = verdict.command
-        return command, dataclasses.replace(
+        verdict = check_command(
+            command,
+            ahead,
+            belief,
+            prediction,
+            self.physics,
+            tables.time_cost,
+            self.thrust,
+            HORIZON * self.crossing,
+        )
+        return verdict.command, dataclasses.replace(
             memory,
             controls=controls,
             pending=pending,
@@ -365,7 +356,7 @@ class AdaptiveController(AbstractController[ControllerState]):
             command_time=time.perf_counter() - began,
         )
 
-    def _lattice(self, memory: ControllerState) -> Replanner:
+    def _lattice(self, memory: ControllerState) -> Planner:
         """The lattice for the next plan: finer where the goal or a trap is near."""
         grid, place = self.window.grid, memory.belief.state.mean[:2]
         lower = np.asarray(grid.lower)
@@ -380,7 +371,7 @@ class AdaptiveController(AbstractController[ControllerState]):
         return self.detailed if bold else self.replanner
 
 
-def _crossing_time(task: Task, lattice: Replanner, thrust: float) -> float:
+def _crossing_time(task: Task, lattice: Planner, thrust: float) -> float:
     """Time to cross the arena at top speed, and to stop from it by thrust alone [T].
 
     All that is done now and then, or looks ahead, is measured by it, so that nothing
@@ -411,6 +402,6 @@ def _follow(
     """The state when the command comes into force, the command, and the sequence."""
     predictor, ahead = controller.prediction.predictor, observation
     if timing.delay > 0:
-        ahead = timing.predict(predictor, observation)
+        ahead = predict_onset(predictor, timing, observation)
     command, controls = controller(ahead, memory, key=key)
     return ahead, command, controls

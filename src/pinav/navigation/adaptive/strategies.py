@@ -1,6 +1,5 @@
 """The known motion of a belief, its plans under uncertainty, and progress."""
 
-import abc
 import dataclasses
 from collections.abc import Callable
 
@@ -35,26 +34,7 @@ MOST = 0.9
 """The greatest bonus, so that time always costs something."""
 
 
-class AbstractStrategy(eqx.Module):
-    """Turns a belief into tables to plan on."""
-
-    @abc.abstractmethod
-    def tables(
-        self, belief: Belief, physics: TabulatedModel, thrust: float
-    ) -> TabulatedModel:
-        """Tables of the mean force, with a price where it is not known."""
-
-
-class MeanForce(AbstractStrategy):
-    """The mean is taken for true: where nothing was seen there is no force."""
-
-    def tables(
-        self, belief: Belief, physics: TabulatedModel, thrust: float
-    ) -> TabulatedModel:
-        return with_force(physics, mean_on(belief, physics.table.grid))
-
-
-class ExplorationBonus(AbstractStrategy):
+class ExplorationBonus(eqx.Module):
     r"""A hopeful mean, and a bonus for the information that a visit would give.
 
     The mean force is weaker by $c = \kappa + b$ standard deviations, down to nothing,
@@ -67,6 +47,9 @@ class ExplorationBonus(AbstractStrategy):
     information to be had there. It tells of surroundings as wide as the length scale
     $\ell$ of the force: on a grid of the longer side L, more of the way to the goal
     where the force is smooth than where it changes from place to place.
+
+    With neither hope nor bonus, `MEAN_FORCE`, the mean is taken for true: where nothing
+    was seen there is no force.
 
     Attributes:
         worth: w.
@@ -81,13 +64,20 @@ class ExplorationBonus(AbstractStrategy):
     def tables(
         self, belief: Belief, physics: TabulatedModel, thrust: float
     ) -> TabulatedModel:
+        """Tables of the mean force, with a price where it is not known."""
         grid = physics.table.grid
+        if self.worth == self.hope == self.boldness == 0:
+            return with_force(physics, mean_on(belief, grid))
         force, spread = mean_and_spread(belief, grid)
         size = np.maximum(np.linalg.norm(force, axis=-1), 1e-12)
         factor = np.maximum(1 - (self.hope + self.boldness) * spread / size, 0.0)
         bonus = 1 - (1 - bonus_of(belief, grid, self.worth)) ** (1 + self.boldness)
         model = with_force(physics, force * factor[..., None])
         return with_spread(model, spread / thrust, -bonus)
+
+
+MEAN_FORCE = ExplorationBonus(worth=0.0, hope=0.0)
+"""The mean is taken for true."""
 
 
 def bonus_of(belief: Belief, grid: Grid, worth: float) -> float:
@@ -173,7 +163,7 @@ def known_rate(
     way as it was believed.
     """
     motion, state = before.motion, before.state
-    dim = motion.dim_of(state)
+    dim = len(thrust)
     inertial = isinstance(motion, InertialMotion)
     velocity = state[dim:] if inertial else np.zeros(dim)
     middle = state[:dim] + velocity * elapsed / 2

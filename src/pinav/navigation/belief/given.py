@@ -70,17 +70,20 @@ class GivenForce(AbstractKernels):
         return weights[..., None, None] * force
 
 
+FIRST_SPEED = 0.1
+"""Standard deviation of the first velocity of who knows the force."""
+
+
 def take_for_granted(
     force: GivenForce,
     frame: Frame,
     *,
     motion: AbstractMotion,
-    speed_sd: float = 0.1,
     longest: float = 0.1,
 ) -> Belief:
     """The belief of one who knows the force: what it learns is the state."""
     assert frame.position is not None
-    state, spread = motion.start(frame.position, frame.sd, speed_sd)
+    state, spread = motion.start(frame.position, frame.sd, FIRST_SPEED)
     empty = WeightPosterior.before_data(1, len(state), 0.0).reach(np.zeros(1, int))
     weights = dataclasses.replace(empty, mean=np.ones(1))
     one = KernelFilter(force, motion, state, spread, weights)

@@ -38,10 +38,6 @@ class AbstractMotion(abc.ABC):
     """The known part of the dynamics: all but the force."""
 
     @abc.abstractmethod
-    def dim_of(self, state: Float[np.ndarray, " state"]) -> int:
-        """Dimension of space, of a state."""
-
-    @abc.abstractmethod
     def start(
         self, position: Vector, sd: float, speed_sd: float
     ) -> tuple[Float[np.ndarray, " state"], Square]:
@@ -83,9 +79,6 @@ class InertialMotion(AbstractMotion):
     damping: float
     noise: float
 
-    def dim_of(self, state: Float[np.ndarray, " state"]) -> int:
-        return len(state) // 2
-
     def start(
         self, position: Vector, sd: float, speed_sd: float
     ) -> tuple[Float[np.ndarray, " state"], Square]:
@@ -99,7 +92,7 @@ class InertialMotion(AbstractMotion):
         thrust: Vector,
         duration: float,
     ) -> Transition:
-        h, dim = duration, self.dim_of(state)
+        h, dim = duration, len(thrust)
         x, v = state[:dim], state[dim:]
         middle = x + h / 2 * v
         force, gradient = force_at(middle)
@@ -131,9 +124,6 @@ class OverdampedMotion(AbstractMotion):
     """
 
     noise: float
-
-    def dim_of(self, state: Float[np.ndarray, " state"]) -> int:
-        return len(state)
 
     def start(
         self, position: Vector, sd: float, speed_sd: float

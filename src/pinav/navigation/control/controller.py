@@ -126,17 +126,7 @@ class TrajectoryPrediction(eqx.Module):
         return self.control_map.command(control, observation.pending[-1], self.step)
 
 
-class AbstractGuide(eqx.Module):
-    """Proposes a sequence of thrusts."""
-
-    @abc.abstractmethod
-    def __call__(
-        self, observation: Observation, prediction: TrajectoryPrediction
-    ) -> Controls:
-        """Controls for the steps of a prediction."""
-
-
-class GradientGuide(AbstractGuide):
+class GradientGuide(eqx.Module):
     """Always to where the time-to-go is least a step of the plan later."""
 
     plan: TimeToGo
@@ -144,6 +134,8 @@ class GradientGuide(AbstractGuide):
     def __call__(
         self, observation: Observation, prediction: TrajectoryPrediction
     ) -> Controls:
+        """Controls for the steps of a prediction."""
+
         def move(
             carry: tuple[State, Command], t: Scalar
         ) -> tuple[tuple[State, Command], Vector]:

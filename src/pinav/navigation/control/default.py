@@ -4,7 +4,6 @@ Each wrapper gives the controller inside a better observation: the state when th
 command will come into force, or the one that explains what was seen.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Generic, TypeVar
 
@@ -30,7 +29,7 @@ from pinav.navigation.predictors import (
     tabulate_model,
 )
 from pinav.navigation.task.steering import Command, SteeredSwimmer
-from pinav.navigation.task.task import ReachGoal, Task
+from pinav.navigation.task.task import ReachGoal, Task, Timing
 
 
 def controller(
@@ -38,7 +37,6 @@ def controller(
     model: SteeredSwimmer,
     *,
     samples: Sequence[SteeredSwimmer] = (),
-    risk_aversion: float = 4.0,
 ) -> AbstractController:
     """Plan and control a task with a model: the truth of the task is not used.
 
@@ -51,24 +49,22 @@ def controller(
         model: what is believed: a fitted model, physics alone, or the truth.
         samples: of the model's posterior, none or at least two: where they disagree,
             time costs more.
-        risk_aversion: cost of time where their spread is as great as the thrust.
 
     Raises:
         InputError: the task cannot be done with the model: see `time_to_go`.
     """
     check_places(task)
-    tables = tabulate_model(task, model, samples=samples, risk_aversion=risk_aversion)
+    tables = tabulate_model(task, model, samples=samples)
     predictor = tables.predictor
     steered = _undelayed_controller(task, model, tables)
-    timing = Timing(task.step, task.delay)
     # The filter stands outside: it must see observations as they are, not ahead.
     if task.delay > 0:
-        steered = DelayCompensation(steered, predictor, timing)
+        steered = DelayCompensation(steered, predictor, task.timing)
     if task.sensor_noise > 0:
         steered = StateEstimation(
             steered,
             predictor,
-            timing,
+            task.timing,
             noise=task.noise,
             sensor_noise=task.sensor_noise,
             dim=task.dim,
@@ -103,48 +99,24 @@ TRACKING_STEPS = 10
 Inner = TypeVar("Inner", bound=PyTree)
 
 
-class Timing(eqx.Module):
-    """Times at which commands come into force.
+def predict_onset(
+    predictor: AbstractPredictor, timing: Timing, observation: Observation
+) -> Observation:
+    """The observation when the next command comes into force."""
+    pending = observation.pending
+    durations = jnp.full(pending.shape[0], timing.step).at[0].set(timing.remainder)
 
-    Attributes:
-        step: how long a command holds [T].
-        delay: from a command until it is in force [T].
-    """
+    def move(
+        carry: tuple[Scalar, State], inputs: tuple[Command, Scalar]
+    ) -> tuple[tuple[Scalar, State], None]:
+        t, y = carry
+        command, duration = inputs
+        return (t + duration, predictor.step(t, y, command, duration)), None
 
-    step: float = eqx.field(static=True)
-    delay: float = eqx.field(static=True)
-
-    @property
-    def remainder(self) -> float:
-        """Time for which the oldest pending command stays in force [T]."""
-        # Less a little, so that rounding does not add a step to a delay of whole ones.
-        whole = max(math.ceil(self.delay / self.step - 1e-9), 1)
-        return max(self.delay - (whole - 1) * self.step, 0.0)
-
-    @property
-    def rest(self) -> float:
-        """Rest of a control step when the oldest one has passed [T]."""
-        rest = self.step - self.remainder
-        return rest if rest > 1e-9 * self.step else 0.0
-
-    def predict(
-        self, predictor: AbstractPredictor, observation: Observation
-    ) -> Observation:
-        """The observation when the next command comes into force."""
-        pending = observation.pending
-        durations = jnp.full(pending.shape[0], self.step).at[0].set(self.remainder)
-
-        def move(
-            carry: tuple[Scalar, State], inputs: tuple[Command, Scalar]
-        ) -> tuple[tuple[Scalar, State], None]:
-            t, y = carry
-            command, duration = inputs
-            return (t + duration, predictor.step(t, y, command, duration)), None
-
-        time = jnp.asarray(observation.time, observation.state.dtype)
-        begin = (time, observation.state)
-        (t, y), _ = jax.lax.scan(move, begin, (pending, durations))
-        return Observation(t, y, pending[-1:])
+    time = jnp.asarray(observation.time, observation.state.dtype)
+    begin = (time, observation.state)
+    (t, y), _ = jax.lax.scan(move, begin, (pending, durations))
+    return Observation(t, y, pending[-1:])
 
 
 class DelayCompensation(AbstractController[Inner], Generic[Inner]):
@@ -160,12 +132,14 @@ class DelayCompensation(AbstractController[Inner], Generic[Inner]):
     timing: Timing
 
     def start(self, observation: Observation) -> Inner:
-        return self.controller.start(self.timing.predict(self.predictor, observation))
+        return self.controller.start(
+            predict_onset(self.predictor, self.timing, observation)
+        )
 
     def __call__(
         self, observation: Observation, memory: Inner, *, key: PRNGKeyArray
     ) -> tuple[Command, Inner]:
-        ahead = self.timing.predict(self.predictor, observation)
+        ahead = predict_onset(self.predictor, self.timing, observation)
         return self.controller(ahead, memory, key=key)
 
 

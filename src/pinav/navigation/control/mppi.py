@@ -20,8 +20,8 @@ from pinav.errors import InputError
 from pinav.navigation.control.controller import (
     AbstractController,
     AbstractCost,
-    AbstractGuide,
     Controls,
+    GradientGuide,
     Observation,
     TrajectoryPrediction,
 )
@@ -53,7 +53,7 @@ class PathIntegral(AbstractController[Controls]):
 
     prediction: TrajectoryPrediction
     cost: AbstractCost
-    guide: AbstractGuide | None = None
+    guide: GradientGuide | None = None
     samples: int = eqx.field(static=True, default=96)
     rounds: int = eqx.field(static=True, default=2)
     spread: float = 0.6
@@ -163,7 +163,7 @@ class GradientMPC(AbstractController[Controls]):
 
     prediction: TrajectoryPrediction
     cost: AbstractCost
-    guide: AbstractGuide | None = None
+    guide: GradientGuide | None = None
     iterations: int = eqx.field(static=True, default=20)
     rate: float = 0.15
 

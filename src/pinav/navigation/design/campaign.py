@@ -12,17 +12,16 @@ from collections.abc import Iterator, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Float, PRNGKeyArray
 
 from pinav.dynamics import (
-    OverdampedSwimmer,
-    Swimmer,
+    AbstractSwimmer,
     drive_by_commands,
 )
 from pinav.errors import InputError
 from pinav.navigation.adaptive.flight import true_force
-from pinav.navigation.adaptive.steering import AdaptiveController
-from pinav.navigation.adaptive.strategies import MeanForce, with_known
+from pinav.navigation.adaptive.steering import TO_THE_END, AdaptiveController
+from pinav.navigation.adaptive.strategies import MEAN_FORCE, with_known
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.design.candidates import (
     AbstractDesign,
@@ -30,7 +29,7 @@ from pinav.navigation.design.candidates import (
     Experiment,
     Stage,
 )
-from pinav.navigation.task.task import ReachGoal, Rectangle, Task
+from pinav.navigation.task.task import ReachGoal
 from pinav.navigation.trials.situation import advance_compiled, begin, mean_thrust
 from pinav.trajectories import Trajectories, Trajectory
 
@@ -39,9 +38,6 @@ DRAWS = 100
 
 CONFIDENCE = 0.95
 """Probability that the error is below the accuracy when a campaign ends."""
-
-KNOTS = 8
-"""Changes of the command in a trajectory."""
 
 WAY_POINTS = 40
 """Points of a way at which the force is asked for."""
@@ -125,7 +121,6 @@ def run_campaign(
         raise InputError(f"accuracy: expected between 0 and 1, got {accuracy}")
     if most < 1:
         raise InputError(f"most: expected 1 or more, got {most}")
-    task = adaptive.task
     belief = adaptive.believe(adaptive.first_frame)
     decisions, paths = [decide(adaptive, belief)], []
     for count in range(most):
@@ -133,7 +128,7 @@ def run_campaign(
         way = decisions[-1].way
         stage = Stage(adaptive, experiment, belief, way, count)
         chosen = design.choose(stage, key=choose)
-        frames, path = record(task, experiment, chosen, key=noise)
+        frames, path = record(experiment, chosen, key=noise)
         belief = learn(adaptive, belief, frames)
         paths.append(path)
         decisions.append(decide(adaptive, belief))
@@ -142,25 +137,7 @@ def run_campaign(
     return Campaign(accuracy, tuple(paths), tuple(decisions), belief)
 
 
-def record_positions(task: Task, region: Rectangle, duration: float) -> Experiment:
-    """The experiment of a task whose positions alone are observed."""
-    knot = max(duration / KNOTS, task.step)
-    noise = np.full(len(task.start), np.inf)
-    noise[:2] = task.sensor_noise
-    return Experiment(
-        actuator=task.truth.actuator,
-        limits=task.limits,
-        region=region,
-        noise=noise,
-        duration=duration,
-        interval=task.step,
-        knot=knot,
-        turning=1.2 / knot**0.5,
-    )
-
-
 def record(
-    task: Task,
     experiment: Experiment,
     candidate: CandidateTrajectories,
     *,
@@ -171,6 +148,7 @@ def record(
     Returns:
         Its frames, and the true positions then [L].
     """
+    task = experiment.task
     assert isinstance(task.objective, ReachGoal)
     endless = dataclasses.replace(
         task,
@@ -180,7 +158,7 @@ def record(
     )
     now, sd = begin(endless), task.position_sd
     moments = np.arange(round(experiment.duration / task.step)) * task.step
-    commands = commands_at(experiment, candidate, moments)
+    commands = experiment.commands(candidate, moments)
     states, thrusts = [now.state], [np.zeros(2)]
     for k, command in enumerate(commands):
         before = now.pending
@@ -198,19 +176,6 @@ def record(
         Frame(k * task.step, seen[k], sd, thrust) for k, thrust in enumerate(thrusts)
     ]
     return frames, path
-
-
-def commands_at(
-    experiment: Experiment,
-    candidate: CandidateTrajectories,
-    moments: Float[np.ndarray, " time"],
-) -> Float[Array, "time 2"]:
-    """Frequency and heading of a candidate at some moments [T]."""
-    knots = np.asarray(experiment.knots)
-    series = (candidate.frequency, candidate.heading)
-    return jnp.asarray(
-        np.stack([np.interp(moments, knots, np.asarray(s)) for s in series], axis=1)
-    )
 
 
 def learn(
@@ -242,8 +207,9 @@ def decide(adaptive: AdaptiveController, belief: Belief) -> Decision:
     over the way; the bound is its quantile of 95 %.
     """
     task = adaptive.task
-    tables = MeanForce().tables(belief, adaptive.physics, adaptive.thrust)
-    route = adaptive.replanner.plan(tables).route(task.start, task.step)
+    tables = MEAN_FORCE.tables(belief, adaptive.physics, adaptive.thrust)
+    plan = adaptive.replanner.plan(tables, sweeps=TO_THE_END)
+    route = plan.route(task.start, task.step)
     arrives = bool(jnp.isfinite(route.arrival_time))
     way = np.asarray(route.ys, float)[:, :2]
     if not arrives:
@@ -279,7 +245,7 @@ SPEED = 2.0
 
 def believe_data(
     adaptive: AdaptiveController,
-    swimmer: Swimmer | OverdampedSwimmer,
+    swimmer: AbstractSwimmer,
     data: Trajectories,
     position_noise: float,
 ) -> Belief:
@@ -315,7 +281,7 @@ def believe_data(
 
 
 def frames_of(
-    swimmer: Swimmer | OverdampedSwimmer, piece: Trajectory, position_noise: float
+    swimmer: AbstractSwimmer, piece: Trajectory, position_noise: float
 ) -> Iterator[Frame]:
     """The observed positions of a trajectory, with the thrust before each."""
     driven = drive_by_commands(swimmer, piece)

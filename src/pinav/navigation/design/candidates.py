@@ -1,11 +1,18 @@
-r"""Candidates for the next recording, within the limits, and choices among them."""
+r"""Candidates for the next recording, within the limits, and choices among them.
+
+A candidate is worth what it leaves unknown: the standard deviation of the force along
+the way that is expected after it, by the filter that leads.
+
+References:
+    MacKay, Neural Computation 4, 590 (1992); Chaloner and Verdinelli, Statistical
+    Science 10, 273 (1995).
+"""
 
 import abc
 import dataclasses
 import functools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,29 +20,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, PRNGKeyArray
 
-from pinav.actuation import AbstractProgramme, LinearProgramme
-from pinav.arguments import Scalar, Vector, check_positive
+from pinav.arguments import check_positive
 from pinav.errors import InputError
-from pinav.forces import AbstractForce
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import known_rate
 from pinav.navigation.belief.belief import SETTLE_EVERY, Belief
-from pinav.navigation.task.steering import (
-    AbstractActuator,
-    CommandLimits,
-    thrusts_of,
-)
-from pinav.navigation.task.task import Rectangle, Task, clearance
-
-
-class CommandedThrust(AbstractForce):
-    """The thrust that an actuator makes of a programme of commands."""
-
-    programme: AbstractProgramme
-    actuator: AbstractActuator
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return self.actuator(jnp.stack(self.programme(t))).astype(x.dtype)
+from pinav.navigation.belief.kernel_filter import KernelFilter
+from pinav.navigation.task.steering import thrusts_of
+from pinav.navigation.task.task import Rectangle, Task
 
 
 class CandidateTrajectories(eqx.Module):
@@ -57,51 +49,44 @@ class CandidateTrajectories(eqx.Module):
         return jax.tree.map(lambda leaf: leaf[index], self)
 
 
-class Experiment(eqx.Module):
-    r"""The recording of trajectories, and its limits.
+KNOTS = 8
+"""Changes of the command in a trajectory, unless its steps are longer."""
 
-    Commands are given at knots and go linearly from one to the next, so that the
-    heading never jumps. Candidates are random: the first heading is uniform, later ones
-    follow a random walk; frequencies are uniform up to their limit.
+SPREAD = 0.3
+"""Changes of a variation, relative to those between random candidates."""
+
+TURN = 1.2
+"""Standard deviation of the change of heading between two commands [rad]."""
+
+
+class Experiment(eqx.Module):
+    """The recording of trajectories of a task's swimmer, and its limits.
+
+    The swimmer is released at rest and observed at every step of the task. Commands are
+    given at knots and go linearly from one to the next, so that the heading never
+    jumps. Candidates are random: the first heading is uniform, later ones follow a
+    random walk; frequencies are uniform up to their limit.
 
     Attributes:
+        task: the swimmer, the limits of its commands, and the error of the sensor.
         region: region in which swimmers are released.
         duration: of a trajectory [T], positive.
-        interval: between two samples [T], positive.
-        knot: between two commands [T], positive.
-        noise: standard deviation of what is observed of each component of the state;
-            infinite where nothing is.
-        turning: standard deviation of the change of heading in unit time
-            [rad T^-1/2], positive.
 
     Raises:
-        InputError: a time or `turning` is not positive, or `noise` is not.
+        InputError: `duration` is not positive.
     """
 
-    actuator: AbstractActuator
-    limits: CommandLimits
+    task: Task
     region: Rectangle
-    noise: Float[np.ndarray, " state"] = eqx.field(
-        converter=lambda value: np.asarray(value, float)
-    )
     duration: float = eqx.field(static=True)
-    interval: float = eqx.field(static=True, default=0.1)
-    knot: float = eqx.field(static=True, default=1.0)
-    turning: float = eqx.field(static=True, default=0.6)
 
     def __check_init__(self) -> None:
-        check_positive(self, "duration", "interval", "knot", "turning")
-        if isinstance(self.noise, np.ndarray) and not np.all(self.noise > 0):
-            raise InputError(
-                f"Experiment.noise: expected numbers > 0, got {self.noise.tolist()}; "
-                "give infinity for what is not observed"
-            )
+        check_positive(self, "duration")
 
     @property
-    def times(self) -> Float[Array, " time"]:
-        """Times of observation from the start of a trajectory [T]."""
-        count = round(self.duration / self.interval)
-        return jnp.linspace(0.0, self.duration, count + 1)
+    def knot(self) -> float:
+        """Time between two commands [T]."""
+        return max(self.duration / KNOTS, self.task.step)
 
     @property
     def knots(self) -> Float[Array, " knot"]:
@@ -109,10 +94,14 @@ class Experiment(eqx.Module):
         count = max(round(self.duration / self.knot), 1)
         return jnp.linspace(0.0, self.duration, count + 1)
 
-    def thrust(self, candidate: CandidateTrajectories) -> CommandedThrust:
-        """Propulsion of a single candidate."""
-        series = candidate.frequency, candidate.heading
-        return CommandedThrust(LinearProgramme(self.knots, *series), self.actuator)
+    def commands(
+        self, candidate: CandidateTrajectories, moments: Float[np.ndarray, " time"]
+    ) -> Float[Array, "time 2"]:
+        """Frequency and heading of a single candidate at some moments [T]."""
+        knots = np.asarray(self.knots)
+        series = (candidate.frequency, candidate.heading)
+        parts = [np.interp(moments, knots, np.asarray(values)) for values in series]
+        return jnp.asarray(np.stack(parts, axis=1))
 
     @eqx.filter_jit
     def draw(self, count: int, *, key: PRNGKeyArray) -> CandidateTrajectories:
@@ -121,15 +110,15 @@ class Experiment(eqx.Module):
         lower, upper = self.region.lower, self.region.upper
         fraction = jax.random.uniform(place_key, (count, 2))
         places = lower[None] + fraction * (upper - lower)[None]
-        rest = jnp.zeros((count, len(self.noise) - 2))
+        rest = jnp.zeros((count, len(self.task.start) - 2))
         first = jax.random.uniform(first_key, (count, 1), maxval=2 * np.pi)
         steps = len(self.knots) - 1
-        turns = jax.random.normal(turn_key, (count, steps)) * self._turn
+        turns = jax.random.normal(turn_key, (count, steps)) * TURN
         walk = jnp.cumsum(self._clip_turns(turns), axis=1)
         return CandidateTrajectories(
             starts=jnp.concatenate([places, rest], axis=1),
             frequency=jax.random.uniform(
-                frequency_key, (count, steps + 1), maxval=self.limits.max_frequency
+                frequency_key, (count, steps + 1), maxval=self.task.limits.max_frequency
             ),
             heading=jnp.concatenate([first, first + walk], axis=1),
         )
@@ -141,7 +130,6 @@ class Experiment(eqx.Module):
         count: int,
         *,
         key: PRNGKeyArray,
-        spread: float = 0.3,
     ) -> CandidateTrajectories:
         """Variations of a trajectory, within the same limits, from the same start.
 
@@ -149,33 +137,27 @@ class Experiment(eqx.Module):
             candidate: a single one.
             count: how many.
             key: random key.
-            spread: of the changes, relative to those between random candidates.
         """
         first_key, turn_key, frequency_key = jax.random.split(key, 3)
         turns = jnp.diff(candidate.heading)
-        changes = jax.random.normal(turn_key, (count, len(turns))) * self._turn
-        first = jax.random.normal(first_key, (count, 1)) * np.pi * spread
-        walk = jnp.cumsum(self._clip_turns(turns[None] + spread * changes), axis=1)
+        changes = jax.random.normal(turn_key, (count, len(turns))) * TURN
+        first = jax.random.normal(first_key, (count, 1)) * np.pi * SPREAD
+        walk = jnp.cumsum(self._clip_turns(turns[None] + SPREAD * changes), axis=1)
         heading = candidate.heading[0] + first
         scatter = jax.random.normal(frequency_key, (count, len(turns) + 1))
-        most = self.limits.max_frequency
-        frequency = candidate.frequency[None] + spread * most * scatter
+        most = self.task.limits.max_frequency
+        frequency = candidate.frequency[None] + SPREAD * most * scatter
         return CandidateTrajectories(
             starts=jnp.broadcast_to(candidate.starts, (count, *candidate.starts.shape)),
             frequency=jnp.clip(frequency, 0.0, most),
             heading=jnp.concatenate([heading, heading + walk], axis=1),
         )
 
-    @property
-    def _turn(self) -> float:
-        """Standard deviation of the change of heading between two knots [rad]."""
-        return self.turning * self.knot**0.5
-
     def _clip_turns(
         self, turns: Float[Array, "candidate step"]
     ) -> Float[Array, "candidate step"]:
         """Changes of heading that the coils can follow, less than half a turn."""
-        most = min(self.limits.max_turning_rate * self.knot, 0.99 * np.pi)
+        most = min(self.task.limits.max_turning_rate * self.knot, 0.99 * np.pi)
         return jnp.clip(turns, -most, most)
 
 
@@ -279,8 +261,8 @@ class GridDesign(AbstractDesign):
         places = lower + shares[:, :2] * (upper - lower)
         shape = (len(shares), len(experiment.knots))
         all_of_them = CandidateTrajectories(
-            jnp.asarray(np.pad(places, ((0, 0), (0, len(experiment.noise) - 2)))),
-            jnp.full(shape, experiment.limits.max_frequency),
+            jnp.asarray(np.pad(places, ((0, 0), (0, len(experiment.task.start) - 2)))),
+            jnp.full(shape, experiment.task.limits.max_frequency),
             jnp.broadcast_to(2 * math.pi * jnp.asarray(shares[:, 2:]), shape),
         )
         allowed = _keep_allowed(stage.adaptive.task, all_of_them)
@@ -290,10 +272,8 @@ class GridDesign(AbstractDesign):
 class InformedDesign(AbstractDesign):
     """The candidate after which the force along the way should be known best.
 
-    A candidate is imagined: the filter that leads moves along it and observes what it
-    expects, which leaves its mean and lowers its covariance. Half of the candidates are
-    released on the way and begin along it, if they may be released there. The best one
-    is varied in further rounds.
+    Half of the candidates are released on the way and begin along it, if they may be
+    released there. The best one is varied in further rounds.
     """
 
     candidates: int = eqx.field(static=True, default=24)
@@ -322,13 +302,25 @@ def expected_sd(stage: Stage, candidate: CandidateTrajectories) -> float:
 
     Infinite where the candidate should enter something forbidden.
     """
+    later, path = imagine(stage, candidate)
+    if float(_least_clearance(stage.adaptive.task, jnp.asarray(path))) < 0:
+        return math.inf
+    return _spread(later.force(stage.way)[1])
+
+
+def imagine(
+    stage: Stage, candidate: CandidateTrajectories
+) -> tuple[KernelFilter, Float[np.ndarray, "time 2"]]:
+    """The filter that leads after a candidate, and the positions that it expects [L].
+
+    It moves along the candidate and observes what it expects, which leaves its mean
+    and lowers its covariance.
+    """
     adaptive, experiment, task = stage.adaptive, stage.experiment, stage.adaptive.task
     step = COARSE * task.step
     moments = np.arange(round(experiment.duration / step)) * step
-    series = (candidate.frequency, candidate.heading)
-    knots = np.asarray(experiment.knots)
-    commands = [np.interp(moments + step / 2, knots, np.asarray(s)) for s in series]
-    thrusts = thrusts_of(task.truth.actuator, jnp.asarray(np.stack(commands, axis=1)))
+    commands = experiment.commands(candidate, moments + step / 2)
+    thrusts = thrusts_of(task.truth.actuator, commands)
     sd = task.position_sd / math.sqrt(COARSE)
     place = np.asarray(candidate.starts[:2], float)
     one = stage.belief.best
@@ -341,10 +333,12 @@ def expected_sd(stage: Stage, candidate: CandidateTrajectories) -> float:
         if k % SETTLE_EVERY == SETTLE_EVERY - 1:
             one = one.settle()
         path.append(one.state[:2])
-    if float(_least_clearance(task, jnp.asarray(np.stack(path)))) < 0:
-        return math.inf
-    _, spread = one.force(stage.way)
-    return float(np.sqrt(np.mean(spread**2)))
+    return one, np.stack(path)
+
+
+def _spread(sd: Float[np.ndarray, "point 2"]) -> float:
+    """Root mean square of standard deviations along a way."""
+    return float(np.sqrt(np.mean(sd**2)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -358,9 +352,9 @@ class Suggestion:
         times: times of the commands, the last one at the end [T].
         frequency: commanded frequency then [cycles T⁻¹].
         heading: commanded heading then [rad].
-        sd_after_random: as `sd_after`, of a random trajectory; none where it was not
-            asked for, or all of these leave the arena.
-        path: predicted positions, where they were asked for [L].
+        sd_after_random: as `sd_after`, the median of random trajectories; none where
+            all of these leave the arena.
+        path: predicted positions [L].
     """
 
     sd: float
@@ -372,31 +366,41 @@ class Suggestion:
     sd_after_random: float | None = None
     path: Float[np.ndarray, "sample 2"] | None = None
 
-    @classmethod
-    def of(
-        cls,
-        experiment: Experiment,
-        chosen: CandidateTrajectories,
-        sd: float,
-        sd_after: float,
-        **more: Any,
-    ) -> "Suggestion":
-        """The programme of a candidate, as plain numbers."""
-        x, y = np.asarray(chosen.starts[:2], float).tolist()
-        series = experiment.knots, chosen.frequency, chosen.heading
-        times, frequency, heading = (np.asarray(values, float) for values in series)
-        return cls(sd, sd_after, (x, y), times, frequency, heading, **more)
+    def scale(self, factor: float) -> "Suggestion":
+        """The same with standard deviations in another unit."""
+        random = self.sd_after_random
+        return dataclasses.replace(
+            self,
+            sd=factor * self.sd,
+            sd_after=factor * self.sd_after,
+            sd_after_random=None if random is None else factor * random,
+        )
+
+
+RANDOM = 12
+"""Random trajectories beside which a suggestion is put."""
 
 
 def suggest_next(stage: Stage, *, key: PRNGKeyArray) -> Suggestion | None:
     """The choice of the informed design; none where all leave the arena."""
-    chosen = InformedDesign().choose(stage, key=key)
+    chosen, experiment = InformedDesign().choose(stage, key=key), stage.experiment
     after = expected_sd(stage, chosen)
     if not np.isfinite(after):
         return None
-    _, spread = stage.belief.force(stage.way)
-    now = float(np.sqrt(np.mean(spread**2)))
-    return Suggestion.of(stage.experiment, chosen, now, after)
+    keys = jax.random.split(jax.random.fold_in(key, 1), RANDOM)
+    random = [RandomDesign().choose(stage, key=one) for one in keys]
+    sds = np.array([expected_sd(stage, one) for one in random])
+    inside = np.isfinite(sds)
+    x, y = np.asarray(chosen.starts[:2], float).tolist()
+    series = experiment.knots, chosen.frequency, chosen.heading
+    return Suggestion(
+        _spread(stage.belief.force(stage.way)[1]),
+        after,
+        (x, y),
+        *(np.asarray(values, float) for values in series),
+        sd_after_random=float(np.median(sds[inside])) if inside.any() else None,
+        path=imagine(stage, chosen)[1],
+    )
 
 
 def _along(
@@ -432,9 +436,7 @@ def _keep_allowed(
     Raises:
         InputError: all of them are.
     """
-    room = jax.vmap(lambda x: clearance(x, task.keep_out, task.arena))(
-        candidates.starts[:, :2]
-    )
+    room = jax.vmap(task.clearance)(candidates.starts[:, :2])
     free = np.flatnonzero(np.asarray(room) > 0)
     if not len(free):
         raise InputError(
@@ -446,4 +448,4 @@ def _keep_allowed(
 
 @eqx.filter_jit
 def _least_clearance(task: Task, path: Float[Array, "time 2"]) -> Float[Array, ""]:
-    return jnp.min(jax.vmap(lambda x: clearance(x, task.keep_out, task.arena))(path))
+    return jnp.min(jax.vmap(task.clearance)(path))

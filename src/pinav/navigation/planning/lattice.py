@@ -144,11 +144,11 @@ def _refined(
 
 
 def sweep_times(
-    task: Task, table: FieldTable, step: float
+    task: Task, table: FieldTable, step: Float[Array, ""]
 ) -> Float[Array, " moment"] | None:
     """Times at which a plan is swept, a step apart; None for a steady model."""
     steady = table.values.shape[0] == 1
-    return None if steady else jnp.arange(0.0, task.time_limit, step)
+    return None if steady else jnp.arange(0.0, task.time_limit, float(step))
 
 
 def _settle(

@@ -1,5 +1,9 @@
-r"""The global plan: how long it takes to the goal from anywhere, and the way there."""
+r"""The global plan: how long it takes to the goal from anywhere, and the way there.
 
+A controller that learns plans again and again, on one lattice and from old values.
+"""
+
+import dataclasses
 import math
 
 import equinox as eqx
@@ -30,7 +34,7 @@ from pinav.navigation.predictors import (
 )
 from pinav.navigation.tables import Grid, place_words
 from pinav.navigation.task.steering import Command, SteeredSwimmer
-from pinav.navigation.task.task import ReachGoal, Task
+from pinav.navigation.task.task import ReachGoal, Rectangle, Task
 
 HEADINGS = {2: 24, 3: 96}
 """Directions of the thrust that are tried at each position, and by the policy, in the
@@ -175,6 +179,145 @@ def _route(plan: TimeToGo, start: State, step: float, count: int) -> Route:
     return Route(ts, jnp.concatenate([start[None], ys]), arrived)
 
 
+class Planner(eqx.Module):
+    """A lattice that stays while tables and values change: compiled once.
+
+    It refuses no goal that seems out of reach: what is believed of the moment may close
+    every way, and the next frame may open one.
+
+    Attributes:
+        task: what is to be done; its truth is not used.
+        region: of the plan, such as the arena.
+        velocities: along either axis, where there is inertia [L T⁻¹]; else None.
+    """
+
+    task: Task
+    objective: ReachGoal
+    region: Rectangle
+    grid: Grid
+    velocities: Float[Array, " velocity"] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        task: Task,
+        objective: ReachGoal,
+        tables: TabulatedModel,
+        *,
+        points: int,
+        speeds: int,
+        region: Rectangle | None = None,
+        headroom: float = 1.0,
+    ) -> "Planner":
+        """The lattice of a task.
+
+        Args:
+            task: what is to be done.
+            objective: its place to reach.
+            tables: of a model, by which the velocities are chosen.
+            points: along the longer side of the region.
+            speeds: points along either axis of the velocity.
+            region: the arena unless given.
+            headroom: greatest speed over that of the thrust against the drag.
+        """
+        region = task.arena if region is None else region
+        planner = cls(task, objective, region, Grid.over(region, points))
+        if not isinstance(tables.predictor, InertialTable):
+            return planner
+        arrival = planner._arrival(tables, PHASE_HEADINGS)
+        top = headroom * top_speed(task, tables, arrival)
+        velocities = jnp.linspace(-top, top, speeds)
+        return dataclasses.replace(planner, velocities=velocities)
+
+    @property
+    def cell(self) -> float:
+        """Longer side of a cell [L]."""
+        return float(jnp.max(self.grid.spacing))
+
+    def plan(
+        self,
+        tables: TabulatedModel,
+        begin: Float[Array, "moment ..."] | None = None,
+        *,
+        sweeps: int | None = None,
+    ) -> TimeToGo:
+        """The plan after some sweeps.
+
+        Args:
+            tables: of the model, or of what is believed.
+            begin: values of the last plan; zeros unless given.
+            sweeps: at most; until the values have settled unless given.
+        """
+        if self.velocities is None:
+            return self._over_positions(tables, begin, sweeps)
+        velocities, width = self.velocities, self.velocities[1] - self.velocities[0]
+        arrival = self._arrival(tables, PHASE_HEADINGS)
+        step = phase_step(arrival, velocities)
+        if sweeps is None:
+            most = math.ceil(self.task.time_limit / float(step))
+        else:
+            most, shape = sweeps, (len(velocities), len(velocities), *self.grid.shape)
+            begin = jnp.zeros((1, *shape), jnp.float32) if begin is None else begin
+        values = phase_values(
+            tables.table,
+            arrival,
+            self.grid,
+            velocities,
+            (step, jnp.asarray(most)),
+            sweep_times(self.task, tables.table, step),
+            begin,
+        )
+        lower = jnp.concatenate([jnp.full(2, velocities[0]), self.grid.lower])
+        spacing = jnp.concatenate([jnp.full(2, width), self.grid.spacing])
+        return self._assemble(tables, arrival, values, (lower, spacing), step)
+
+    def _over_positions(
+        self,
+        tables: TabulatedModel,
+        begin: Float[Array, "moment ..."] | None,
+        sweeps: int | None,
+    ) -> TimeToGo:
+        task, grid = self.task, self.grid
+        arrival = self._arrival(tables, HEADINGS[task.dim])
+        # Times would be a fourth axis in space: there the plan is that of the mean.
+        table = tables.table if task.dim == 2 else tables.table.mean
+        step = position_step(table, arrival, grid)
+        times = sweep_times(task, table, step)
+        if times is None and sweeps is None and begin is None:
+            values = settled_values(table, arrival, grid, self.region)
+        else:
+            most = None if sweeps is None else jnp.asarray(sweeps)
+            if begin is None and times is None:
+                begin = jnp.zeros((1, *grid.shape), jnp.float32)
+            values = position_values(table, arrival, grid, step, times, begin, most)
+        return self._assemble(tables, arrival, values, (grid.lower, grid.spacing), step)
+
+    def _arrival(self, tables: TabulatedModel, headings: int) -> ArrivalTest:
+        return arrival_test(
+            self.objective, self.task.time_limit, tables, self.grid, headings
+        )
+
+    def _assemble(
+        self,
+        tables: TabulatedModel,
+        arrival: ArrivalTest,
+        values: Float[Array, "moment ..."],
+        lattice: tuple[State, State],
+        step: Float[Array, ""],
+    ) -> TimeToGo:
+        """The plan whose values stand on a lattice."""
+        return TimeToGo(
+            values,
+            *lattice,
+            scale=arrival.scale,
+            step=step,
+            horizon=float(self.task.time_limit),
+            tables=tables,
+            goal=arrival.goal,
+            tolerance=arrival.tolerance,
+        )
+
+
 def time_to_go(
     task: Task,
     model: SteeredSwimmer,
@@ -213,14 +356,11 @@ def time_to_go(
             "dimensions, where a plan over positions and velocities has no bounds that "
             "memory keeps; give a system of order 1"
         )
-    usual = 101 if task.dim == 2 and not inertial else 41
-    grid = Grid.over(task.arena, usual if points is None else points)
-    headings = PHASE_HEADINGS if inertial else HEADINGS[task.dim]
-    arrival = arrival_test(task.objective, task.time_limit, tables, grid, headings)
-    if inertial:
-        plan = _phase_plan(task, tables, arrival, grid, speeds)
-    else:
-        plan = _position_plan(task, tables, arrival, grid)
+    if points is None:
+        points = 101 if task.dim == 2 and not inertial else 41
+    plan = Planner.of(task, task.objective, tables, points=points, speeds=speeds).plan(
+        tables
+    )
     check_reachable(task, plan)
     return plan
 
@@ -255,55 +395,3 @@ def check_reachable(task: Task, plan: TimeToGo) -> None:
             f"{place_words(plan.goal)} from {place_words(start)}; walls or drift are "
             "stronger than this thrust"
         )
-
-
-def _position_plan(
-    task: Task, tables: TabulatedModel, arrival: ArrivalTest, grid: Grid
-) -> TimeToGo:
-    # Times would be a fourth axis in space: there the plan is that of the mean.
-    table = tables.table if task.dim == 2 else tables.table.mean
-    step = position_step(table, arrival, grid)
-    times = sweep_times(task, table, float(step))
-    if times is None:
-        values = settled_values(table, arrival, grid, task.arena)
-    else:
-        values = position_values(table, arrival, grid, step, times)
-    lattice = (grid.lower, grid.spacing)
-    return assemble_plan(task, tables, arrival, values, lattice, step)
-
-
-def _phase_plan(
-    task: Task, tables: TabulatedModel, arrival: ArrivalTest, grid: Grid, speeds: int
-) -> TimeToGo:
-    top = top_speed(task, tables, arrival)
-    velocities = jnp.linspace(-top, top, speeds)
-    width = float(velocities[1] - velocities[0])
-    step = float(phase_step(arrival, velocities))
-    times = sweep_times(task, tables.table, step)
-    most = math.ceil(task.time_limit / step)  # as many steps as there is time for
-    steps = jnp.asarray(step), jnp.asarray(most)
-    values = phase_values(tables.table, arrival, grid, velocities, steps, times)
-    spacing = jnp.concatenate([jnp.full(2, width), grid.spacing])
-    lattice = (jnp.concatenate([jnp.full(2, -top), grid.lower]), spacing)
-    return assemble_plan(task, tables, arrival, values, lattice, step)
-
-
-def assemble_plan(
-    task: Task,
-    tables: TabulatedModel,
-    arrival: ArrivalTest,
-    values: Float[Array, "moment ..."],
-    lattice: tuple[State, State],
-    step: Scalar,
-) -> TimeToGo:
-    """The plan whose values stand on a lattice."""
-    return TimeToGo(
-        values,
-        *lattice,
-        scale=arrival.scale,
-        step=jnp.asarray(step),
-        horizon=float(task.time_limit),
-        tables=tables,
-        goal=arrival.goal,
-        tolerance=arrival.tolerance,
-    )

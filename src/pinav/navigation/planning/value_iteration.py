@@ -203,12 +203,7 @@ def iterate_policies(
 
         return jax.lax.fori_loop(0, FOLLOWED, follow, values)
 
-    def improve(state: _Iterate) -> _Iterate:
-        values, _change, count = state
-        new = search(values)
-        return new, jnp.max(jnp.abs(new - values)), count + 1
-
-    return _iterate(improve, begin, most, tolerance)
+    return iterate_sweeps(search, begin, most, tolerance)
 
 
 FOLLOWED = 24
@@ -353,24 +348,13 @@ def iterate_sweeps(
 ) -> Values:
     """Values that a sweep no longer changes by more than `tolerance`."""
 
-    def improve(state: _Iterate) -> _Iterate:
+    def improve(
+        state: tuple[Values, Float[Array, ""], Int[Array, ""]],
+    ) -> tuple[Values, Float[Array, ""], Int[Array, ""]]:
         values, _change, count = state
         new = sweep(values)
         return new, jnp.max(jnp.abs(new - values)), count + 1
 
-    return _iterate(improve, begin, most, tolerance)
-
-
-_Iterate = tuple[Values, Float[Array, ""], Int[Array, ""]]
-"""Values, the greatest change by the last iteration, and how many there were."""
-
-
-def _iterate(
-    improve: Callable[[_Iterate], _Iterate],
-    begin: Values,
-    most: int | Int[Array, ""],
-    tolerance: float,
-) -> Values:
     first = (begin, jnp.ones((), jnp.float32), jnp.zeros((), int))
     return jax.lax.while_loop(
         lambda state: (state[1] > tolerance) & (state[2] < most), improve, first

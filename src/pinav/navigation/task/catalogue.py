@@ -6,7 +6,6 @@ it is learned.
 """
 
 import dataclasses
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -22,14 +21,15 @@ from pinav.actuation import (
     RollingActuator,
     StepOutResponse,
 )
-from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands, unbound
+from pinav.dynamics import (
+    AbstractSwimmer,
+    Swimmer,
+    takes_commands,
+    unbound,
+)
 from pinav.errors import InputError
 from pinav.forces import AbstractCommandedForce, WallMobility
-from pinav.navigation.task.steering import (
-    CommandLimits,
-    HelicalActuator,
-    SteeredSwimmer,
-)
+from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
 from pinav.navigation.task.task import (
     AbstractObjective,
     AbstractPath,
@@ -159,19 +159,22 @@ def _vessel() -> tuple[AbstractZone, ...]:
     return tuple(Wall(start, end, 0.08) for start, end in (*lines, *mirrored))
 
 
-def _screw(thrust: float) -> tuple[HelicalActuator, CommandLimits]:
-    """A screw with this greatest thrust, driven at most as fast as that takes."""
+def _screw(thrust: float) -> tuple[RollingActuator, CommandLimits]:
+    """A screw with this greatest thrust, driven at most as fast as that takes.
+
+    It turns with the field below the step-out frequency and falls behind above it; the
+    thrust goes with the rate at which it turns, which is the paper's at its greatest.
+
+    References:
+        PI-NAV paper, section 2.2.
+    """
+    response = StepOutResponse(STEP_OUT)
     frequencies = jnp.linspace(0.0, 1.2 * STEP_OUT, 1201)
-    turning = StepOutResponse(STEP_OUT)(frequencies)
+    turning = response(frequencies)
     best = int(jnp.argmax(turning))
-    torque_per_rate = 1 / (2 * math.pi)
-    actuator = HelicalActuator(
-        gain=thrust / float(turning[best]),
-        moment=1.0,
-        amplitude=STEP_OUT,
-        rotational_drag=torque_per_rate,
-    )
-    return actuator, CommandLimits(float(frequencies[best]))
+    gain = thrust / float(turning[best])
+    limits = CommandLimits(float(frequencies[best]))
+    return RollingActuator(gain * jnp.eye(2), response), limits
 
 
 Place = tuple[float, ...]
@@ -213,8 +216,8 @@ class Way:
 
     def task(
         self,
-        model: Swimmer | OverdampedSwimmer,
-        truth: Swimmer | OverdampedSwimmer,
+        model: AbstractSwimmer,
+        truth: AbstractSwimmer,
         name: str,
         places: Float[np.ndarray, "place dim"] | None = None,
     ) -> Task:
@@ -257,7 +260,7 @@ class Way:
         )
 
     def _actuation(
-        self, model: Swimmer | OverdampedSwimmer
+        self, model: AbstractSwimmer
     ) -> tuple[AbstractActuator, CommandLimits, float]:
         """The effect of commands, their limits, and the time until motion [T]."""
         propulsion = unbound(model) if takes_commands(model) else model.propulsion
@@ -280,7 +283,7 @@ class Way:
         return Rectangle(inside.min(axis=0), inside.max(axis=0))
 
 
-def _walls(model: Swimmer | OverdampedSwimmer) -> tuple[Behind, ...]:
+def _walls(model: AbstractSwimmer) -> tuple[Behind, ...]:
     """The wall that the mobility knows, which the swimmer's surface must not touch."""
     mobility = getattr(model, "mobility", None)
     if not isinstance(mobility, WallMobility):

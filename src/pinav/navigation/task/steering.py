@@ -19,10 +19,9 @@ from jaxtyping import Array, Float
 from pinav.actuation import AbstractActuator as AbstractActuator
 from pinav.actuation import Command as Command
 from pinav.actuation import RollingActuator as RollingActuator
-from pinav.actuation import StepOutResponse
 from pinav.actuation import direction as direction
 from pinav.arguments import Scalar, State, Vector, check_positive
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import AbstractSwimmer
 from pinav.forces import AbstractForce
 
 
@@ -58,48 +57,6 @@ def all_directions(count: int, dim: int) -> Float[np.ndarray, "{count} {dim}"]:
     return np.stack([across * np.cos(angles), across * np.sin(angles), height], axis=1)
 
 
-class HelicalActuator(AbstractActuator):
-    r"""Thrust $\alpha |m \times B|\, n(\theta)$ of a screw which the field turns.
-
-    The screw turns with the field while the torque that this takes, $2\pi c f$, is
-    below $m B_0$. Above the step-out frequency $f_c = m B_0 / 2\pi c$ it falls behind,
-    and mean torque and thrust drop (`StepOutResponse`). The greatest thrust is that of
-    the paper's swimmer, $\alpha m B_0$; here it can be steered.
-
-    Attributes:
-        gain: $\alpha$ [L⁻¹], thrust per torque.
-        moment: $m$ [J B⁻¹ per mass], positive.
-        amplitude: $B_0$ [B], positive.
-        rotational_drag: $c$, torque per rate of rotation [L² T⁻¹ rad⁻¹], positive.
-
-    Raises:
-        InputError: `moment`, `amplitude` or `rotational_drag` is a number <= 0.
-
-    References:
-        PI-NAV paper, section 2.2, for the thrust; Adler, Proc. IRE 34, 351 (1946), for
-        the step-out.
-    """
-
-    gain: Scalar
-    moment: Scalar
-    amplitude: Scalar
-    rotational_drag: Scalar
-
-    def __check_init__(self) -> None:
-        check_positive(self, "moment", "amplitude", "rotational_drag")
-
-    @property
-    def step_out(self) -> Float[Array, ""]:
-        """Frequency above which the screw falls behind the field [cycles T⁻¹]."""
-        torque = jnp.asarray(self.moment * self.amplitude)
-        return torque / (2 * math.pi * self.rotational_drag)
-
-    def __call__(self, command: Command) -> Vector:
-        turning = StepOutResponse(self.step_out)(command[0])
-        torque = 2 * math.pi * self.rotational_drag * turning
-        return self.gain * torque * direction(command[1:])
-
-
 class HeldThrust(AbstractForce):
     """A thrust that holds: what a command is until the next one."""
 
@@ -119,18 +76,18 @@ class SteeredSwimmer(eqx.Module):
             propulsion.
     """
 
-    dynamics: Swimmer | OverdampedSwimmer
+    dynamics: AbstractSwimmer
     actuator: AbstractActuator
 
     def __call__(self, t: Scalar, y: State, command: Command) -> State:
         """Rate of change of the state `y` at time `t` [T] under a command."""
         return self.under(command)(t, y)
 
-    def under(self, command: Command) -> Swimmer | OverdampedSwimmer:
+    def under(self, command: Command) -> AbstractSwimmer:
         """The dynamics while a command holds."""
         return self.with_propulsion(HeldThrust(self.actuator(command)))
 
-    def with_propulsion(self, thrust: AbstractForce) -> Swimmer | OverdampedSwimmer:
+    def with_propulsion(self, thrust: AbstractForce) -> AbstractSwimmer:
         """The dynamics with another propulsion."""
         # Not tree_at: the replaced propulsion may hold leaves under several names.
         return dataclasses.replace(self.dynamics, propulsion=thrust)
@@ -159,7 +116,6 @@ class CommandLimits(eqx.Module):
         max_frequency: greatest frequency [cycles T⁻¹], positive.
         max_turning_rate: greatest rate at which the direction turns [rad T⁻¹],
             positive; infinite means that coils turn at once.
-        max_amplitude: greatest field [B], positive.
 
     Raises:
         InputError: a limit is not positive.
@@ -167,10 +123,9 @@ class CommandLimits(eqx.Module):
 
     max_frequency: float
     max_turning_rate: float = math.inf
-    max_amplitude: float = math.inf
 
     def __check_init__(self) -> None:
-        check_positive(self, "max_frequency", "max_turning_rate", "max_amplitude")
+        check_positive(self, "max_frequency", "max_turning_rate")
 
     def clip(self, command: Command, previous: Command, duration: Scalar) -> Command:
         """The nearest allowed command after `previous` has held for `duration` [T]."""

@@ -10,7 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from pinav.arguments import Scalar, State, Vector, check_positive, point, real_array
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import AbstractSwimmer
 from pinav.errors import InputError
 from pinav.forces import AbstractSurface
 from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
@@ -248,6 +248,35 @@ def _length(offset: Vector) -> Float[Array, ""]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
+class Timing(eqx.Module):
+    """Times at which commands come into force.
+
+    Attributes:
+        step: how long a command holds [T].
+        delay: from a command until it is in force [T].
+    """
+
+    step: float = eqx.field(static=True)
+    delay: float = eqx.field(static=True)
+
+    @property
+    def waiting(self) -> int:
+        """Number of pending commands, with the one in force; one without a delay."""
+        # Less a little, so that rounding does not add a step to a delay of whole ones.
+        return max(math.ceil(self.delay / self.step - 1e-9), 1)
+
+    @property
+    def remainder(self) -> float:
+        """Time for which the oldest pending command stays in force [T]."""
+        return max(self.delay - (self.waiting - 1) * self.step, 0.0)
+
+    @property
+    def rest(self) -> float:
+        """Rest of a control step when the oldest one has passed [T]."""
+        rest = self.step - self.remainder
+        return rest if rest > 1e-9 * self.step else 0.0
+
+
 class Task(eqx.Module):
     """A true swimmer in a true environment, and what it is asked to do.
 
@@ -301,14 +330,21 @@ class Task(eqx.Module):
         """
         return max(self.sensor_noise, 1e-7 * self.extent)
 
+    def clearance(self, x: Vector) -> Float[Array, ""]:
+        """Distance from the nearest forbidden place [L]: negative inside of one."""
+        return clearance(x, self.keep_out, self.arena)
+
+    @property
+    def timing(self) -> Timing:
+        """Times at which commands come into force."""
+        return Timing(self.step, self.delay)
+
     @property
     def inertial(self) -> bool:
         """True where the state holds a velocity."""
         return self.start.shape[0] > self.dim
 
 
-def steered_swimmer(
-    task: Task, dynamics: Swimmer | OverdampedSwimmer
-) -> SteeredSwimmer:
+def steered_swimmer(task: Task, dynamics: AbstractSwimmer) -> SteeredSwimmer:
     """Fitted dynamics under the commands of a task."""
     return SteeredSwimmer(dynamics, task.truth.actuator)

@@ -122,28 +122,24 @@ class Step(Generic[Memory]):
     seconds: float
 
 
-class Compiled(AbstractController[Memory], Generic[Memory]):
-    """A controller whose decisions are compiled."""
-
-    controller: AbstractController[Memory]
-
-    def start(self, observation: Observation) -> Memory:
-        return self.controller.start(observation)
-
-    def __call__(
-        self, observation: Observation, memory: Memory, *, key: PRNGKeyArray
-    ) -> tuple[Command, Memory]:
-        return _decide(self.controller, observation, memory, key)
-
-
 def episode(
     task: Task,
     controller: AbstractController[Memory],
     *,
     key: PRNGKeyArray,
     truth: SteeredSwimmer | None = None,
+    is_compiled: bool = False,
 ) -> Iterator[Step[Memory]]:
-    """The control steps of one episode, one after the other."""
+    """The control steps of one episode, one after the other.
+
+    Args:
+        task: what is to be done.
+        controller: what decides.
+        key: random key of noise, sensor and controller.
+        truth: the true swimmer; that of the task unless given.
+        is_compiled: True to compile the decisions.
+    """
+    decide = partial(_decide, controller) if is_compiled else controller
     truth = task.truth if truth is None else truth
     now, memory = begin(task), None
     while not _ended(now, task):
@@ -151,7 +147,7 @@ def episode(
         observed = observe_compiled(task, now, sensing)
         memory = controller.start(observed) if memory is None else memory
         began = time.perf_counter()
-        command, memory = controller(observed, memory, key=deciding)
+        command, memory = decide(observed, memory, key=deciding)
         jax.block_until_ready(command)
         seconds = time.perf_counter() - began
         before = now
@@ -174,7 +170,7 @@ def run(
     truth: SteeredSwimmer | None = None,
 ) -> Episodes:
     """One episode, step by step, with the time that each command takes."""
-    steps = list(episode(task, Compiled(controller), key=key, truth=truth))
+    steps = list(episode(task, controller, key=key, truth=truth, is_compiled=True))
     paths = np.stack([steps[0].before.state, *(step.after.state for step in steps)])
     controls = np.asarray([step.command for step in steps], float)
     compute = [step.seconds for step in steps]
@@ -207,6 +203,7 @@ def _decide(
     controller: AbstractController[Memory],
     observation: Observation,
     memory: Memory,
+    *,
     key: PRNGKeyArray,
 ) -> tuple[Command, Memory]:
     return controller(observation, memory, key=key)

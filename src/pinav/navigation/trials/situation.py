@@ -19,7 +19,7 @@ from pinav.arguments import Scalar, State
 from pinav.dynamics import RK4, FixedStep
 from pinav.navigation.control.controller import Observation
 from pinav.navigation.task.steering import Command, SteeredSwimmer, direction_angles
-from pinav.navigation.task.task import Task, clearance
+from pinav.navigation.task.task import Task
 
 PARTS = 4
 """Least number of steps of the true swimmer within a control step."""
@@ -52,11 +52,9 @@ def mean_thrust(
     task: Task, queue: Float[Array, "command dim"]
 ) -> Float[np.ndarray, " dim"]:
     """Mean thrust of a control step, by the commands that were in force."""
-    whole = math.floor(task.delay / task.step + 1e-9)
-    part = max(task.delay / task.step - whole, 0.0)
-    first, second = (queue[k] for k in ((0, 1) if part > 1e-9 or not whole else (0, 0)))
-    actuator = task.truth.actuator
-    return np.asarray(part * actuator(first) + (1 - part) * actuator(second), float)
+    actuator, timing = task.truth.actuator, task.timing
+    first, second = (np.asarray(actuator(command), float) for command in queue[:2])
+    return (timing.remainder * first + timing.rest * second) / task.step
 
 
 def control_steps(task: Task) -> int:
@@ -69,15 +67,14 @@ def begin(task: Task) -> Situation:
     x = task.start[: task.dim]
     angles = direction_angles(task.objective.target(task.step) - x)
     idle = jnp.append(jnp.zeros_like(angles[:1]), angles)
-    whole, part = _delay(task)
     return Situation(
         step=jnp.zeros((), int),
         state=task.start,
-        pending=jnp.tile(idle[None], (max(whole + (part > 0), 1), 1)),
+        pending=jnp.tile(idle[None], (task.timing.waiting, 1)),
         reached=jnp.zeros((), bool),
         violated=jnp.zeros((), bool),
         arrival_time=jnp.full((), jnp.inf, task.start.dtype),
-        clearance=clearance(x, task.keep_out, task.arena),
+        clearance=task.clearance(x),
     )
 
 
@@ -132,7 +129,7 @@ def _judge(
     """The situation with a new state; nothing changes once an episode has ended."""
     over = now.reached | now.violated
     before, x = now.state[: task.dim], state[: task.dim]
-    near = clearance(x, task.keep_out, task.arena)
+    near = task.clearance(x)
     violated = ~(near >= 0)  # so that a lost state ends the episode, too
     reached = task.objective.is_reached(x) & ~violated
     fraction = _fraction_before(*map(task.objective.distance, (before, x)))
@@ -166,24 +163,13 @@ def _kicks(
     return jnp.where(moved[None], strength * numbers, 0.0)
 
 
-def _delay(task: Task) -> tuple[int, float]:
-    """Whole control steps of the delay, and what is left of it [T]."""
-    whole = math.floor(task.delay / task.step + 1e-9)
-    part = task.delay - whole * task.step
-    return whole, part if part > 1e-9 * task.step else 0.0
-
-
 def _parts(task: Task) -> tuple[Int[Array, " part"], Float[Array, " part"]]:
     """Short steps within a control step: which command is in force, and how long."""
-    whole, part = _delay(task)
-    spans = [(0, part), (1, task.step - part)]
-    if part == 0:
-        spans = [(0 if whole else 1, task.step)]
     rows, durations = [], []
-    for row, span in spans:
+    for row, span in enumerate((task.timing.remainder, task.timing.rest)):
         count = math.ceil(PARTS * span / task.step - 1e-9)
         rows += [row] * count
-        durations += [span / count] * count
+        durations += [span / max(count, 1)] * count
     return jnp.asarray(rows), jnp.asarray(durations, float)
 
 
