@@ -9,7 +9,7 @@ to a few noisy crossings of the same barrier.
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -20,7 +20,7 @@ from pinav.commands.command import Command, CommandResult
 from pinav.commands.dispatch import execute
 from pinav.commands.progress import Reporter
 from pinav.commands.results import keep, start_run
-from pinav.commands.settings import Range, RecipeName, ResumableOptions, Settings
+from pinav.commands.settings import Range, ResumableOptions, Settings
 from pinav.commands.study.job import clean_data, with_noise
 from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.errors import FitError
@@ -96,7 +96,7 @@ class WeaknessSettings(Settings, frozen=True):
     sigma: Annotated[float, Range(0)] = 0.02
     held_out: Annotated[int, Range(1)] = 64
     max_steps: Annotated[int, Range(1)] = 20
-    recipe: RecipeName = "default"
+    recipe: Literal["default", "paper"] = "default"
 
 
 class Options(ResumableOptions, frozen=True, kw_only=True):

@@ -3,11 +3,15 @@ import json
 import jax
 import numpy as np
 import pytest
+from tests.fitted_runs import crossing_system, crossings
 
 from pinav import cli
 from pinav.errors import InputError
-from pinav.evaluation import field_map, force_errors
-from pinav.learning.learned import Learned
+from pinav.evaluation import evaluate, field_map, force_errors
+from pinav.fitting import Refinement
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.summary import ModelChoice, summarise_for
+from pinav.learning.learned import Learned, ModelHeader, build_model
 from pinav.learning.plan import plan_fit
 from pinav.learning.recipes import Bayes
 from pinav.scenarios import barrier_crossings, scenario
@@ -26,15 +30,12 @@ def test_fit_learns_and_reports_what_was_asked(tiny_fit):
 
 
 @pytest.mark.slow
-def test_evaluate_scores_the_stored_model(tiny_fit, capsys):
+def test_evaluate_scores_the_stored_model(tiny_fit, printed):
     run, data = tiny_fit
-    capsys.readouterr()
-    assert cli.run(["evaluate", str(run), str(data), "--json"]) == 0
-    rmse = json.loads(capsys.readouterr().out)["rmse"]["model"]
+    rmse = json.loads(printed("evaluate", run, data, "--json"))["rmse"]["model"]
     fitted = Learned.open(run).findings.rmse
     assert {name: rmse[name] for name in fitted} == fitted
-    assert cli.run(["evaluate", str(run), str(data)]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed("evaluate", run, data).splitlines()
     (heading,) = (line for line in lines if line.startswith("RMSE"))
     assert heading.split()[:5] == ["RMSE,", "training", "error", "x", "y"]
 
@@ -125,37 +126,57 @@ def test_an_inferred_run_is_resumed_without_fitting_again(inferred, capsys):
 
 
 @pytest.mark.slow
-def test_evaluation_shows_the_force_error_where_the_truth_is_known(tmp_path, capsys):
+def test_evaluation_shows_the_force_error_where_the_truth_is_known(tmp_path, printed):
     data = tmp_path / "data.npz"
-    assert cli.run(["simulate", "barrier-crossings", "--out", str(data)]) == 0
-    argv = ["fit", str(data), "--out", str(tmp_path / "run")]
-    assert cli.run(argv) == 0
-    out = capsys.readouterr().out
+    printed("simulate", "barrier-crossings", "--out", data)
+    out = printed("fit", data, "--out", tmp_path / "run")
     assert "visited (%)  near (%)" in out
     assert "Relative L2 error of the force against the system's truth" in out
 
 
 @pytest.mark.parametrize(
-    ("name", "channels", "message"),
-    [
-        (
-            "brownian",
-            ("x", "y"),
-            "--train damping: system brownian has no .* its drag is a mobility",
-        ),
-        (
-            "anisotropic-drag",
-            ("x", "y", "vx", "vy"),
-            "--train damping: system anisotropic-drag has no .* drag is TensorDrag",
-        ),
-    ],
+    ("name", "drag"), [("brownian", "a mobility"), ("anisotropic-drag", "TensorDrag")]
 )
-def test_physics_of_another_kind_is_refused(name, channels, message):
-    data = Trajectories.from_arrays(
-        np.arange(3.0),
-        np.zeros((3, len(channels))),
-        channels=channels,
-        provenance={"scenario": name},
-    )
+def test_physics_of_another_kind_is_refused(name, drag):
+    system = scenario(name)
+    nowhere = np.zeros((3, len(system.channels)))
+    data = Trajectories.from_arrays(np.arange(3.0), nowhere, channels=system.channels)
+    message = f"--train damping: system {name} has no .* its drag is {drag}"
     with pytest.raises(InputError, match=message):
-        plan_fit(scenario(name), data, recipe=Bayes(), train=("damping",))
+        plan_fit(system, data, recipe=Bayes(), train=("damping",))
+
+
+MODELS = ("kernel-potential", "kernel-force", "kernel-mixture", "kernel-potential-time")
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_model_file_says_where_the_finer_kernels_are(name):
+    known, data = crossing_system(4, 51), crossings(51)
+    choice = ModelChoice(name)
+    summary = summarise_for(choice, data)
+    start = build(choice, known.swimmer, summary).environment
+    finer = Refinement(factor=2.0, max_weights=10**5).finer(start, data)
+    header = ModelHeader(choice, summary.with_kernels_of(finer))
+    built = jax.tree.leaves(build_model(header, known).environment)
+    for own, expected in zip(built, jax.tree.leaves(finer), strict=True):
+        np.testing.assert_allclose(own, expected)
+
+
+def test_models_without_kernels_keep_their_summary():
+    known, data = crossing_system(4, 51), crossings(51)
+    choice = ModelChoice("neural-force")
+    summary = summarise_for(choice, data)
+    network = build(choice, known.swimmer, summary).environment
+    assert summary.with_kernels_of(network) is summary
+
+
+@pytest.mark.slow
+def test_an_evaluation_has_physics_alone_beside_its_models(tiny_fit):
+    run, data = tiny_fit
+    with jax.numpy_dtype_promotion("standard"):
+        scores = evaluate(Learned.open(run), load(data))
+    for table in (scores.rmse, scores.rollouts, scores.force):
+        assert list(table) == ["model", "physics-only"]
+    for region in scores.force["physics-only"].values():
+        assert region.error == pytest.approx(1.0)
+        assert np.isnan(region.cosine)

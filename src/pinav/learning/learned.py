@@ -27,7 +27,7 @@ from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.kernels import MobilitySummary
 from pinav.fitting.environments.summary import DataSummary, KnownSwimmer, ModelChoice
 from pinav.forces import as_learned_force, split_structure
-from pinav.learning.evidence import Evidence, with_units
+from pinav.learning.evidence import Evidence, SearchResult, with_units
 from pinav.learning.findings import Findings
 from pinav.learning.matching import Losses
 from pinav.learning.plan import read_system_of, write_system_of
@@ -160,7 +160,8 @@ class Learned(AbstractLearned):
     def write(self, folder: RunFolder) -> "Learned":
         """Write the fit into a run; the model last, which says that all is there."""
         assert self.header is not None
-        save_data(folder, self.data)
+        save(self.data, folder.path / DATA_FILE, overwrite=True)
+        folder.record(DATA_FILE)
         write_system_of(folder, self.system)
         results: dict[str, Any] = {
             POSTERIOR: self.evidence,
@@ -285,14 +286,14 @@ class Learned(AbstractLearned):
         """The learned constants; their deviation is NaN without a posterior."""
         if self.evidence is not None:
             estimates = self.evidence.constants
-            return with_units(estimates, self.choice, self.model, self.system)
-        paths = self.choice.paths() if MODEL in self.models else {}
-        values = {name: attrgetter(path)(self.model) for name, path in paths.items()}
-        estimates = {
-            name: Estimate(float(value), float("nan"))
-            for name, value in values.items()
-            if np.ndim(value) == 0
-        }
+        elif MODEL in self.models:
+            estimates = {
+                name: Estimate(float(value), float("nan"))
+                for name, path in self.choice.paths().items()
+                if np.ndim(value := attrgetter(path)(self.model)) == 0
+            }
+        else:
+            return {}
         return with_units(estimates, self.choice, self.model, self.system)
 
     @property
@@ -338,12 +339,6 @@ def build_model(header: ModelHeader, system: System) -> AbstractDynamics:
     return with_dtype(model, jnp.dtype(header.dtype))
 
 
-def save_data(folder: RunFolder, data: Trajectories) -> None:
-    """Keep the trajectories that are fitted."""
-    save(data, folder.path / DATA_FILE, overwrite=True)
-    folder.record(DATA_FILE)
-
-
 def write_model(
     folder: RunFolder,
     header: ModelHeader,
@@ -367,9 +362,16 @@ def of_evidence(
     fit: EvidenceFit,
     system: System,
     data: Trajectories,
-    evidence: Evidence,
+    search: SearchResult | None = None,
+    support: float | None = None,
 ) -> Learned:
-    """A fit by the evidence; the kernels of the header's model may be coarser."""
+    """A fit by the evidence; the kernels of the header's model may be coarser.
+
+    Args:
+        search: what the search for a structure weighed; None without one.
+        support: log evidence of a field beside commands over none [nats].
+    """
+    evidence = Evidence.of(fit, header.choice, data, search, support)
     summary = header.data.with_kernels_of(fit.model.environment)
     if isinstance(fit.model, OverdampedSwimmer):
         mobility = MobilitySummary.of(fit.model.mobility)

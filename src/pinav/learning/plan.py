@@ -8,7 +8,6 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
 
 from pinav.errors import InputError
 from pinav.fitting.environments.catalogue import mean_drag
@@ -281,11 +280,6 @@ def looks_brownian(data: Trajectories) -> bool:
     with the one after; those of a smooth path correlate positively, and those of
     independent errors of observation by -2/3 and 1/6.
     """
-    one, two = _correlations(data)
-    return bool(-0.58 < one < -0.42 and abs(two) < 0.1)
-
-
-def _correlations(data: Trajectories) -> Float[np.ndarray, " lag"]:
     products = np.zeros(3)
     for piece in data:
         observed_times = piece.observed[:, 0]
@@ -298,7 +292,10 @@ def _correlations(data: Trajectories) -> Float[np.ndarray, " lag"]:
         products += [
             np.sum(second[lag:] * second[: len(second) - lag]) for lag in range(3)
         ]
-    return products[1:] / products[0] if products[0] > 0 else np.ones(2)
+    if not products[0] > 0:
+        return False
+    one, two = products[1:] / products[0]
+    return bool(-0.58 < one < -0.42 and abs(two) < 0.1)
 
 
 def check_system(

@@ -394,8 +394,6 @@ def radial_balance(setup: Setup, model: Bioheat, protocol: Piecewise) -> RadialB
     """The heat balance of a run along a radius."""
     balance = HeatBalance.of(model)
     cells = balance.volumes.shape[0]
-    ends = jnp.full((1,), float(model.blood.arterial))
-    low, high = model.sides[0].outside(ends, ends)
     most = max(REACH * float(protocol.largest), 1.0)
     amplitudes = np.linspace(0.0, most, AMPLITUDES)
 
@@ -409,9 +407,9 @@ def radial_balance(setup: Setup, model: Bioheat, protocol: Piecewise) -> RadialB
     numbers = {
         "inverse_capacity": balance.inverse_capacity,
         "conductances": balance.conductances[0],
-        "outside": jnp.stack([low.reshape(()), high.reshape(())]),
+        "outside": np.asarray(balance.outside[0], float),
         "volumes": balance.volumes,
-        "metabolic": balance.metabolic,
+        "metabolic": balance.inflow,
         "shapes": jnp.stack(balance.shapes),
         "amplitudes": amplitudes,
         "levels": jax.vmap(levels)(jnp.asarray(amplitudes)),
