@@ -78,10 +78,10 @@ def words(*lines: str) -> tuple[tuple[str, ...], ...]:
 
 READ_ONLY = ("explore run", "report run")
 FITTED = words(
-    *("evaluate run data.npz", "analyse run", "discover run", *READ_ONLY),
-    "navigate run --from 1,1 --to 2,2 --out out",
-    "export run --to napari --out out.csv",
-    "export run --to trackmate --out out.csv",
+    *("evaluate run data.npz", "analyse run", "discover run"),
+    *("navigate run --from 1,1 --to 2,2 --out out", "explore run"),
+    *(f"export run --to {form} --out out.csv" for form in ("napari", "trackmate")),
+    "report run",
 )
 
 

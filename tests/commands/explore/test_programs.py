@@ -242,7 +242,7 @@ def test_a_force_that_is_not_printed_is_read_from_a_table():
 
 def test_a_table_follows_a_force_in_time():
     table, error = tabulate(
-        FORCES["circling barrier"](), TableBox((0.0, 0.0), (10.0, 10.0), (0.0, 2.0))
+        FORCES["circling barrier"](), TableBox((0.0, 0.0), (10.0, 10.0), (3.0, 5.0))
     )
     assert table.table.values.shape[0] > 1
     assert error < 0.02

@@ -37,12 +37,17 @@ class TableBox(NamedTuple):
 
 
 class TabulatedForce(AbstractForce):
-    """A force that is read from a table, cubic in space and linear in time [F]."""
+    """A force that is read from a table, cubic in space and linear in time [F].
+
+    Attributes:
+        first: the time at which the table begins [T].
+    """
 
     table: FieldTable
+    first: Scalar
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return self.table(t, x)
+        return self.table(t - self.first, x)
 
 
 def tabulate(force: AbstractForce, box: TableBox) -> tuple[TabulatedForce, float]:
@@ -70,6 +75,6 @@ def tabulate(force: AbstractForce, box: TableBox) -> tuple[TabulatedForce, float
     grid = Grid(jnp.asarray(lower), spacing, (SIDE, SIDE))
     values = [forces_at(force, np.full(grid.shape, t), grid.points) for t in moments]
     interval = (last - first) / max(len(moments) - 1, 1) or 1.0
-    table = TabulatedForce(FieldTable(grid, jnp.stack(values), first, interval))
+    table = TabulatedForce(FieldTable(grid, jnp.stack(values), interval), first)
     missed = np.abs(np.asarray(forces_at(table, times, points)) - exact).max()
     return table, float(missed / max(np.abs(exact).max(), np.finfo(float).tiny))
