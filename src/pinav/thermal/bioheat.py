@@ -14,14 +14,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.boundaries import AbstractEnds, Passage
 from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.perfusion import AbstractPerfusion
-from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Field
 from pinav.thermal.sources import AbstractSource
 from pinav.thermal.tissues import Blood, Tissue
@@ -68,12 +67,9 @@ class Bioheat(eqx.Module):
                     f"{self.grid.shape} of the grid, got shape {shape}"
                 )
 
-    def levels(
-        self, protocol: AbstractProtocol, t: Float[Array, ""], interval: Int[Array, ""]
-    ) -> Float[Array, " source"]:
-        """Level of each source at a time [s] in an interval of the protocol."""
-        amplitude = protocol.amplitude(t, interval)
-        levels = [s.level(amplitude, protocol.frequency) for s in self.sources]
+    def levels(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, " source"]:
+        """Level of each source in a field of a peak [A m⁻¹] and a frequency [Hz]."""
+        levels = [source.level(amplitude, frequency) for source in self.sources]
         return jnp.stack(levels) if levels else jnp.zeros(0)
 
 

@@ -28,12 +28,6 @@ ZERO_CELSIUS = 273.15
 """In kelvin."""
 
 
-def cem43_rate(temperature: Field) -> Field:
-    """Equivalent minutes at 43 °C per minute, without a cut-off."""
-    steepness = jnp.where(temperature >= BREAK, 1.0, 2.0)
-    return jnp.exp2((temperature - BREAK) * steepness)
-
-
 def cem43_segment(
     begin: Field, end: Field, duration: Scalar, cutoff: Scalar = 37.0
 ) -> Field:

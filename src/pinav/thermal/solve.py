@@ -205,8 +205,8 @@ def _levels(
     nodes = jnp.asarray(stepper.nodes)
 
     def each(begin: Array, dt: Array, interval: Array) -> Array:
-        at = begin + dt * nodes
-        return jax.vmap(lambda t: model.levels(protocol, t, interval))(at)
+        field = jax.vmap(lambda t: protocol.amplitude(t, interval))(begin + dt * nodes)
+        return jax.vmap(lambda h: model.levels(h, protocol.frequency))(field)
 
     steps, starts = jnp.asarray(schedule.steps), jnp.asarray(schedule.starts)
     return jax.vmap(each)(starts, steps, jnp.asarray(schedule.intervals))

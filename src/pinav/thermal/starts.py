@@ -167,9 +167,7 @@ def steady_state(
     needs. From arterial temperature on: where the perfusion of a tumour collapses, so
     that two steady states exist, it is the colder one.
     """
-    levels = [source.level(amplitude, frequency) for source in model.sources]
-    forced = jnp.stack(levels) if levels else jnp.zeros(0)
-    balance = HeatBalance.of(model)
+    balance, forced = HeatBalance.of(model), model.levels(amplitude, frequency)
     # gradients come from one Newton step at the solution, not from the iteration
     arterial = jnp.asarray(model.blood.arterial, float)
     still = jax.lax.stop_gradient((balance, forced, arterial))
