@@ -48,7 +48,7 @@ def test_bioheat_prints_what_its_own_processes_found(monkeypatch, capsys):
 
 @pytest.mark.parametrize("name", ["radial", "plane"])
 def test_the_tumour_is_that_of_every_grid(name):
-    assert heat.tumour(heat.CASES[name].grid()).perfusion.box is not None
+    assert heat.tumour(heat.CASES[name].grid()).perfusion.boxes
 
 
 def test_the_longer_of_both_times_is_the_least():

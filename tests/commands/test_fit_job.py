@@ -72,7 +72,7 @@ def test_a_model_file_of_something_else_is_refused(tiny_fit, tmp_path, refused):
     refused(["evaluate", str(copy), str(data)], "holds no fitted model; give")
     (copy / "system.toml").write_bytes((run / "system.toml").read_bytes())
     (copy / "model.eqx").write_text('{"kind": "fit"}\n')
-    refused(["evaluate", str(copy), str(data)], "Object missing required field")
+    refused(["evaluate", str(copy), str(data)], "kind: 'fit' is unknown")
 
 
 @pytest.fixture(scope="module")
