@@ -29,7 +29,7 @@ from pinav.trajectories import Trajectories
 
 
 class Distillation(eqx.Module):
-    """How a force is distilled into a network.
+    """Settings of the distillation of a force into a network.
 
     Attributes:
         spacing: of places of targets beside the samples, in widths.

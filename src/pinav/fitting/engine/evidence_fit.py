@@ -22,7 +22,7 @@ ROUNDING = 1e-9
 
 
 class EvidenceProgress(eqx.Module):
-    """What a progress bar shows after each step.
+    """The state of a fit after a step, for a progress bar.
 
     Attributes:
         done: steps done, on the kernels as they are now.

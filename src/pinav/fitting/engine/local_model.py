@@ -75,7 +75,7 @@ def known_model(model: Any) -> ParametricModel:
 def selected_entries(
     parametric: ParametricModel, count: int, select: Callable[[Any], PyTree]
 ) -> Bool[np.ndarray, " parameter"]:
-    """Which entries of the parameter vector belong to a selection of leaves."""
+    """True for the entries of the parameter vector of a selection of leaves."""
     shapes = _shapes(parametric, count)
     marks = jax.tree.map(lambda leaf: np.zeros(leaf.shape, bool), shapes)
     leaves = jax.tree.leaves(select(marks))

@@ -113,7 +113,7 @@ def _in_environment(
 
 
 def _laid(choice: ModelChoice, summary: DataSummary) -> AbstractForce:
-    """What was laid around the data."""
+    """The untrained kernels or profile around the data."""
     if summary.environment is None:
         raise InputError(f"model {choice.name}: its summary of the data has no kernels")
     return summary.environment

@@ -75,7 +75,7 @@ class Cause(enum.Enum):
 
 
 class Limits(eqx.Module):
-    """Where one cause ends and another begins.
+    """Thresholds between the causes.
 
     Attributes:
         decisive: evidence for each number by which one field is better [nats].

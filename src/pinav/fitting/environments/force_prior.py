@@ -176,18 +176,15 @@ def _explains(
     positions: Float[np.ndarray, "point dim"],
     forces: Float[np.ndarray, "point dim"],
 ) -> bool:
-    weights = regress(environment, positions, forces)
-    missed = force_columns(environment, positions) @ weights - forces.reshape(-1)
+    columns = force_columns(environment, positions)
+    missed = columns @ regress(columns, forces) - forces.reshape(-1)
     return _root_mean_square(missed) <= NOISE * _root_mean_square(forces)
 
 
 def regress(
-    environment: AbstractLearnedForce,
-    positions: Float[np.ndarray, "point dim"],
-    forces: Float[np.ndarray, "point dim"],
+    columns: Float[np.ndarray, "row weight"], forces: Float[np.ndarray, "point dim"]
 ) -> Float[np.ndarray, " weight"]:
     """Weights of least squares, as small as they can be."""
-    columns = force_columns(environment, positions)
     return np.linalg.lstsq(columns, forces.reshape(-1))[0]
 
 

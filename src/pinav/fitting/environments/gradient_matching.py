@@ -22,6 +22,7 @@ from pinav.fitting.environments.force_prior import (
     ForcePrior,
     KernelKind,
     choose_kernels,
+    force_columns,
     kernel_ladder,
     regress,
     with_weights,
@@ -64,7 +65,8 @@ def match_kernels(swimmer: Swimmer, rates: Rates) -> AbstractForce:
         if prior is not None:
             return prior.force
     layers = lay_layers(*samples)
-    return with_weights(layers, regress(layers, samples.positions, samples.forces))
+    columns = force_columns(layers, samples.positions)
+    return with_weights(layers, regress(columns, samples.forces))
 
 
 def kernels_of(

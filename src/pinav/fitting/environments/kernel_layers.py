@@ -54,7 +54,8 @@ def lay_layers(
     laid = _layers_around(places, positions, levels)
     largest = float(np.linalg.norm(forces, axis=1).max())
     while True:
-        explained = force_columns(laid, positions) @ regress(laid, positions, forces)
+        columns = force_columns(laid, positions)
+        explained = columns @ regress(columns, forces)
         errors = np.linalg.norm(explained.reshape(forces.shape) - forces, axis=1)
         asking = errors > max(EXPLAINED * largest, SHARE * errors.max())
         levels = levels + asking

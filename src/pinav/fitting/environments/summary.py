@@ -98,7 +98,7 @@ def learned_part(model: Any) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class DataSummary:
-    """What an untrained model takes from the data.
+    """The part of the data that an untrained model is built from.
 
     Attributes:
         dim: number of coordinates.
