@@ -29,7 +29,7 @@ from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, around, outer
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
-from pinav.thermal.perfusion import MixedPerfusion, lang
+from pinav.thermal.perfusion import RegionalPerfusion, lang
 from pinav.thermal.protocols import Piecewise, plan_steps
 from pinav.thermal.solve import default_stepper, run
 from pinav.thermal.sources import PowerSource
@@ -185,11 +185,12 @@ def half_an_hour(
 def tumour(grid: AbstractGrid) -> Bioheat:
     """A tumour of 10 mm in muscle, on any grid."""
     fraction, wall = grid.ball(0.010), Dirichlet(37.0)
+    shares, muscle = (fraction, 1 - fraction), Tissue(0.49, 1090.0, 3421.0)
     return Bioheat(
         grid,
-        mix(fraction, Tissue(0.55, 1045.0, 3600.0), Tissue(0.49, 1090.0, 3421.0)),
+        mix(shares, (Tissue(0.55, 1045.0, 3600.0), muscle)),
         Blood(),
-        MixedPerfusion.on_mask(fraction, lang("tumour"), lang("muscle")),
+        RegionalPerfusion.on_masks(shares, (lang("tumour"), lang("muscle"))),
         (PowerSource(1.5e5 * fraction, 1e4),),
         outer(wall) if len(grid.shape) == 1 else around(grid, wall),
     )

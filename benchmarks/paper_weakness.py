@@ -9,9 +9,8 @@ to a few noisy crossings of the same barrier.
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -20,7 +19,7 @@ from pinav.commands.command import Command, CommandResult
 from pinav.commands.dispatch import execute
 from pinav.commands.progress import Reporter
 from pinav.commands.results import keep, start_run
-from pinav.commands.settings import Range, RecipeName, ResumableOptions, Settings
+from pinav.commands.settings import Range, ResumableOptions, Settings
 from pinav.commands.study.job import clean_data, with_noise
 from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.errors import FitError
@@ -60,7 +59,7 @@ from pinav.fitting.environments.summary import (
     summarise_data,
     summarise_for,
 )
-from pinav.learning.learned import ModelHeader, build_model, write_model
+from pinav.learning.learned import ModelHeader, build_model, read_header, write_model
 from pinav.learning.matching import matching
 from pinav.learning.recipes import Curriculum, Paper
 from pinav.report import Paragraph, Section, Table, number
@@ -96,7 +95,7 @@ class WeaknessSettings(Settings, frozen=True):
     sigma: Annotated[float, Range(0)] = 0.02
     held_out: Annotated[int, Range(1)] = 64
     max_steps: Annotated[int, Range(1)] = 20
-    recipe: RecipeName = "default"
+    recipe: Literal["default", "paper"] = "default"
 
 
 class Options(ResumableOptions, frozen=True, kw_only=True):
@@ -201,7 +200,7 @@ def _read_or_fit(
     if not folder.has(name):
         write_model(folder, *make(settings, data, folder), name)
     return folder.read_model(
-        name, lambda header: build_model(msgspec.convert(header, ModelHeader), paper())
+        name, lambda header: build_model(read_header(header), paper())
     )
 
 
@@ -240,8 +239,7 @@ def _fit_kernel(
             max_iterations=settings.max_steps,
             on_step=report,
         )
-    summary = summary.with_kernels_of(result.model.environment)
-    return ModelHeader(choice, summary), result.model
+    return ModelHeader(choice, summary.of_fit(result.model)), result.model
 
 
 def _scores(model: Swimmer, training: Trajectories, held: Trajectories) -> ModelScores:

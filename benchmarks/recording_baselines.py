@@ -7,7 +7,7 @@ method for these robots, and a black-box neural differential equation.
 import math
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,10 +20,33 @@ from scipy.optimize import minimize
 
 from pinav.forces import tanh_network
 from pinav.identification import Baseline, Track
-from pinav.identification.baselines import Samples
+from pinav.identification.baselines import velocities
 from pinav.identification.forecast import command_vector
 from pinav.identification.tracks import commands_of
 from pinav.trajectories import Trajectory
+
+
+class Samples(NamedTuple):
+    """Velocities of a track beside positions and commands."""
+
+    velocity: Float[np.ndarray, "sample 2"]
+    position: Float[np.ndarray, "sample 2"]
+    frequency: Float[np.ndarray, " sample"]
+    heading: Float[np.ndarray, " sample"]
+
+    @classmethod
+    def of(cls, track: Track) -> "Samples":
+        """All samples whose window lies within their segment."""
+        parts = []
+        for piece in track.pieces:
+            velocity, rows = velocities(track, piece)
+            others = piece.states, *commands_of(piece)
+            parts.append((velocity, *(values[rows] for values in others)))
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def command(self) -> Float[np.ndarray, "sample 2"]:
+        r"""$f\,n(\theta)$ [Hz]."""
+        return command_vector(self.frequency, self.heading)
 
 
 def gaussian_process(

@@ -169,6 +169,21 @@ def tiny_fit(fitted_runs, tmp_path_factory):
 
 
 @pytest.fixture
+def printed(capsys):
+    """What a command prints that ends with success."""
+
+    def run(*words):
+        from pinav import cli
+
+        capsys.readouterr()
+        with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+            assert cli.run([*map(str, words)]) == 0
+        return capsys.readouterr().out
+
+    return run
+
+
+@pytest.fixture
 def refused(capsys):
     """Check that a command is refused with one line that holds some words.
 

@@ -17,7 +17,6 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -146,17 +145,30 @@ def simulate(scenario: str, folder: Path, *options: str) -> None:
     assert cli.run(argv) == 0
 
 
-def crossings(samples: int):
-    """Four noisy crossings of the barrier, cut after a number of samples."""
+def crossing_system(count: int, samples: int, **changes):
+    """The first crossings of the barrier, cut after a number of samples."""
     from pinav.scenarios import barrier_crossings
+
+    whole = barrier_crossings()
+    starts, times = whole.starts[:count], whole.times[:samples]
+    return dataclasses.replace(whole, starts=starts, times=times, **changes)
+
+
+def crossings(samples: int, count: int = 4, key: int = 3):
+    """Noisy crossings of the barrier, cut after a number of samples."""
     from pinav.trajectories import simulate
 
-    short = eqx.tree_at(
-        lambda s: (s.starts, s.times),
-        barrier_crossings(),
-        replace_fn=lambda a: a[:4] if a.ndim == 2 else a[:samples],
-    )
-    return simulate(short, key=jax.random.key(3))
+    return simulate(crossing_system(count, samples), key=jax.random.key(key))
+
+
+@contextlib.contextmanager
+def standard_promotion():
+    """Promotion of types as users have it, in all threads."""
+    jax.config.update("jax_numpy_dtype_promotion", "standard")
+    try:
+        yield
+    finally:
+        jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
 @contextlib.contextmanager
@@ -204,11 +216,7 @@ class FittedRuns:
 
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        jax.config.update("jax_numpy_dtype_promotion", "standard")  # in all threads
-        try:
+        with standard_promotion(), cheap_residual_fields(), blank_figures():
             words = RUNS[name](folder)
-            with cheap_residual_fields(), blank_figures():
-                assert cli.run([*words, "--out", str(folder / RUN)]) == 0
-        finally:
-            jax.config.update("jax_numpy_dtype_promotion", "strict")
+            assert cli.run([*words, "--out", str(folder / RUN)]) == 0
         (folder / "done").touch()

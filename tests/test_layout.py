@@ -3,8 +3,6 @@
 import ast
 import graphlib
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -207,8 +205,3 @@ def test_tests_lie_in_folders_named_as_those_of_the_source():
     others = {Path("benchmarks"), Path("validation")}  # beside the package
     for folder in folders - others:
         assert (ROOT / folder).is_dir(), f"no {folder} in the source"
-
-
-def test_importing_pinav_does_not_import_jax():
-    code = "import sys, pinav; sys.exit('jax' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -12,7 +12,7 @@ import pytest
 from pinav.dynamics import FixedStep
 from pinav.evaluation import field_map, force_errors
 from pinav.fitting import Outcome, fit_bayes, kernel_environment
-from pinav.fitting.engine.constant_priors import ravel_model
+from pinav.fitting.engine.local_model import ravel_model
 from pinav.fitting.engine.multiple_shooting import linearise
 from pinav.fitting.matching.state import Observations
 from pinav.forces import GaussianBarrier, KernelForce, KernelPotential

@@ -23,7 +23,7 @@ from pinav.fitting import (
     fit_structured,
     kernel_environment,
 )
-from pinav.fitting.environments.kernels import WITHOUT_PRIOR
+from pinav.fitting.environments.kernels import KernelGrid
 from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
 from pinav.scenarios import barrier_crossings, paper
 from pinav.trajectories import Trajectories, simulate
@@ -112,7 +112,7 @@ def test_barrier_from_the_papers_single_trajectory():
     model = eqx.tree_at(
         lambda m: m.environment,
         scenario.truth,
-        kernel_environment(KernelPotential, data, WITHOUT_PRIOR),
+        kernel_environment(KernelPotential, data, KernelGrid(10, 1.5, 2.0)),
     )
     fitted = fit(
         model,

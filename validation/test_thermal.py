@@ -22,7 +22,7 @@ from pinav.runs import RunFolder
 from pinav.thermal.dose import value_exceeded_by
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.learned_tissue import LearnedTissue
-from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion
+from pinav.thermal.perfusion import ConstantPerfusion
 from pinav.thermal.planned_run import PlannedRun
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.setup import Setup
@@ -69,11 +69,8 @@ def test_a_tumour_at_constant_field(power, perfusion, listed):
     model = eqx.tree_at(lambda m: m.sources[0].power, model, power * share)
     if perfusion == "const":
         rest = model.perfusion(jnp.full(model.grid.shape, 37.0))
-        model = eqx.tree_at(
-            lambda m: m.perfusion,
-            model,
-            MixedPerfusion(share, ConstantPerfusion(rest), ConstantPerfusion(rest)),
-        )
+        constant = ConstantPerfusion(rest)
+        model = eqx.tree_at(lambda m: m.perfusion, model, constant)
     probes = model.grid.interpolation([0.0, 0.010, 0.013])
     found = solve(
         model,

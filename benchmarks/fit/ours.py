@@ -24,7 +24,7 @@ from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.summary import (
     ModelChoice,
     learned_part,
-    summarise_data,
+    summarise_for,
     summarise_for_matching,
 )
 from pinav.forces import KernelPotential
@@ -42,7 +42,8 @@ def _data(problem: Problem) -> tuple[Trajectories, Any]:
 
 
 def _model(name: str, known: Any, seed: int, data: Trajectories) -> Any:
-    return build(ModelChoice(name, seed=seed), known, summarise_data(data))
+    choice = ModelChoice(name, seed=seed)
+    return build(choice, known, summarise_for(choice, data))
 
 
 class Curve:

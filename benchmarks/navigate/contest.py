@@ -82,6 +82,7 @@ def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
         drawn = fitted.posterior.samples(samples, key=jax.random.key(draw))
     assert isinstance(model, Swimmer | OverdampedSwimmer)
     known = task(name).truth.dynamics
+    assert isinstance(known, Swimmer | OverdampedSwimmer)
     baseline = gaussian_process(known, data)
     own = task(name)
     return Knowledge(

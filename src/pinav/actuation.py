@@ -201,23 +201,6 @@ class AbstractProgramme(eqx.Module):
     def __call__(self, t: Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Frequency [Hz] and heading [rad] at time `t` [s]."""
 
-    @abc.abstractmethod
-    def between(self, commands: Float[Array, "time 2"]) -> Float[Array, "interval 2"]:
-        """Mean of a command between two of the programme's times."""
-
-    def integral(
-        self, response: AbstractResponse, ts: Float[Array, " query"]
-    ) -> Float[Array, "query 2"]:
-        r"""$\int s(f)\, n(\theta)\, dt$ from the first time to `ts` [cycles]."""
-        commands = self.commands(response)
-        steps = self.between(commands) * jnp.diff(self.times)[:, None]
-        return _interpolate(ts, self.times, steps, (commands[0], commands[-1]))
-
-    def commands(self, response: AbstractResponse) -> Float[Array, "time 2"]:
-        r"""$s(f)\, n(\theta)$ at the programme's own times [Hz]."""
-        direction = jnp.stack([jnp.cos(self.heading), jnp.sin(self.heading)], axis=1)
-        return response(self.frequency)[:, None] * direction
-
 
 class HeldProgramme(AbstractProgramme):
     """Commands that hold until the next one: what coils do between camera frames.
@@ -238,8 +221,10 @@ class HeldProgramme(AbstractProgramme):
         index = jnp.clip(index, 0, last)
         return self.frequency[index], self.heading[index]
 
-    def between(self, commands: Float[Array, "time 2"]) -> Float[Array, "interval 2"]:
-        return commands[:-1]
+    def commands(self, response: AbstractResponse) -> Float[Array, "time 2"]:
+        r"""$s(f)\, n(\theta)$ at the programme's own times [Hz]."""
+        direction = jnp.stack([jnp.cos(self.heading), jnp.sin(self.heading)], axis=1)
+        return response(self.frequency)[:, None] * direction
 
     def lagged_integral(
         self, response: AbstractResponse, ts: Float[Array, " query"], lag: Scalar
@@ -259,7 +244,12 @@ class HeldProgramme(AbstractProgramme):
         decay = jnp.exp(-intervals / lag)
         missed = (behind - commands[:-1]) * lag * (1 - decay)
         steps = commands[:-1] * intervals + missed
-        return _interpolate(ts, self.times, steps, (commands[0], commands[-1]))
+        total = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
+        inside = [jnp.interp(ts, self.times, column) for column in total.T]
+        # Beyond the programme's times the first and the last command go on.
+        before = jnp.minimum(ts - self.times[0], 0.0)[:, None] * commands[:1]
+        after = jnp.maximum(ts - self.times[-1], 0.0)[:, None] * commands[-1:]
+        return jnp.stack(inside, axis=1) + before + after
 
 
 class LinearProgramme(AbstractProgramme):
@@ -282,24 +272,6 @@ class LinearProgramme(AbstractProgramme):
             jnp.interp(t, self.times, self.frequency),
             jnp.interp(t, self.times, turned),
         )
-
-    def between(self, commands: Float[Array, "time 2"]) -> Float[Array, "interval 2"]:
-        """By the trapezoidal rule."""
-        return (commands[:-1] + commands[1:]) / 2
-
-
-def _interpolate(
-    ts: Float[Array, " query"],
-    times: Float[Array, " time"],
-    steps: Float[Array, "interval 2"],
-    ends: tuple[Float[Array, "2"], Float[Array, "2"]],
-) -> Float[Array, "query 2"]:
-    """A cumulated integral between its knots, and beyond them at the end rates."""
-    total = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
-    inside = jnp.stack([jnp.interp(ts, times, column) for column in total.T], axis=1)
-    before = jnp.minimum(ts - times[0], 0.0)[:, None] * ends[0][None]
-    after = jnp.maximum(ts - times[-1], 0.0)[:, None] * ends[1][None]
-    return inside + before + after
 
 
 def follow(

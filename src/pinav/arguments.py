@@ -116,7 +116,7 @@ def dimension_of(part: Any, path: str) -> str:
         path: from the module to the number, such as `terms[0].height`.
     """
     stated = "?"
-    for place, name in _STEPS.findall(path):
+    for place, name in STEPS.findall(path):
         if name:
             kind = part if isinstance(part, type) else type(part)
             fields = getattr(kind, "__dataclass_fields__", {})
@@ -129,5 +129,5 @@ def dimension_of(part: Any, path: str) -> str:
     return stated
 
 
-_STEPS = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
+STEPS = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 """Steps of a path: a place in a tuple, in brackets, or the name of a field."""

@@ -92,6 +92,22 @@ def decode(wanted: Any, document: Json, arrays: Mapping[str, np.ndarray]) -> Any
     return value
 
 
+def decode_blank(wanted: Any, document: Json) -> Any:
+    """The value of that type with zeros for all numbers that `encode` gave no form."""
+    return decode(wanted, document, dict(_blanks("", document)))
+
+
+def _blanks(path: str, document: Json) -> Iterator[tuple[str, np.ndarray]]:
+    """Zeros for each array that a document only mentions, by path."""
+    if isinstance(document, dict) and document.keys() == {"array"}:
+        yield path, np.zeros(document["array"])
+        return
+    parts = enumerate(document) if isinstance(document, list) else ()
+    parts = document.items() if isinstance(document, dict) else parts
+    for name, part in parts:
+        yield from _blanks(_join(path, name), part)
+
+
 def _encode(path: str, wanted: Any, value: Any, arrays: Arrays) -> Json:
     wanted = _of_option(wanted)
     if value is None or isinstance(value, bool | str):
@@ -311,10 +327,22 @@ def _of_option(wanted: Any) -> Any:
         real = [one for one in typing.get_args(wanted) if one is not type(None)]
         if float in real:  # a Scalar: a plain number, or an array without axes
             return float
-        if len(real) != 1:
+        family = _family(real)
+        if family is None:
             raise TypeError(f"{wanted}: what a file holds must be of one kind or null")
-        return real[0]
+        return family
     return wanted
+
+
+def _family(kinds: list[Any]) -> Any:
+    """The only kind of several, or the records that they all are; None without one."""
+    if len(kinds) == 1:
+        return kinds[0]
+    if not all(isinstance(kind, type) for kind in kinds):
+        return None
+    shared = (c for c in kinds[0].__mro__ if all(issubclass(k, c) for k in kinds))
+    nearest = next(shared)
+    return nearest if dataclasses.is_dataclass(nearest) else None
 
 
 def _parts(wanted: Any, count: int) -> tuple[Any, ...]:

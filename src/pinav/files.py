@@ -13,7 +13,7 @@ from pinav.errors import InputError
 
 def atomic_write(
     path: str | os.PathLike[str],
-    write: Callable[[BinaryIO], None],
+    write: Callable[[BinaryIO], object],
     *,
     overwrite: bool = False,
 ) -> None:
@@ -109,8 +109,4 @@ def write_text(
     path: str | os.PathLike[str], text: str, *, overwrite: bool = False
 ) -> None:
     """Write UTF-8 text as `atomic_write` does, with its errors."""
-    atomic_write(path, lambda file: _write_all(file, text), overwrite=overwrite)
-
-
-def _write_all(file: BinaryIO, text: str) -> None:
-    file.write(text.encode())
+    atomic_write(path, lambda file: file.write(text.encode()), overwrite=overwrite)

@@ -113,7 +113,9 @@ class Reading(Settings, frozen=True):
             InputError: a name is unknown, or a value makes no sense.
         """
         try:
-            return msgspec.convert(content, cls, strict=False, dec_hook=_path)
+            return msgspec.convert(
+                content, cls, strict=False, dec_hook=lambda kind, value: kind(value)
+            )
         except msgspec.ValidationError as error:
             raise InputError(
                 f"reading: {error}; expected words such as fps=10 mpp=0.5 y=up "
@@ -125,11 +127,6 @@ class Reading(Settings, frozen=True):
         plain = msgspec.to_builtins(PLAIN, enc_hook=str)
         stated = msgspec.to_builtins(self, enc_hook=str)
         return {k: v for k, v in stated.items() if v not in (plain[k], None)}
-
-
-def _path(kind: type, value: str) -> Path:
-    assert kind is Path
-    return Path(value)
 
 
 def _of_file(path: Path) -> Content:

@@ -18,6 +18,7 @@ written; nothing is pickled.
 """
 
 import csv
+import functools
 import hashlib
 import io
 import json
@@ -26,7 +27,7 @@ import tomllib
 from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -134,16 +135,12 @@ class RunFolder:
         if not folder.exists():
             return cls.create(path, config, overwrite=False)
         folder._check_schema()
-        identity = {"schema": SCHEMA, **config.get("run", {})}
-        saved = folder.settings() | folder.identity()
-        wanted = {k: v for k, v in config.items() if k != "run"} | identity
-        differing = sorted(
-            key
-            for key in saved.keys() | wanted.keys()
-            if saved.get(key) != wanted.get(key)
-        )
-        if differing:
-            key = differing[0]
+        saved, wanted = folder.config(), dict(config)
+        saved |= saved.pop("run", {})
+        wanted |= {"schema": SCHEMA, **wanted.pop("run", {})}
+        for key in sorted(saved.keys() | wanted.keys()):
+            if saved.get(key) == wanted.get(key):
+                continue
             raise InputError(
                 f"{path} holds a run with {key} = {saved.get(key)!r}, not "
                 f"{wanted.get(key)!r}; resume with the settings in its config.toml, or "
@@ -202,12 +199,6 @@ class RunFolder:
         """The files that the run wrote."""
         return Manifest(self.path)
 
-    def remove(self, name: str) -> None:
-        """Remove a file that the run wrote, if there is one."""
-        if name in self.manifest.entries():
-            (self.path / name).unlink(missing_ok=True)
-            self.manifest.forget(name)
-
     def record(self, *names: str) -> None:
         """Note that the run wrote these files; `--overwrite` deletes no others."""
         self.manifest.record(*names)
@@ -215,14 +206,6 @@ class RunFolder:
     def check_file(self, name: str) -> None:
         """Require that a file is the one that the run wrote."""
         self.manifest.check(name)
-
-    def repair(self, name: str) -> str:
-        """The words that say how a damaged or missing file is made again."""
-        return self.manifest.repair(name)
-
-    def settings(self) -> dict[str, Any]:
-        """The settings that decided the numbers of the run."""
-        return {key: value for key, value in self.config().items() if key != "run"}
 
     def identity(self) -> dict[str, Any]:
         """What tells the run from others beside its settings: command, data, system."""
@@ -250,7 +233,7 @@ class RunFolder:
             return json.loads(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
             raise InputError(
-                f"{path} cannot be read ({error}); {self.repair(name)}"
+                f"{path} cannot be read ({error}); {self.manifest.repair(name)}"
             ) from error
 
     def store(self, name: str, result: Any) -> None:
@@ -264,8 +247,9 @@ class RunFolder:
         if arrays:
             self.write_arrays(f"{name}.npz", arrays)
             digest = _hash(self.path / f"{name}.npz")
-        else:
-            self.remove(f"{name}.npz")
+        elif f"{name}.npz" in self.manifest.entries():
+            (self.path / f"{name}.npz").unlink(missing_ok=True)
+            self.manifest.forget(f"{name}.npz")
         kind = kebab(type(result))
         self.write_json(f"{name}.json", Stored(FORMAT, kind, document, digest))
 
@@ -277,7 +261,7 @@ class RunFolder:
         """
         file = f"{name}.json"
         self.check_file(file)
-        repair = self.repair(file)
+        repair = self.manifest.repair(file)
         try:
             stored = msgspec.convert(self.read_json(file), Stored)
         except msgspec.ValidationError as error:
@@ -314,10 +298,7 @@ class RunFolder:
 
     def write_arrays(self, name: str, arrays: dict[str, np.ndarray]) -> None:
         """Write arrays as npz."""
-
-        def write(file: BinaryIO) -> None:
-            np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
-
+        write = functools.partial(np.savez, **arrays)
         atomic_write(self.path / name, write, overwrite=True)
         self.record(name)
 
@@ -330,7 +311,7 @@ class RunFolder:
                 return dict(kept)
         except Exception as error:
             raise InputError(
-                f"{path} cannot be read ({error}); {self.repair(name)}"
+                f"{path} cannot be read ({error}); {self.manifest.repair(name)}"
             ) from error
 
     def append_record(self, record: dict[str, Any]) -> None:
@@ -353,7 +334,7 @@ class RunFolder:
             InputError: the file is missing, damaged or of another run.
         """
         self.check_file(name)
-        return read_tree(self.path / name, build, self.repair(name))
+        return read_tree(self.path / name, build, self.manifest.repair(name))
 
     def models(self) -> list[str]:
         """Names of the model files."""

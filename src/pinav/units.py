@@ -38,15 +38,10 @@ def force_unit(units: Mapping[str, str], *, lengths: int = 1) -> str:
     length, time = units.get("x", "1"), units.get("t", "1")
     if "?" in (length, time):
         return "?"
-    if force := units.get(FORCE):
-        return force if lengths == 1 else f"{force} {length}"
-    power = {1: "", 2: "²"}[lengths]
-    rate = {"1": "⁻¹", "2": "⁻²"}[units.get(ORDER, "2")]
-    parts = (
-        "" if length == "1" else length + power,
-        "" if time == "1" else time + rate,
-    )
-    return " ".join(part for part in parts if part) or "1"
+    dimension = f"L{lengths} T-{units.get(ORDER, '2')}"
+    if FORCE in units:
+        dimension = f"F L{lengths - 1}"
+    return unit_of(dimension, {"L": length, "T": time, "F": units.get(FORCE, "")})
 
 
 _POWER = re.compile(r"([^\d-]+)(-?\d+)?")

@@ -92,7 +92,7 @@ def test_the_split_does_not_depend_on_rounding():
     fractions = {
         round(
             helmholtz_split(
-                FieldMap(axes[0] + shift, axes[1] - shift, force, distance), reach=1.0
+                FieldMap(axes[0] + shift, axes[1] - shift, force, distance)
             ).rotational_fraction,
             6,
         )

@@ -2,7 +2,6 @@
 
 import msgspec
 import numpy as np
-import pytest
 
 from benchmarks import choice
 from pinav.errors import InputError
@@ -48,8 +47,3 @@ def test_splits_that_were_done_are_kept_and_counted(tmp_path, capsys, monkeypatc
     cells = ["a", "1", "6", "0.020", "0.040", "0.50", "0", "0.050", "1", "90.0%"]
     assert group.split() == cells
     assert everything.split()[1:] == faster.split()[4:] == group.split()[1:]
-
-
-def test_an_unknown_group_is_refused():
-    with pytest.raises(InputError, match="--groups: expected some of sessions.*'fish'"):
-        choice.main(["--groups", "fish"])

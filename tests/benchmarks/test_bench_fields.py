@@ -1,11 +1,8 @@
-import pytest
 from benchmarks._sweep import measurements
-from benchmarks.fields import main
 from benchmarks.fields.cells import COLUMNS, Measurement, cell_of, measure
 from benchmarks.fields.table import Options, cells, draw, line, summary
 from tests.sweeps.here import here
 
-from pinav.errors import InputError
 from pinav.sweeps import CellStore, map_cells
 
 
@@ -14,20 +11,6 @@ def measurement(**changes):
     found = {"outcome": "converged", "structure": ("central",), "gain": 31.2}
     scores = {"error": {"visited": 0.015, "near": 0.017, "unvisited": None}}
     return Measurement(**(values | found | scores | changes))
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--columns", "magic"], "--columns: 'magic' is unknown; choose some of"),
-        (["--families", "hills"], "--families: 'hills' is unknown; choose some of"),
-        (["--draws", "0"], "--draws and --count: expected one or more"),
-        (["--keys", "-1"], "--keys: expected 0 or more, got -1"),
-    ],
-)
-def test_bad_options_are_refused(words, message, tmp_path):
-    with pytest.raises(InputError, match=message):
-        main([*words, "--out", str(tmp_path)])
 
 
 def test_even_keys_are_for_development_and_odd_ones_for_judging():

@@ -1,11 +1,8 @@
 import numpy as np
 import pytest
-from benchmarks.trainer import main
 from benchmarks.trainer.cells import COLUMNS, Measurement
 from benchmarks.trainer.systems import DEVELOPMENT, JUDGED, benchmark_system
 from benchmarks.trainer.table import Options, cells, line, summary
-
-from pinav.errors import InputError
 
 
 def measurement(**changes):
@@ -13,20 +10,6 @@ def measurement(**changes):
     values |= {"processor_seconds": 3.0}
     drawn = {"encounter": "turn", "form": "gaussian", "width": 1.5}
     return Measurement(**(values | {"outcome": "converged"} | drawn | changes))
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--columns", "magic"], "--columns: 'magic' is unknown; choose some of"),
-        (["--keys", "-1"], "--keys: expected 0 or more, got -1"),
-        (["--workers", "0"], "--workers: expected 1 or more, got 0"),
-        (["--seeds"], "--seeds: expected one or more"),
-    ],
-)
-def test_bad_options_are_refused(words, message, tmp_path):
-    with pytest.raises(InputError, match=message):
-        main([*words, "--out", str(tmp_path)])
 
 
 def test_no_system_is_both_for_development_and_for_judging():

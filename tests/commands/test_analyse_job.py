@@ -1,21 +1,28 @@
 import csv
 import json
-import shutil
 
-import equinox as eqx
-import jax
 import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.analysis import Analysis, LyapunovMap, effects, helmholtz_split
-from pinav.commands.analyse import AnalyseSettings
-from pinav.commands.analyse.job import growth_sentence, rotation_sentence
+from pinav.analysis import (
+    Analysis,
+    EntropyProduction,
+    LyapunovMap,
+    effects,
+    helmholtz_split,
+)
+from pinav.analysis.effects import produce_entropy
+from pinav.commands.analyse.job import (
+    entropy_sentence,
+    growth_sentence,
+    rotation_sentence,
+)
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap, Regions
+from pinav.fitting import Estimate
+from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
-from pinav.scenarios import barrier_crossings
-from pinav.trajectories import save, simulate
 
 SMALL = ["--points", "21", "--draws", "4", "--samples", "8"]
 
@@ -28,20 +35,11 @@ def few_starts():
 
 
 @pytest.fixture(scope="module")
-def inferred(tmp_path_factory):
+def inferred(fitted_runs, tmp_path_factory):
     """A run with a posterior, damping learned with the force."""
-    folder = tmp_path_factory.mktemp("analyse")
-    short = eqx.tree_at(
-        lambda s: (s.starts, s.times),
-        barrier_crossings(),
-        replace_fn=lambda a: a[:3] if a.ndim == 2 else a[:31],
-    )
-    save(simulate(short, key=jax.random.key(3)), folder / "data.npz")
-    argv = ["fit", str(folder / "data.npz"), "--out", str(folder / "run")]
-    argv += ["--model", "kernel-potential", "--train", "damping", "--noise", "0.02"]
-    assert cli.run(argv) == 0
-    assert cli.run(["analyse", str(folder / "run"), *SMALL]) == 0
-    return folder / "run"
+    run, _ = fitted_runs.copy("kernel", tmp_path_factory.mktemp("analyse"))
+    assert cli.run(["analyse", str(run), *SMALL]) == 0
+    return run
 
 
 @pytest.mark.slow
@@ -53,18 +51,18 @@ def test_the_analysis_of_a_posterior_is_whole(inferred):
     assert list(fractions) == sorted(fractions)
     assert split.least_fraction < 0.01  # a potential was learned
     assert found.is_potential_learned
-    assert [row.trajectory for row in found.influence] == [0, 1, 2]
+    assert [row.trajectory for row in found.influence] == [0, 1, 2, 3]
     assert all(row.leverage > 0 for row in found.influence)
     learned = {row.constant: row.learned for row in found.constants}
     assert learned == {"damping": True, "gain": False}
     assert {"final x", "final y", "least distance"} <= set(found.sobol.outcomes)
-    assert found.lyapunov.horizon == pytest.approx(3.0)
+    assert found.lyapunov.horizon == pytest.approx(5.0)
 
 
 @pytest.mark.slow
 def test_tables_say_what_the_result_says(inferred):
     found = RunFolder.open(inferred).load("analysis", Analysis)
-    counts = {"influence": 3, "constants": 2, "sobol": found.sobol.total.size}
+    counts = {"influence": 4, "constants": 2, "sobol": found.sobol.total.size}
     for name, count in counts.items():
         with open(inferred / f"analysis-{name}.csv", newline="") as file:
             rows = list(csv.reader(file))
@@ -77,23 +75,17 @@ def test_tables_say_what_the_result_says(inferred):
 @pytest.mark.slow
 def test_the_report_has_the_figures(inferred):
     page = (inferred / "report.html").read_text(encoding="utf-8")
-    for title in (
-        "What was learned",
-        "What the field depends on",
-        "What a rollout depends on",
-    ):
-        assert title in page
+    for title in ("was learned", "the field depends on", "a rollout depends on"):
+        assert f"What {title}" in page
     names = ("helmholtz", "potential", "influence", "constants", "lyapunov", "sobol")
     for name in names:
         assert (inferred / "figures" / f"analysis-{name}.png").stat().st_size > 0
 
 
 @pytest.mark.slow
-def test_without_a_posterior_the_rest_is_done_and_said(tiny_fit, tmp_path, capsys):
-    copy = tmp_path / "run"
-    shutil.copytree(tiny_fit[0], copy)
-    assert cli.run(["analyse", str(copy), *SMALL, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+def test_without_a_posterior_the_rest_is_done_and_said(fitted_run, printed):
+    copy, _ = fitted_run("network")
+    found = json.loads(printed("analyse", copy, *SMALL, "--json"))
     assert "doubt" not in found
     assert len(found["left_out"]) == 2
     assert "the run has no posterior; fit with --recipe bayes" in found["left_out"][0]
@@ -143,31 +135,64 @@ def test_what_cannot_be_analysed_is_refused(tiny_fit, tmp_path, refused):
     refused(["analyse", str(other)], "holds no fitted")
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"points": 4}, "--points: expected 5 or more"),
-        ({"draws": 1}, "--draws: expected 2 or more"),
-        ({"reference": -1}, "--reference: expected 0 or more"),
-        ({"samples": 100}, "--samples: expected a power of two"),
-        ({"relative": 1.5}, "--relative: expected between 0 and 1"),
-        ({"shift": 0.0}, "--shift: expected > 0"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(change, message):
-    with pytest.raises(InputError, match=message):
-        AnalyseSettings(**change).check()
+@pytest.mark.slow
+def test_a_model_without_a_learned_force_is_refused(fitted_run, refused):
+    run, _ = fitted_run("identified")
+    refused(["analyse", run], "has no learned force of the environment")
+
+
+TRAP = """
+name = "trap"
+dimension = 2
+order = 1
+mobility = 1.0
+
+[thermal]
+energy = 1.0
+
+[unknown]
+model = "kernel-force"
+
+[truth]
+kind = "harmonic-trap"
+stiffness = 1.0
+center = [0.0, 0.0]
+
+[starts]
+states = [[0.0, 0.0]]
+
+[times]
+first = 0.0
+last = 40.0
+samples = 2001
+"""
+
+
+def production(rate):
+    current = np.array([[1.4, 0.0], [0.0, -1.4]])
+    return EntropyProduction(Estimate(rate, 0.3), 0.1, 0.0 * current, current)
+
+
+def test_the_sentence_says_whether_equilibrium_is_excluded():
+    assert entropy_sentence(production(2.0)) == (
+        "Entropy production of a steady state: 2 ± 0.3 (sd) k_B per unit of time: out "
+        "of equilibrium; current velocity 1.4 (rms)."
+    )
+    assert "equilibrium is not excluded" in entropy_sentence(production(0.5))
 
 
 @pytest.mark.slow
-def test_a_model_without_a_learned_force_is_refused(tmp_path, refused):
+def test_a_trap_is_not_out_of_equilibrium_and_a_potential_is_left_out(
+    tmp_path, printed
+):
+    (tmp_path / "trap.toml").write_text(TRAP)
     data, run = tmp_path / "data.npz", tmp_path / "run"
-    short = eqx.tree_at(
-        lambda s: (s.starts, s.times),
-        barrier_crossings(),
-        replace_fn=lambda a: a[:2] if a.ndim == 2 else a[:11],
-    )
-    save(simulate(short, key=jax.random.key(3)), data)
-    argv = ["fit", str(data), "--out", str(run), "--model", "physics-only"]
-    assert cli.run([*argv, "--train", "damping"]) == 0
-    refused(["analyse", str(run)], "has no learned force of the environment")
+    printed("simulate", tmp_path / "trap.toml", "--out", data)
+    printed("fit", data, "--out", run)
+    fitted = Learned.open(run)
+    entropy = produce_entropy(fitted)
+    assert abs(entropy.rate.value) < 3 * entropy.rate.sd
+    assert entropy.current.shape == entropy.positions.shape
+    printed("fit", data, "--out", run, "--model", "kernel-potential", "--overwrite")
+    with pytest.raises(InputError, match="the model is a potential"):
+        produce_entropy(Learned.open(run))

@@ -1,10 +1,6 @@
 """`pinav compare`: rows, verdicts, and what it refuses."""
 
-import json
-
-import equinox as eqx
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 import pytest
 
@@ -20,14 +16,12 @@ from pinav.commands.compare.job import (
 )
 from pinav.errors import InputError
 from pinav.fitting import ModelEvidence
-from pinav.fitting.environments.catalogue import build, mean_drag, with_tensor_drag
+from pinav.fitting.environments.catalogue import mean_drag, with_tensor_drag
 from pinav.fitting.environments.summary import (
-    ModelChoice,
     summarise_data,
-    summarise_for,
 )
 from pinav.forces import tensor_matrix
-from pinav.learning.learned import Learned, ModelHeader, build_model
+from pinav.learning.learned import Learned
 from pinav.report import sections_text
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
@@ -94,17 +88,6 @@ def test_candidates_that_cannot_be_had_are_refused(models, name, channels, messa
 def test_one_model_is_nothing_to_compare():
     with pytest.raises(InputError, match="--models: expected at least 2 different"):
         CompareSettings(models=("kernel-force",)).check()
-
-
-@pytest.mark.parametrize("model", ["kernel-mixture", "kernel-potential-time"])
-def test_a_model_file_describes_its_kernels(model):
-    data = positions("paper", ("x", "y", "vx", "vy"))
-    choice = ModelChoice(model)
-    header = ModelHeader(choice, summarise_for(choice, data))
-    made = build(choice, scenario("paper").swimmer, header.data)
-    content = json.loads(json.dumps(msgspec.to_builtins(header)))
-    again = build_model(msgspec.convert(content, ModelHeader), scenario("paper"))
-    assert eqx.tree_equal(again, made)
 
 
 def test_a_drag_to_learn_starts_isotropic_with_the_mean_of_the_known_one():

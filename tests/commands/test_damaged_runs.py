@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from benchmarks.fit import compare
 from benchmarks.fit.contestants import Effort
-from benchmarks.fit.table import Measurement
+from tests.benchmarks.test_bench_fit import measurement
 from tests.commands.test_heat import small
 from tests.commands.test_interruptions import one_line
 from tests.damage import damage
@@ -70,18 +70,19 @@ STAGES = (
 )
 """Where the numbers of each command begin."""
 
-NAVIGATE = ("navigate", "run", "--from", "1,1", "--to", "2,2", "--out", "out")
-FITTED = (
-    ("evaluate", "run", "data.npz"),
-    ("analyse", "run"),
-    ("discover", "run"),
-    NAVIGATE,
-    ("explore", "run"),
-    ("export", "run", "--to", "napari", "--out", "out.csv"),
-    ("export", "run", "--to", "trackmate", "--out", "out.csv"),
-    ("report", "run"),
+
+def words(*lines: str) -> tuple[tuple[str, ...], ...]:
+    """The words of each command."""
+    return tuple(tuple(line.split()) for line in lines)
+
+
+READ_ONLY = ("explore run", "report run")
+FITTED = words(
+    *("evaluate run data.npz", "analyse run", "discover run"),
+    *("navigate run --from 1,1 --to 2,2 --out out", "explore run"),
+    *(f"export run --to {form} --out out.csv" for form in ("napari", "trackmate")),
+    "report run",
 )
-READ_ONLY = (("explore", "run"), ("report", "run"))
 
 
 class Subject(NamedTuple):
@@ -137,64 +138,55 @@ def measured(folder: Path, copy: Callable) -> None:
     effort = msgspec.json.encode(Effort()).decode()
     (folder / "out" / "effort.json").write_text(effort)
     for seed in (0, 1):
-        kept = Measurement(
-            **{"seed": seed, "iterations": 10, "fit_seconds": 6.0, "cold_seconds": 8.0},
-            **{"full_seconds": None, "peak_mib": 500.0, "note": ""},
-            **{"rmse": 1e-5, "force": 0.1},
-        )
+        kept = msgspec.json.encode(measurement(seed=seed))
         file = folder / "out" / f"ude-{seed}"
-        file.with_suffix(".json").write_bytes(msgspec.json.encode(kept))
+        file.with_suffix(".json").write_bytes(kept)
         np.savez(file.with_suffix(".npz"), curve=np.array([[1.0, 0.5], [2.0, 0.1]]))
 
 
 SYSTEMS = Path(__file__).parents[2] / "examples" / "systems"
-FETCH = ("data", "fetch", "dragged_trap", "--source", "authors.txt", "--out", "out")
 SUBJECTS: dict[str, Subject] = {
     "kernel": Subject(run_of("kernel"), FITTED),
     "langevin": Subject(run_of("langevin"), FITTED),
     "identified": Subject(run_of("identified"), FITTED),
     "reproduced": Subject(
         run_of("reproduced"),
-        (
-            ("reproduce", *SHORT, "--lbfgs-steps", "3", "--out", "run", "--resume"),
+        words(
+            f"reproduce {' '.join(SHORT)} --lbfgs-steps 3 --out run --resume",
             *READ_ONLY,
         ),
     ),
     "studied": Subject(
         run_of("studied"),
-        (
-            ("study", "noise", *STUDY, "--out", "run", "--resume"),
-            ("study", "status", "run"),
-            ("report", "run"),
+        words(
+            f"study noise {' '.join(STUDY)} --out run --resume",
+            *("study status run", "report run"),
         ),
     ),
-    "heated": Subject(run_of("heated"), READ_ONLY),
+    "heated": Subject(run_of("heated"), words(*READ_ONLY)),
     "case": Subject(
-        case,
-        tuple(
-            ("heat", w, "tumour.toml", "--out", "out") for w in ("simulate", "learn")
-        ),
+        case, words(*(f"heat {w} tumour.toml --out out" for w in ("simulate", "learn")))
     ),
     "truth": Subject(
-        lambda folder, copy: trap_folder(folder),
-        (("truth", "cases", "--out", "out"),),
+        lambda folder, copy: trap_folder(folder), words("truth cases --out out")
     ),
-    "data": Subject(source, (FETCH,)),
+    "data": Subject(
+        source, words("data fetch dragged_trap --source authors.txt --out out")
+    ),
     "live": Subject(
         session,
-        (
-            ("live", "rig.lines", "--out", ".", "--resume"),
-            ("live", "frames.jsonl", "--replay"),
-            ("live", "table.csv", "--replay", "--frames", "5"),
+        words(
+            "live rig.lines --out . --resume",
+            "live frames.jsonl --replay",
+            "live table.csv --replay --frames 5",
         ),
     ),
     "bench": Subject(
-        measured,
-        (("benchmarks", "fit", "--out", "out", "--only", "ude", "--seeds", "0", "1"),),
+        measured, words("benchmarks fit --out out --only ude --seeds 0 1")
     ),
     "simulate": Subject(
         systems,
-        tuple(("simulate", f.name, "--out", "out.csv") for f in SYSTEMS.glob("*.toml")),
+        words(*(f"simulate {f.name} --out out.csv" for f in SYSTEMS.glob("*.toml"))),
     ),
 }
 

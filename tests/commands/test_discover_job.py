@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from matplotlib.mathtext import MathTextParser
 
-from pinav import cli
 from pinav.analysis import (
     Candidate,
     CentralTest,
@@ -24,30 +23,24 @@ from pinav.analysis.discovery.potentials import (
     SADDLE,
 )
 from pinav.commands import DISCOVER
-from pinav.commands.discover.sections import central_sentence, sections, sentences
+from pinav.commands.discover.job import central_sentence, sections, sentences
 from pinav.commands.results import sections_of
-from pinav.figures.images import Figures
+from pinav.figures.images import save_pictures
 from pinav.fitting import Outcome
 from pinav.forces.profiles import Yukawa
 from pinav.report import sections_text
 from pinav.runs import RunFolder
 
 
-def constant(name, value, sd):
-    half = np.inf if sd is None else 1.96 * sd
-    return EstimatedConstant(
-        name=name,
-        symbol=name[0],
-        unit="1",
-        value=value,
-        sd=np.inf if sd is None else sd,
-        low=value - half,
-        high=value + half,
-        identifiable=sd is not None,
-    )
+def constant(name, value, sd=np.inf):
+    ends = {"low": value - 1.96 * sd, "high": value + 1.96 * sd}
+    words = {"name": name, "symbol": name[0], "unit": "1"}
+    known = bool(np.isfinite(sd))
+    return EstimatedConstant(**words, value=value, sd=sd, **ends, identifiable=known)
 
 
 def law(law, delta, *constants):
+    fits = bool(np.isfinite(delta))
     return Candidate(
         name=law.name,
         law=law,
@@ -56,8 +49,8 @@ def law(law, delta, *constants):
         delta_bic=delta,
         field_bic=3.0,
         noise=0.02,
-        outcome=Outcome.CONVERGED if np.isfinite(delta) else Outcome.DIVERGED,
-        fits=bool(np.isfinite(delta)),
+        outcome=Outcome.CONVERGED if fits else Outcome.DIVERGED,
+        fits=fits,
         extends_best=False,
         latex="U = U_0",
         sympy="(0, 0)",
@@ -68,7 +61,7 @@ FORCE = np.linspace(-1.0, 1.0, 20).reshape(10, 2)
 FOUND = Discovery(
     candidates=(
         law(GAUSSIAN, 0.0, constant("height", 5.25, 0.01)),
-        law(ProfileLaw(Yukawa(), Center()), 3.0, constant("core", 7.0, None)),
+        law(ProfileLaw(Yukawa(), Center()), 3.0, constant("core", 7.0)),
         law(GAUSSIAN + SADDLE, 800.0, constant("edge", 1.0, 0.1)),
         law(GAUSSIAN_SWIRL, np.inf, constant("height", 1.0, 0.1)),
     ),
@@ -147,19 +140,14 @@ def test_report_section_holds_figure_and_tables(folder):
     folder.store(DISCOVER.file, FOUND)
     (section,) = sections_of(DISCOVER, folder)
     assert section.heading == "The law behind the force"
-    Figures(folder.path).saved(section)
+    save_pictures(section, folder.path)
     for name in ("laws", "law-0", "law-1"):
         assert (folder.path / "figures" / f"{name}.svg").is_file()
 
 
-def test_messages(tmp_path, refused):
-    RunFolder.create(tmp_path / "run", {"run": {"command": "fit"}}, overwrite=False)
-    for argv, words in (
-        ([str(tmp_path / "run")], "holds no fitted"),
-        ([str(tmp_path)], "holds no run"),
-        ([str(tmp_path / "run"), "--refits", "0"], "--refits: expected 1 or more"),
-    ):
-        refused(["discover", *argv], words)
+def test_a_run_that_was_not_fitted_is_refused(folder, refused):
+    refused(["discover", folder.path], "holds no fitted")
+    refused(["discover", folder.path.parent], "holds no run")
 
 
 @pytest.mark.parametrize(
@@ -188,15 +176,12 @@ count = 6
 
 
 @pytest.mark.slow
-def test_the_law_of_a_swimmer_without_inertia_is_a_force(tmp_path):
+def test_the_law_of_a_swimmer_without_inertia_is_a_force(tmp_path, printed):
     (tmp_path / "trap.toml").write_text(TRAP)
-    data, run = str(tmp_path / "trap.npz"), str(tmp_path / "run")
-    for words in (
-        ["simulate", str(tmp_path / "trap.toml"), "--out", data],
-        ["fit", data, "--out", run],
-        ["discover", run, "--refits", "2"],
-    ):
-        assert cli.run(words) == 0
+    data, run = tmp_path / "trap.npz", tmp_path / "run"
+    printed("simulate", tmp_path / "trap.toml", "--out", data)
+    printed("fit", data, "--out", run)
+    printed("discover", run, "--refits", "2")
     best = RunFolder.open(tmp_path / "run").load("laws", Discovery).best
     assert best.name == "harmonic"
     stiffness = best.constants[0]

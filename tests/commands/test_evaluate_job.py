@@ -7,7 +7,7 @@ import pytest
 
 from pinav import cli
 from pinav.commands import EVALUATE
-from pinav.commands.evaluate.job import error_name, purpose, sections
+from pinav.commands.evaluate.job import sections
 from pinav.commands.results import sections_of
 from pinav.errors import InputError
 from pinav.evaluation import Evaluation, Regions, evaluate, held_out
@@ -90,11 +90,8 @@ def test_the_force_is_judged_by_region(metrics):
 
 def test_bands_residuals_and_constants_are_judged(metrics):
     coverage = metrics["coverage"]
-    assert coverage.keys() == {
-        "observations of the data",
-        "rollouts from clean starts",
-        "force",
-    }
+    judged = ("observations of the data", "rollouts from clean starts", "force")
+    assert coverage.keys() == set(judged)
     assert coverage["observations of the data"]["visited"] > 0.85
     assert coverage["force"]["visited"] > 0.7
     white = metrics["whiteness"]
@@ -117,15 +114,10 @@ def test_four_trajectories_are_too_few_for_a_conformal_band(metrics):
 
 def test_the_report_and_the_table_hold_the_evaluation(judged, metrics):
     page = (judged / "report.html").read_text()
-    for words in (
-        "Evaluation",
-        "Ljung-Box Q",
-        "nominal 95 % bands",
-        "training horizon",
-    ):
+    for words in ("Evaluation", "Ljung-Box Q", "nominal 95 % ban", "training horizon"):
         assert words in page
-    assert (judged / "figures" / "evaluation-errors.svg").exists()
-    assert (judged / "figures" / "evaluation-residuals.svg").exists()
+    for name in ("errors", "residuals"):
+        assert (judged / "figures" / f"evaluation-{name}.svg").exists()
     with open(judged / "evaluation.csv", newline="") as file:
         stored = dict(csv.reader(file))
     error = metrics["force"]["model"]["visited"]["error"]
@@ -136,11 +128,9 @@ def test_the_report_and_the_table_hold_the_evaluation(judged, metrics):
     assert "within 0.35 of an observed position" in said
 
 
-def test_a_fit_from_its_own_starts_says_so(tiny_fit, capsys):
+def test_a_fit_from_its_own_starts_says_so(tiny_fit, printed):
     run, data = tiny_fit
-    capsys.readouterr()
-    assert cli.run(["evaluate", str(run), str(data), "--regions", "1", "3"]) == 0
-    out = capsys.readouterr().out
+    out = printed("evaluate", run, data, "--regions", "1", "3")
     assert "starts: the first sample of each trajectory" in out
     assert "Visited: within 1 of an observed position" in out
     stored = RunFolder.open(run).read_json("evaluation.json")["value"]
@@ -186,10 +176,10 @@ def test_a_table_is_aligned_on_a_terminal():
     ]
 
 
-def evaluation_of(seen, trajectories=4):
+def evaluation_of(seen):
     return Evaluation(
         data="data.npz",
-        trajectories=trajectories,
+        trajectories=4,
         has_estimated_starts=False,
         regions=Regions(),
         domain=3.0,
@@ -203,24 +193,29 @@ def evaluation_of(seen, trajectories=4):
     )
 
 
-def test_training_data_are_called_so():
-    held, trained, mixed = evaluation_of(0), evaluation_of(4), evaluation_of(1)
-    assert error_name(held) == "held-out error"
-    assert "none of those that it was fitted to" in purpose(held)
-    assert error_name(trained) == "training error"
-    assert "These are the training data" in purpose(trained)
-    assert "Of the 4 trajectories the run was fitted to 1" in purpose(mixed)
-    assert error_name(mixed) == "error, in part on training data"
-    assert "training error" in sections_text(sections(trained))
+@pytest.mark.parametrize(
+    ("seen", "name", "words"),
+    [
+        (0, "held-out error", "none of those that it was fitted to"),
+        (
+            1,
+            "error, in part on training",
+            "the run was fitted to 1",
+        ),
+        (4, "training error", "These are the training data"),
+    ],
+)
+def test_training_data_are_called_so(seen, name, words):
+    said = sections_text(sections(evaluation_of(seen)))
+    assert f"RMSE, {name}" in said
+    assert words in said
 
 
 def test_evaluating_the_file_that_was_fitted_is_a_training_error(
-    tiny_fit, capsys, refused
+    tiny_fit, printed, refused
 ):
     run, data = tiny_fit
-    assert cli.run(["evaluate", str(run), str(data)]) == 0
-    out = capsys.readouterr().out
-    assert "These are the training data" in out
+    assert "These are the training data" in printed("evaluate", run, data)
     page = (run / "report.html").read_text(encoding="utf-8")
     assert "not fitted to" not in page
     words = ["evaluate", run, data, "--calibrate", data]
@@ -228,8 +223,7 @@ def test_evaluating_the_file_that_was_fitted_is_a_training_error(
 
 
 def test_a_stochastic_truth_has_held_out_realisations():
-    held = held_out(scenario("brownian"), until=1.0, count=3)
+    held, again = (held_out(scenario("brownian"), until=1.0, count=3) for _ in "ab")
     assert held.states.shape[0] == 3
     assert np.isfinite(held.states).all()
-    again = held_out(scenario("brownian"), until=1.0, count=3)
     np.testing.assert_array_equal(held.states, again.states)

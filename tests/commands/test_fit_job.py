@@ -6,7 +6,7 @@ import pytest
 
 from pinav import cli
 from pinav.errors import InputError
-from pinav.evaluation import field_map, force_errors
+from pinav.evaluation import evaluate, field_map, force_errors
 from pinav.learning.learned import Learned
 from pinav.learning.plan import plan_fit
 from pinav.learning.recipes import Bayes
@@ -26,15 +26,12 @@ def test_fit_learns_and_reports_what_was_asked(tiny_fit):
 
 
 @pytest.mark.slow
-def test_evaluate_scores_the_stored_model(tiny_fit, capsys):
+def test_evaluate_scores_the_stored_model(tiny_fit, printed):
     run, data = tiny_fit
-    capsys.readouterr()
-    assert cli.run(["evaluate", str(run), str(data), "--json"]) == 0
-    rmse = json.loads(capsys.readouterr().out)["rmse"]["model"]
+    rmse = json.loads(printed("evaluate", run, data, "--json"))["rmse"]["model"]
     fitted = Learned.open(run).findings.rmse
     assert {name: rmse[name] for name in fitted} == fitted
-    assert cli.run(["evaluate", str(run), str(data)]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed("evaluate", run, data).splitlines()
     (heading,) = (line for line in lines if line.startswith("RMSE"))
     assert heading.split()[:5] == ["RMSE,", "training", "error", "x", "y"]
 
@@ -75,7 +72,7 @@ def test_a_model_file_of_something_else_is_refused(tiny_fit, tmp_path, refused):
     refused(["evaluate", str(copy), str(data)], "holds no fitted model; give")
     (copy / "system.toml").write_bytes((run / "system.toml").read_bytes())
     (copy / "model.eqx").write_text('{"kind": "fit"}\n')
-    refused(["evaluate", str(copy), str(data)], "Object missing required field")
+    refused(["evaluate", str(copy), str(data)], "kind: 'fit' is unknown")
 
 
 @pytest.fixture(scope="module")
@@ -125,37 +122,33 @@ def test_an_inferred_run_is_resumed_without_fitting_again(inferred, capsys):
 
 
 @pytest.mark.slow
-def test_evaluation_shows_the_force_error_where_the_truth_is_known(tmp_path, capsys):
+def test_evaluation_shows_the_force_error_where_the_truth_is_known(tmp_path, printed):
     data = tmp_path / "data.npz"
-    assert cli.run(["simulate", "barrier-crossings", "--out", str(data)]) == 0
-    argv = ["fit", str(data), "--out", str(tmp_path / "run")]
-    assert cli.run(argv) == 0
-    out = capsys.readouterr().out
+    printed("simulate", "barrier-crossings", "--out", data)
+    out = printed("fit", data, "--out", tmp_path / "run")
     assert "visited (%)  near (%)" in out
     assert "Relative L2 error of the force against the system's truth" in out
 
 
 @pytest.mark.parametrize(
-    ("name", "channels", "message"),
-    [
-        (
-            "brownian",
-            ("x", "y"),
-            "--train damping: system brownian has no .* its drag is a mobility",
-        ),
-        (
-            "anisotropic-drag",
-            ("x", "y", "vx", "vy"),
-            "--train damping: system anisotropic-drag has no .* drag is TensorDrag",
-        ),
-    ],
+    ("name", "drag"), [("brownian", "a mobility"), ("anisotropic-drag", "TensorDrag")]
 )
-def test_physics_of_another_kind_is_refused(name, channels, message):
-    data = Trajectories.from_arrays(
-        np.arange(3.0),
-        np.zeros((3, len(channels))),
-        channels=channels,
-        provenance={"scenario": name},
-    )
+def test_physics_of_another_kind_is_refused(name, drag):
+    system = scenario(name)
+    nowhere = np.zeros((3, len(system.channels)))
+    data = Trajectories.from_arrays(np.arange(3.0), nowhere, channels=system.channels)
+    message = f"--train damping: system {name} has no .* its drag is {drag}"
     with pytest.raises(InputError, match=message):
-        plan_fit(scenario(name), data, recipe=Bayes(), train=("damping",))
+        plan_fit(system, data, recipe=Bayes(), train=("damping",))
+
+
+@pytest.mark.slow
+def test_an_evaluation_has_physics_alone_beside_its_models(tiny_fit):
+    run, data = tiny_fit
+    with jax.numpy_dtype_promotion("standard"):
+        scores = evaluate(Learned.open(run), load(data))
+    for table in (scores.rmse, scores.rollouts, scores.force):
+        assert list(table) == ["model", "physics-only"]
+    for region in scores.force["physics-only"].values():
+        assert region.error == pytest.approx(1.0)
+        assert np.isnan(region.cosine)

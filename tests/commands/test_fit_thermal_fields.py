@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from pinav import cli
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.fitting import (
@@ -140,12 +139,6 @@ def test_a_wrong_word_in_a_file_is_named(text, message):
         parse_system(head + text)
 
 
-def test_inertia_has_no_thermal_motion():
-    text = 'dimension = 2\norder = 2\ndrag = 1.0\n[unknown]\ndiffusion = "field"\n'
-    with pytest.raises(InputError, match="unknown.diffusion: thermal motion needs ord"):
-        parse_system(text)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -153,10 +146,7 @@ def test_inertia_has_no_thermal_motion():
         ({"coordinates": ("q",)}, "--coordinates: expected coordinates of system bead"),
         ({"coordinates": ("z", "z")}, "--coordinates: expected each coordinate once"),
         ({"period": ("x",)}, "--period: expected a coordinate and a number > 0, such"),
-        (
-            {"period": ("x=0",)},
-            "--period: expected a coordinate and a number > 0, such",
-        ),
+        ({"period": ("x=0",)}, "--period: expected a coordinate and a number > 0"),
         ({"period": ("x=1", "x=2")}, "--period: expected one for each coordinate"),
         ({"period": ("x=1",), "coordinates": ("z",)}, "--period x: fields depend on z"),
         ({"warp": ("x",), "coordinates": ("z",)}, "--warp x: fields depend on z alone"),
@@ -175,10 +165,14 @@ def test_what_does_not_go_together_is_refused(options, message):
         plan(**options)
 
 
+def test_inertia_has_no_thermal_motion():
+    text = 'dimension = 2\norder = 2\ndrag = 1.0\n[unknown]\ndiffusion = "field"\n'
+    with pytest.raises(InputError, match="unknown.diffusion: thermal motion needs ord"):
+        parse_system(text)
+
+
 def test_one_coordinate_has_no_tensor():
-    with pytest.raises(
-        InputError, match="--diffusion tensor: one coordinate has no di"
-    ):
+    with pytest.raises(InputError, match="tensor: one coordinate has no directions"):
         plan(system(1), walk(1), diffusion="tensor")
 
 
@@ -225,13 +219,13 @@ samples = 3001
 
 
 @pytest.mark.slow
-def test_a_ring_is_fitted_by_a_system_file_and_known_blur(tmp_path):
+def test_a_ring_is_fitted_by_a_system_file_and_known_blur(tmp_path, printed):
     """D = 0.268 um²/s everywhere; the force repeats, in data that are not wrapped."""
     (tmp_path / "ring.toml").write_text(RING)
-    data, run = str(tmp_path / "data.npz"), tmp_path / "run"
-    assert cli.run(["simulate", str(tmp_path / "ring.toml"), "--out", data]) == 0
+    data, run = tmp_path / "data.npz", tmp_path / "run"
+    printed("simulate", tmp_path / "ring.toml", "--out", data)
     learn = ["--observation", "known", "--diffusion", "field"]
-    assert cli.run(["fit", data, "--out", str(run), *learn]) == 0
+    printed("fit", data, "--out", run, *learn)
     fitted = Learned.open(run)
     metrics = fitted.findings
     diffusion = metrics.constants["diffusion"]
@@ -249,12 +243,12 @@ def test_a_ring_is_fitted_by_a_system_file_and_known_blur(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_wall_is_fitted_with_a_tensor_and_a_reference(tmp_path):
-    data, run = str(tmp_path / "data.npz"), tmp_path / "run"
-    assert cli.run(["simulate", "wall", "--count", "1", "--out", data]) == 0
+def test_a_wall_is_fitted_with_a_tensor_and_a_reference(tmp_path, printed):
+    data, run = tmp_path / "data.npz", tmp_path / "run"
+    printed("simulate", "wall", "--count", "1", "--out", data)
     wall = ["--diffusion", "tensor", "--coordinates", "z", "--warp", "z"]
     options = ["--observation", "learn", "--reference", "z", *wall]
-    assert cli.run(["fit", data, "--out", str(run), *options]) == 0
+    printed("fit", data, "--out", run, *options)
     checks = Learned.open(run).findings.thermal
     along, normal = checks.observed
     assert (along.channels, normal.channels) == (("x", "y"), ("z",))

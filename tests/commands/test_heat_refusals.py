@@ -166,7 +166,7 @@ CASES = [
     ({"eddy": {"conductivity": 0.4}}, "expected a cylinder or a box"),
     (
         {"eddy": {"conductivity": 0.4, "radius": 0.1, "axis": [0, 0]}},
-        "or conductivity and .axis",
+        "eddy: expected a radius or an axis, got both",
     ),
     *bad_numbers("eddy.radius", 0.0, NAN, base={"eddy": {"conductivity": 0.4}}),
     *bad_numbers("eddy.conductivity", -1.0, 1e6, base={"eddy": {"radius": 0.1}}),

@@ -8,7 +8,7 @@ import sys
 import time
 
 import pytest
-from tests.commands.test_every_command import WORDS, Folder
+from tests.commands.test_every_command import words_of
 from tests.damage import damage_bytes
 
 MAIN = [sys.executable, "-m", "pinav"]
@@ -51,9 +51,10 @@ def test_an_interrupt_ends_in_one_line_at_any_moment(moment, data, tmp_path):
 @pytest.mark.parametrize("moment", [0.2, 1.0, 3.0])
 @pytest.mark.parametrize("command", ["explore", "heat", "identify", "navigate"])
 def test_other_commands_end_in_one_line_too(command, moment, tmp_path, fitted_run):
-    folder = Folder(tmp_path, fitted_run)
-    identify = (folder.data("identified"), *folder.out)
-    words = identify if command == "identify" else WORDS[command](folder)
+    if command == "identify":
+        words = [str(fitted_run("identified")[1]), "--out", str(tmp_path / "out")]
+    else:
+        words = words_of(command, tmp_path, fitted_run)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     interrupt([command, *words], moment)
     assert not list(tmp_path.glob("**/.*.tmp"))

@@ -25,7 +25,7 @@ from pinav.commands.settings import numbers
 from pinav.commands.steering import system_task
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
-from pinav.figures.images import Figures
+from pinav.figures.images import save_pictures
 from pinav.fitting.environments.summary import ModelChoice
 from pinav.forces import (
     AbstractCommandedForce,
@@ -335,7 +335,7 @@ def test_a_fit_in_space_is_navigated_from_plan_to_report(tmp_path):
     result = navigate(space_run(tmp_path), way, seeds=2)
     assert result.controllers["learned"].success.value == 1.0
     keep(NAVIGATE, folder, result)
-    drawn = [Figures(folder.path).saved(s) for s in sections_of(NAVIGATE, folder)]
+    drawn = [save_pictures(s, folder.path) for s in sections_of(NAVIGATE, folder)]
     assert [section.heading for section in drawn] == ["Outcome", "Closed loop"]
     assert (folder.path / "figures" / "navigate-closed-loop.png").exists()
 

@@ -2,9 +2,9 @@
 
 import json
 
-import jax
 import numpy as np
 import pytest
+from tests.fitted_runs import standard_promotion
 
 from pinav import cli
 from pinav.learning.learned import Learned
@@ -38,23 +38,20 @@ def read_evaluation(folder):
 
 @pytest.mark.slow
 def test_a_recording_goes_through_all_commands_on_the_same_runs(tmp_path, capsys):
-    jax.config.update("jax_numpy_dtype_promotion", "standard")
     file, response, force = (str(tmp_path / n) for n in ("robot.csv", "I", "F"))
     there = ["--from=-3,-3", "--to=4,4", "--seeds", "3", "--out", f"{force}-there"]
     save(robot(), tmp_path / "robot.csv")
-    try:
-        for words in (
-            ["inspect", file],
-            ["identify", file, "--out", response],
-            ["fit", file, "--system", f"{response}/system.toml", "--out", force],
-            ["evaluate", response, file],
-            ["evaluate", force, file],
-            ["analyse", force],
-            ["navigate", force, *there],
-        ):
+    for words in (
+        ["inspect", file],
+        ["identify", file, "--out", response],
+        ["fit", file, "--system", f"{response}/system.toml", "--out", force],
+        ["evaluate", response, file],
+        ["evaluate", force, file],
+        ["analyse", force],
+        ["navigate", force, *there],
+    ):
+        with standard_promotion():
             assert cli.run(words) == 0, capsys.readouterr().err
-    finally:
-        jax.config.update("jax_numpy_dtype_promotion", "strict")
     system = read_system(tmp_path / "I" / "system.toml")
     assert system.wandering is not None
     for name in ("I", "F"):
@@ -71,12 +68,9 @@ def test_a_recording_goes_through_all_commands_on_the_same_runs(tmp_path, capsys
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["dev1-pil0-dis0", "sorted-dev1-pil3-dis1"])
 def test_bacteria_that_overlap_in_time_are_identified(recording, name, tmp_path):
-    jax.config.update("jax_numpy_dtype_promotion", "standard")
     file = recording(f"ecoli_pillars_trackmate/{name}-rep1-02022024.csv")
     words = ["identify", str(file), "--reading", "fps=20", "mpp=0.656"]
-    try:
+    with standard_promotion():
         assert cli.run([*words, "--out", str(tmp_path / "I")]) == 0
-    finally:
-        jax.config.update("jax_numpy_dtype_promotion", "strict")
     metrics = json.loads((tmp_path / "I" / "metrics.json").read_text())
     assert not any(track["reason"] for track in metrics["value"]["tracks"])

@@ -12,6 +12,7 @@ import pytest
 from pinav import cli
 from pinav.errors import InputError
 from pinav.fitting.environments.summary import DataSummary
+from pinav.forces import KernelPotential
 from pinav.learning import plan
 from pinav.learning.plan import choose_system
 from pinav.trajectories import Trajectories
@@ -47,7 +48,8 @@ def test_data_too_large_for_the_memory_are_refused_before_they_are_fitted(monkey
     data = Trajectories.from_arrays(
         [np.arange(1000.0)], [np.zeros((1000, 2))], channels=("x", "y")
     )
-    summary = DataSummary(2, (0.0,), (1.0,), [[0.0, 0.0]] * 300, 1.0)
+    kernels = KernelPotential.with_zero_weights(np.zeros((300, 2)), 1.0)
+    summary = DataSummary(2, (0.0,), (1.0,), kernels)
     plan.check_memory(data, summary)
     monkeypatch.setattr(plan, "free_memory", lambda: 1e6)
     with pytest.raises(InputError, match="1000 samples and 600 weights need about"):

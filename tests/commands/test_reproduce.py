@@ -1,3 +1,4 @@
+import contextlib
 import csv
 import json
 import re
@@ -87,17 +88,32 @@ def test_a_stored_model_predicts_what_was_scored(run):
 
 
 @pytest.mark.slow
-def test_a_finished_run_is_not_done_again(run, capsys):
+def test_a_finished_run_is_not_done_again(run, printed):
     before = results(run)
     stamps = {p: p.stat().st_mtime_ns for p in run.path.glob("model*.eqx")}
-    assert cli.run(words(run.path, "--resume")) == 0
+    assert "paper" in printed(*words(run.path, "--resume"))
     assert results(run) == before
     assert {p: p.stat().st_mtime_ns for p in run.path.glob("model*.eqx")} == stamps
-    assert "paper" in capsys.readouterr().out
 
 
 def test_a_run_is_not_overwritten_by_accident(run, refused):
     refused(words(run.path), "already holds a run")
+
+
+@contextlib.contextmanager
+def kill_after(writes):
+    """As `kill -9` between two files: the next write never happens."""
+    done, write = [], files.os.replace
+
+    def interrupted(*args):
+        if len(done) == writes:
+            raise KeyboardInterrupt
+        done.append(args)
+        write(*args)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(files.os, "replace", interrupted)
+        yield
 
 
 @pytest.fixture
@@ -111,35 +127,23 @@ def plain_figures(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("writes", [0, 1, 2, 3, 5, 6, 8, 11])
 def test_a_run_broken_off_at_any_write_ends_with_the_same_numbers(
-    run, tmp_path, monkeypatch, plain_figures, writes
+    run, tmp_path, plain_figures, writes
 ):
-    """As `kill -9` between two files: the next write never happens."""
-    done = []
-    write = files.os.replace
-
-    def interrupted(*args):
-        if len(done) == writes:
-            raise KeyboardInterrupt
-        done.append(args)
-        write(*args)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(files.os, "replace", interrupted)
+    with kill_after(writes):
         assert cli.run(words(tmp_path / "broken")) == cli.INTERRUPTED
     assert cli.run(words(tmp_path / "broken", "--resume")) == 0
     assert results(RunFolder.open(tmp_path / "broken")) == results(run)
 
 
-def test_json_prints_the_metrics(run, plain_figures, capsys):
-    capsys.readouterr()
-    assert cli.run(words(run.path, "--resume", "--json")) == 0
-    assert json.loads(capsys.readouterr().out) == run.read_json("metrics.json")["value"]
+def test_json_prints_the_metrics(run, plain_figures, printed):
+    found = json.loads(printed(*words(run.path, "--resume", "--json")))
+    assert found == run.read_json("metrics.json")["value"]
 
 
-def test_the_table_for_people_sets_the_paper_beside_ours(run, plain_figures, capsys):
-    capsys.readouterr()
-    assert cli.run(words(run.path, "--resume")) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_the_table_for_people_sets_the_paper_beside_ours(run, plain_figures, printed):
+    assert short(float("inf")) == "diverged"
+    assert short(0.014999) == "0.015"
+    lines = printed(*words(run.path, "--resume")).splitlines()
     first = next(i for i, line in enumerate(lines) if line.startswith("model"))
     assert lines[first].split() == ["model", "seed", *sections.HEADER[2:]]
     assert lines[first + 1].split()[:3] == ["physics-only", "–", "4.34"]
@@ -147,11 +151,6 @@ def test_the_table_for_people_sets_the_paper_beside_ours(run, plain_figures, cap
     printed = ["4.34", "2.46", "0.49", "0.39", "2.52", "3.53"]
     assert lines[first + 2].split()[-6:] == printed
     assert lines[-1] == f"report: {run.path / 'report.html'}"
-
-
-def test_a_diverged_rollout_is_printed_as_such():
-    assert short(float("inf")) == "diverged"
-    assert short(0.014999) == "0.015"
 
 
 @pytest.fixture(scope="module")
@@ -179,17 +178,7 @@ def test_the_default_recipe_resumes_to_the_same_numbers(
     default_run, tmp_path, plain_figures
 ):
     argv = ["reproduce", "--seeds", "0", "--out", str(tmp_path / "run")]
-    calls = []
-    write = files.os.replace
-
-    def interrupted(*args):
-        calls.append(args)
-        if len(calls) == 12:
-            raise KeyboardInterrupt
-        write(*args)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(files.os, "replace", interrupted)
+    with kill_after(11):
         assert cli.run(argv) == cli.INTERRUPTED
     assert cli.run([*argv, "--resume"]) == 0
     for name in ("metrics.json", "table2.csv", "model-ude-0.eqx"):

@@ -78,20 +78,10 @@ def test_a_system_of_ones_own_is_simulated_from_its_file(tmp_path, refused):
     refused([*argv[:3], tmp_path / "other.csv"], message)
 
 
-@pytest.mark.parametrize(
-    ("out", "message"),
-    [
-        ("sim", "expected a name ending in .npz or .csv"),
-        ("there.csv", "exists already"),
-        ("absent/a.npz", "absent; make it first"),
-    ],
-)
+@pytest.mark.parametrize("out", ["sim", "there.csv", "absent/a.npz"])
 def test_a_file_that_cannot_be_written_is_refused_before_the_work(
-    tmp_path, monkeypatch, refused, out, message
+    tmp_path, monkeypatch, refused, out
 ):
-    def never(*_, **__):
-        raise AssertionError("the system was simulated")
-
-    monkeypatch.setattr(job, "simulate_system", never)
+    monkeypatch.setattr(job, "simulate", pytest.fail)
     (tmp_path / "there.csv").write_text("t,x,y\n")
-    refused(["simulate", "swirl", "--out", tmp_path / out], message)
+    refused(["simulate", "swirl", "--out", tmp_path / out], out.partition("/")[0])

@@ -67,7 +67,7 @@ def test_a_commanded_swimmer_goes_along_the_integral_of_its_commands(lag):
     else:
         at = TIMES
         run = rollout(model, jnp.zeros(2), TIMES)
-        cycles = programme.integral(RESPONSE, jnp.asarray(TIMES) - 0.25)
+        cycles = programme.lagged_integral(RESPONSE, jnp.asarray(TIMES) - 0.25, 1e-12)
         moved = run.ys
     drift = (at - at[0])[:, None] * jnp.array([[0.5, -0.2]])
     np.testing.assert_allclose(moved, (cycles - cycles[:1]) @ GAIN.T + drift, atol=1e-9)

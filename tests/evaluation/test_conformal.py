@@ -13,7 +13,7 @@ from pinav.evaluation import (
     trajectory_scores,
 )
 from pinav.fitting import Posterior
-from pinav.fitting.engine.constant_priors import ravel_model
+from pinav.fitting.engine.local_model import ravel_model
 from pinav.forces import LinearDrag, ZeroForce
 from pinav.trajectories import Trajectories
 

@@ -1,6 +1,7 @@
 import dataclasses
 import subprocess
 import sys
+from functools import partial
 
 import matplotlib
 import numpy as np
@@ -75,28 +76,33 @@ def error_map(learned, **options):
     return figures.map_panel(true, learned.force - true.force, ERROR, **options)
 
 
+def path_panel(ax=None):
+    paths = {"ude": states(0.1)[:, :2]}
+    return figures.trajectory(states()[:, :2], paths, units=UNITS, ax=ax)
+
+
+def speed_panel(ax=None):
+    speeds = {"ude": states(0.1)[:, 2:]}
+    return figures.velocity(TIMES, states()[:, 2:], speeds, units=UNITS, ax=ax)
+
+
+def loss_panel(ax=None):
+    return figures.loss_curve(losses(), PHASES, ax=ax)
+
+
 PANELS = {
-    "trajectory": lambda ax=None: figures.trajectory(
-        states()[:, :2], {"ude": states(0.1)[:, :2]}, units=UNITS, ax=ax
-    ),
-    "velocity": lambda ax=None: figures.velocity(
-        TIMES, states()[:, 2:], {"ude": states(0.1)[:, 2:]}, units=UNITS, ax=ax
-    ),
-    "loss_curve": lambda ax=None: figures.loss_curve(losses(), PHASES, ax=ax),
-    "force_map": lambda ax=None: force_map(field(), units=UNITS, ax=ax),
-    "error_map": lambda ax=None: error_map(field(1.1), units=UNITS, ax=ax),
-    "decomposition": lambda ax=None: figures.decomposition(
-        budget(), units=UNITS, ax=ax
+    "trajectory": (path_panel, "$x$ [µm]", "$y$ [µm]"),
+    "velocity": (speed_panel, "$t$ [s]", "velocity [µm/s]"),
+    "loss_curve": (loss_panel, "step", "training loss"),
+    "force_map": (partial(force_map, field(), units=UNITS), "$x$ [µm]", "$y$ [µm]"),
+    "error_map": (partial(error_map, field(1.1), units=UNITS), "$x$ [µm]", "$y$ [µm]"),
+    "decomposition": (
+        partial(figures.decomposition, budget(), units=UNITS),
+        *("$t$ [s]", "$a_x$ [µm s⁻²]"),
     ),
 }
-LABELS = {
-    "trajectory": ("$x$ [µm]", "$y$ [µm]"),
-    "velocity": ("$t$ [s]", "velocity [µm/s]"),
-    "loss_curve": ("step", "training loss"),
-    "force_map": ("$x$ [µm]", "$y$ [µm]"),
-    "error_map": ("$x$ [µm]", "$y$ [µm]"),
-    "decomposition": ("$t$ [s]", "$a_x$ [µm s⁻²]"),
-}
+"""Panels, and the labels of their axes."""
+
 FIGURES = {
     "figure1": paper_figure,
     "force_comparison": lambda: figures.force_comparison(field(1.1), true=field()),
@@ -112,26 +118,22 @@ def legend_texts(ax):
     return [text.get_text() for text in ax.get_legend().get_texts()]
 
 
+def levels_of(ax):
+    return [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
+
+
 def line_labelled(ax, label):
     (line,) = [line for line in ax.get_lines() if line.get_label() == label]
     return line
 
 
-@pytest.mark.parametrize("name", PANELS)
-def test_every_panel_labels_its_axes_with_units(name):
-    ax = PANELS[name]()
-    assert (ax.get_xlabel(), ax.get_ylabel()) == LABELS[name]
-
-
-@pytest.mark.parametrize("name", PANELS)
-def test_every_panel_draws_where_it_is_told(name):
+@pytest.mark.parametrize(("draw", "x", "y"), PANELS.values(), ids=PANELS)
+def test_every_panel_draws_where_it_is_told_and_has_labels_with_units(draw, x, y):
     ax = Figure().add_subplot()
-    assert PANELS[name](ax) is ax
-
-
-@pytest.mark.parametrize("name", ["trajectory", "force_map", "error_map"])
-def test_maps_have_equal_axes(name):
-    assert PANELS[name]().get_aspect() == 1.0
+    assert draw(ax=ax) is ax
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (x, y)
+    is_map = y == "$y$ [µm]"
+    assert (ax.get_aspect() == 1.0) == is_map
 
 
 def test_dimensionless_channels_print_no_bracket():
@@ -169,7 +171,7 @@ def test_models_have_one_look_everywhere():
 
 
 def test_velocity_tells_components_apart_by_lightness():
-    ax = PANELS["velocity"]()
+    ax = speed_panel()
     for model, color in (("truth", BLACK), ("trained UDE", BLUE)):
         assert line_labelled(ax, f"$v_x$ {model}").get_color() == color
         assert line_labelled(ax, f"$v_y$ {model}").get_color() == pale(color)
@@ -209,7 +211,7 @@ def test_model_that_never_was_finite_leaves_the_truth():
 
 
 def test_loss_is_logarithmic_with_the_phase_change_at_its_step():
-    ax = PANELS["loss_curve"]()
+    ax = loss_panel()
     assert ax.get_yscale() == "log"
     markers = [line.get_xdata()[0] for line in ax.get_lines()[1:]]
     assert markers == [75]
@@ -226,38 +228,31 @@ def test_loss_of_several_seeds_is_one_bold_line_and_thin_ones():
     assert legend_texts(ax) == ["first seed", "3 more"]
 
 
-def test_loss_leaves_a_gap_where_it_is_no_positive_number():
+@pytest.mark.parametrize("gap", [range(3, 6), range(101)])
+def test_loss_leaves_a_gap_where_it_is_no_positive_number(gap):
     values = losses()[0]
-    values[[3, 4, 5]] = np.nan, np.inf, 0.0
+    values[gap] = np.resize([np.nan, np.inf, 0.0], len(gap))
     ax = figures.loss_curve(values, PHASES)
     drawn = ax.get_lines()[0].get_ydata()
-    assert np.flatnonzero(np.isnan(drawn)).tolist() == [3, 4, 5]
-    ax.figure.draw_without_rendering()
-
-
-def test_loss_that_is_nowhere_finite_still_draws():
-    ax = figures.loss_curve(np.full(5, np.nan), (("Adam", 0),))
+    assert np.flatnonzero(np.isnan(drawn)).tolist() == [*gap]
     ax.figure.draw_without_rendering()
 
 
 def test_force_map_marks_visited_ground_and_shades_the_unvisited():
     ax = force_map(field(), path=np.zeros((2, 2)))
-    levels = [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
     furthest = field().distance.max()
-    assert levels == [[NEAR, furthest], [NEAR, furthest], [VISITED], [NEAR]]
+    assert levels_of(ax) == [[NEAR, furthest], [NEAR, furthest], [VISITED], [NEAR]]
     assert legend_texts(ax)[0] == "trajectory"
     assert "no data: extrapolation" in legend_texts(ax)
     bare = force_map(field(), shade=False)
-    levels = [list(c.levels) for c in bare.collections if hasattr(c, "levels")]
-    assert levels == [[VISITED], [NEAR]]
+    assert levels_of(bare) == [[VISITED], [NEAR]]
 
 
 def test_force_map_draws_the_regions_of_its_unit():
     regions = Regions(visited=0.2, near=0.9)
     shown = dataclasses.replace(field(), regions=regions)
     ax = force_map(shown, shade=False, units={"x": "um", "y": "um"})
-    levels = [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
-    assert levels == [[0.2], [0.9]]
+    assert levels_of(ax) == [[0.2], [0.9]]
     assert "visited (within 0.2 µm)" in legend_texts(ax)
 
 
@@ -295,18 +290,23 @@ def test_force_map_without_a_finite_force_still_draws(value):
     force_map(flat).figure.draw_without_rendering()
 
 
+def titles_of(figure):
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    return [title for title in titles if title]
+
+
 @pytest.mark.parametrize(
     ("name", "panels"),
     [
-        ("force and deviation", ["learned", "standard deviation"]),
-        ("all of the force", ["true", "learned", "error", "standard deviation"]),
+        ("force and deviation", ["(a) learned", "(b) standard deviation"]),
+        (
+            "all of the force",
+            ["(a) true", "(b) learned", "(c) error", "(d) standard deviation"],
+        ),
     ],
 )
 def test_a_comparison_shows_what_is_known(name, panels):
-    figure = FIGURES[name]()
-    titles = [ax.get_title(loc="left") for ax in figure.axes]
-    titles = [title for title in titles if title]
-    assert [title.split(" ", 1)[1] for title in titles] == panels
+    assert titles_of(FIGURES[name]()) == panels
 
 
 def test_observed_paths_leave_gaps_and_mark_every_start():
@@ -324,11 +324,7 @@ def test_observed_paths_leave_gaps_and_mark_every_start():
 def test_comparison_shares_the_scale_of_the_true_force():
     figure = FIGURES["force_comparison"]()
     maps = [ax for ax in figure.axes if ax.get_title(loc="left")]
-    assert [ax.get_title(loc="left") for ax in maps] == [
-        "(a) true",
-        "(b) learned",
-        "(c) error",
-    ]
+    assert titles_of(figure) == ["(a) true", "(b) learned", "(c) error"]
     true, learned, _ = (ax.collections[0].get_clim() for ax in maps)
     assert true == learned == (0.0, np.linalg.norm(field().force, axis=-1).max())
 
@@ -345,15 +341,14 @@ def test_decomposition_adds_up():
 
 
 def test_figure1_has_the_panels_of_the_paper():
-    titles = [ax.get_title(loc="left") for ax in paper_figure().axes]
-    assert sorted(titles) == [
+    assert sorted(titles_of(paper_figure())) == [
         "(a) truth and untrained UDE",
         "(b) truth and trained UDE",
         "(c) training loss",
         "(d) truth and untrained UDE",
         "(e) truth and trained UDE",
     ]
-    other = [ax.get_title(loc="left") for ax in paper_figure(model="nn-only").axes]
+    other = titles_of(paper_figure(model="nn-only"))
     assert "(b) truth and trained NN only" in other
 
 

@@ -66,13 +66,6 @@ def test_weights_that_do_not_change_make_a_static_potential(t):
     np.testing.assert_allclose(constant(t, X, X), POTENTIAL(t, X, X), rtol=1e-12)
 
 
-@pytest.mark.parametrize("t", [2.0, 3.3, 5.9])
-def test_a_moving_potential_has_the_force_of_its_gradient(t):
-    force = -jax.grad(MOVING.potential, argnums=1)(t, X)
-    np.testing.assert_allclose(MOVING(t, X, X), force, rtol=1e-12)
-    np.testing.assert_allclose(MOVING.at(t).potential(t, X), MOVING.potential(t, X))
-
-
 def test_its_splines_are_those_of_scipy():
     times = np.linspace(2.0, 6.0, 23)[1:-1]
     knots = np.arange(-3, 8) + 2.0

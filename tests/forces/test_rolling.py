@@ -34,6 +34,7 @@ RESPONSES = {
 TIMES = jnp.array([0.0, 0.5, 1.2, 2.0, 3.0])
 FREQUENCY = jnp.array([1.0, 2.0, 2.0, 0.5, 4.0])
 HEADING = jnp.array([0.2, 1.4, -2.0, 2.9, 3.3])
+HELD = HeldProgramme(TIMES, FREQUENCY, HEADING)
 
 
 @pytest.mark.parametrize("response", RESPONSES.values(), ids=RESPONSES)
@@ -74,9 +75,8 @@ def test_a_residual_is_a_share():
 
 
 def test_a_held_programme_holds():
-    programme = HeldProgramme(TIMES, FREQUENCY, HEADING)
     for time, index in [(-1.0, 0), (0.49, 0), (0.5, 1), (1.9, 2), (9.0, 4)]:
-        frequency, heading = programme(time)
+        frequency, heading = HELD(time)
         assert frequency == FREQUENCY[index]
         assert heading == HEADING[index]
 
@@ -90,16 +90,12 @@ def test_a_linear_programme_turns_the_short_way():
     assert jnp.cos(heading) == pytest.approx(-1.0)
 
 
-KNOTS = jnp.linspace(0.0, 3.0, 61)
-PROGRAMMES = {
-    "held": HeldProgramme(TIMES, FREQUENCY, HEADING),
-    "linear": LinearProgramme(KNOTS, 1 + KNOTS, jnp.sin(KNOTS)),
-}
+PROMPT = 1e-9
+"""A lag that is none."""
 
 
-@pytest.mark.parametrize("programme", PROGRAMMES.values(), ids=PROGRAMMES)
-def test_integrals_are_those_of_the_commands(programme):
-    response = RESPONSES["saturating"]
+def test_the_integral_is_that_of_the_commands():
+    programme, response = HELD, RESPONSES["saturating"]
     ts = jnp.array([-0.5, 0.3, 1.7, 3.5])
     fine = jnp.linspace(-0.5, 3.5, 40_001)
 
@@ -108,7 +104,7 @@ def test_integrals_are_those_of_the_commands(programme):
         return response(frequency) * jnp.stack([jnp.cos(heading), jnp.sin(heading)])
 
     values = jax.vmap(command)(fine)
-    found = programme.integral(response, ts)
+    found = programme.lagged_integral(response, ts, PROMPT)
     for row, end in zip(found - found[:1], ts, strict=True):
         own = (fine <= end).astype(fine.dtype)
         expected = jnp.sum(values * own[:, None], axis=0) * (fine[1] - fine[0])
@@ -116,8 +112,7 @@ def test_integrals_are_those_of_the_commands(programme):
 
 
 def test_a_lag_follows_its_differential_equation():
-    programme = HeldProgramme(TIMES, FREQUENCY, HEADING)
-    response, lag = RESPONSES["linear"], jnp.asarray(0.4)
+    programme, response, lag = HELD, RESPONSES["linear"], jnp.asarray(0.4)
     fine = np.linspace(0.0, 3.0, 30_001)
     follower, path = np.asarray(programme.commands(response)[0]), [np.zeros(2)]
     commands = np.asarray(programme.commands(response))
@@ -129,8 +124,10 @@ def test_a_lag_follows_its_differential_equation():
     found = programme.lagged_integral(response, TIMES, lag)
     expected = np.array(path)[np.searchsorted(fine, np.asarray(TIMES) - 1e-9)]
     np.testing.assert_allclose(found, expected, atol=1e-3)
-    prompt = programme.lagged_integral(response, TIMES, jnp.asarray(1e-4))
-    np.testing.assert_allclose(prompt, programme.integral(response, TIMES), atol=2e-3)
+    quick, prompt = (
+        programme.lagged_integral(response, TIMES, T) for T in (1e-4, PROMPT)
+    )
+    np.testing.assert_allclose(quick, prompt, atol=2e-3)
 
 
 @pytest.mark.slow
@@ -147,20 +144,18 @@ def test_a_follower_goes_step_by_step_through_any_number_of_commands(count):
 
 def test_a_rolling_robot_moves_by_gain_delay_and_drift():
     gain = jnp.array([[2.0, 0.1], [-0.1, 3.0]])
-    programme = HeldProgramme(TIMES, FREQUENCY, HEADING)
-    propulsion = RollingPropulsion(gain, RESPONSES["slipping"], programme, 0.3)
+    propulsion = RollingPropulsion(gain, RESPONSES["slipping"], HELD, 0.3)
     drift = jnp.array([0.5, -0.2])
     swimmer = OverdampedSwimmer(propulsion, ZeroForce(), 1.0, UniformFlow(drift))
     run = rollout(swimmer, jnp.zeros(2), TIMES, solver=Adaptive(1e-7, 1e-7))
-    cycles = programme.integral(RESPONSES["slipping"], TIMES - 0.3)
+    cycles = HELD.lagged_integral(RESPONSES["slipping"], TIMES - 0.3, PROMPT)
     expected = (cycles - cycles[:1]) @ gain.T + TIMES[:, None] * drift[None]
     np.testing.assert_allclose(run.ys, expected, atol=1e-4)
 
 
 def test_a_gain_is_a_matrix():
-    programme = HeldProgramme(TIMES, FREQUENCY, HEADING)
     with pytest.raises(InputError, match="RollingPropulsion.gain: expected a matrix"):
-        RollingPropulsion(jnp.eye(2)[:, :1], RESPONSES["linear"], programme)
+        RollingPropulsion(jnp.eye(2)[:, :1], RESPONSES["linear"], HELD)
 
 
 def test_gain_and_heading_offset_of_a_turned_gain():

@@ -24,17 +24,17 @@ def robot(seed=0, *, duration=90.0, step=0.1, noise=0.05, wandering=0.3):
     f, theta = (a[np.maximum(index, 0)] for a in (frequency, heading))
     speed = GAIN * f / np.sqrt(1 + (f / CORNER) ** 2)
     velocity = speed[:, None] * np.stack([np.cos(theta), np.sin(theta)], axis=1)
-    velocity = velocity + np.array(DRIFT) + wandering * _wander(random, fine)
+    velocity = velocity + np.array(DRIFT)
+    velocity = velocity + wandering * wander(random.normal(size=(len(fine), 2)), fine)
     steps = velocity[:-1] * np.diff(fine)[:, None]
     path = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])[::10]
     seen = path + noise * random.normal(size=path.shape)
     return times, seen, {"frequency": frequency, "heading": heading}
 
 
-def _wander(random, times):
-    """An Ornstein-Uhlenbeck process of variance 1 and memory 1 s, along both axes."""
-    kicks = random.normal(size=(len(times), 2))
-    decay = np.exp(-(times[1] - times[0]))
+def wander(kicks, times, memory=1.0):
+    """An Ornstein-Uhlenbeck process of the variance of its kicks, one at each time."""
+    decay = np.exp(-(times[1] - times[0]) / memory)
     values = [kicks[0]]
     for kick in kicks[1:]:
         values.append(decay * values[-1] + np.sqrt(1 - decay**2) * kick)

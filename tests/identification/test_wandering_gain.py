@@ -5,6 +5,7 @@ import dataclasses
 import equinox as eqx
 import numpy as np
 import pytest
+from tests.identification.conftest import as_recording, wander
 
 from pinav.identification import (
     Predictor,
@@ -21,19 +22,14 @@ from pinav.identification import (
 from pinav.identification.findings import _wandering
 from pinav.identification.parameters import WANDERING_GAIN
 from pinav.identification.selection import split
-from pinav.trajectories import Trajectories
 
 GAIN, WANDER, MEMORY = 5.0, 0.5, 5.0
 
 
-def wander(random, times, memory):
-    """A complex Ornstein-Uhlenbeck process whose parts have variance 1."""
+def complex_wander(random, times, memory):
+    """A complex process whose parts have variance 1."""
     kicks = random.normal(size=len(times)) + 1j * random.normal(size=len(times))
-    decay = np.exp(-(times[1] - times[0]) / memory)
-    values = [kicks[0]]
-    for kick in kicks[1:]:
-        values.append(decay * values[-1] + np.sqrt(1 - decay**2) * kick)
-    return np.array(values)
+    return wander(kicks, times, memory)
 
 
 def robot(wandering, seed=0, duration=240.0):
@@ -42,24 +38,18 @@ def robot(wandering, seed=0, duration=240.0):
     times = np.arange(0, duration, 0.1)
     frequency = 2 + np.sin(times / 5)
     heading = np.cumsum(random.normal(0, 0.15, len(times)))
-    gain = GAIN + wandering * wander(random, times, MEMORY)
+    gain = GAIN + wandering * complex_wander(random, times, MEMORY)
     velocity = gain * frequency * np.exp(1j * heading)
-    velocity = velocity + 0.3 * wander(random, times, 1.0) + 0.4
+    velocity = velocity + 0.3 * complex_wander(random, times, 1.0) + 0.4
     path = np.concatenate([[0.0], np.cumsum(velocity[:-1]) * 0.1])
-    path = path + 0.05 * wander(random, times, 1e-3)
+    path = path + 0.05 * complex_wander(random, times, 1e-3)
     return as_track(times, path, {"frequency": frequency, "heading": heading})
 
 
 def as_track(times, path, commands):
     """Complex positions and commands as a track."""
-    recording = Trajectories.from_arrays(
-        [times],
-        [np.stack([path.real, path.imag], axis=1)],
-        channels=("x", "y"),
-        commands={name: [values] for name, values in commands.items()},
-        units={"x": "um", "y": "um", "t": "s"},
-    )
-    return tracks(recording)[0]
+    states = np.stack([path.real, path.imag], axis=1)
+    return tracks(as_recording((times, states, commands)))[0]
 
 
 def evidence(fit):
@@ -179,7 +169,7 @@ def slipping_robot(seed):
     frequency = np.where(times < 120, 2.5 + 1.5 * np.sin(times / 6), 5.0)
     heading = np.cumsum(random.normal(0, 0.15, len(times)))
     speed = GAIN * np.where(frequency > 4, 0.94 * frequency, frequency)
-    velocity = speed * np.exp(1j * heading) + 0.5 * wander(random, times, 1.0)
+    velocity = speed * np.exp(1j * heading) + 0.5 * complex_wander(random, times, 1.0)
     path = np.concatenate([[0.0], np.cumsum(velocity[:-1]) * 0.1])
-    path = path + 0.05 * wander(random, times, 1e-3)
+    path = path + 0.05 * complex_wander(random, times, 1e-3)
     return times, path, {"frequency": frequency, "heading": heading}

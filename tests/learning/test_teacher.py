@@ -1,9 +1,9 @@
 """The run of a network that a structured fit of kernels taught."""
 
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from tests.fitted_runs import crossing_system
 
 from pinav.analysis import influence
 from pinav.errors import InputError
@@ -11,7 +11,6 @@ from pinav.forces import NeuralPotential, StructuredForce, ZeroForce
 from pinav.learning.learn import learn, open_run
 from pinav.learning.learned import TEACHER_FILE
 from pinav.learning.recipes import Bayes
-from pinav.scenarios import barrier_crossings
 from pinav.trajectories import simulate
 
 pytestmark = pytest.mark.slow
@@ -19,11 +18,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def crossings():
-    truth = eqx.tree_at(
-        lambda s: (s.starts, s.times),
-        barrier_crossings(),
-        replace_fn=lambda a: a[:6] if a.ndim == 2 else a[:61],
-    )
+    truth = crossing_system(6, 61)
     return truth, simulate(truth, key=jax.random.key(2))
 
 

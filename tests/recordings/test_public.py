@@ -104,14 +104,6 @@ def test_a_recording_is_fetched_and_its_checksum_verified(
     assert read_recording(path, BUILT_IN[name]).positions.shape == (2, 1)
 
 
-def test_a_server_without_the_file_leads_to_the_way_by_hand(served, tmp_path, capsys):
-    assert cli.run(["data", "fetch", "trap_at_rest", "--out", str(tmp_path)]) == 2
-    message = capsys.readouterr().err
-    assert "trap_at_rest: no download" in message
-    assert "by hand: git clone" in message
-    assert served.is_dir()
-
-
 def test_without_a_network_the_way_by_hand_is_told(tmp_path, monkeypatch, capsys):
     def no_network(address, timeout):
         assert address.startswith("https://raw.githubusercontent.com/eXpensia/")

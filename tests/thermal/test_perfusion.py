@@ -15,7 +15,7 @@ from pinav.thermal.perfusion import (
     LANG,
     AbstractPerfusion,
     ConstantPerfusion,
-    MixedPerfusion,
+    RegionalPerfusion,
     TabulatedPerfusion,
     lang,
     mass_perfusion,
@@ -65,7 +65,9 @@ def test_four_units_of_one_quantity(value, unit, mass):
 
 def test_a_mask_mixes_laws_by_volume():
     share = jnp.array([0.0, 0.25, 1.0])
-    law = MixedPerfusion(share, ConstantPerfusion(2.0), ConstantPerfusion(1.0))
+    law = RegionalPerfusion(
+        (share, 1 - share), (ConstantPerfusion(2.0), ConstantPerfusion(1.0))
+    )
     assert law(jnp.full(3, 40.0)).tolist() == pytest.approx([1.0, 1.25, 2.0])
 
 
@@ -73,26 +75,24 @@ def test_a_mask_mixes_laws_by_volume():
 def test_a_localised_mixture_is_the_mixture():
     """With its derivatives, where the mask is and where it is not."""
     share = jnp.zeros((6, 5)).at[2:4, 1:3].set(0.7).at[3, 2].set(1.0)
-    whole = MixedPerfusion(share, lang("tumour"), lang("muscle"))
-    local = MixedPerfusion.on_mask(share, lang("tumour"), lang("muscle"))
-    assert local.box == ((2, 4), (1, 3))
+    parts = (share, 1 - share), (lang("tumour"), lang("muscle"))
+    whole, local = RegionalPerfusion(*parts), RegionalPerfusion.on_masks(*parts)
+    assert local.boxes == (((2, 4), (1, 3)), ((0, 6), (0, 5)))
     at = jnp.linspace(36.0, 46.0, 30).reshape(6, 5)
     assert np.asarray(local(at)) == pytest.approx(np.asarray(whole(at)), rel=1e-14)
     slopes = [
         jax.grad(lambda t, law=law: jnp.sum(law(t) * t))(at) for law in (local, whole)
     ]
     assert np.asarray(slopes[0]) == pytest.approx(np.asarray(slopes[1]), rel=1e-12)
-    nowhere = MixedPerfusion.on_mask(0 * share, lang("tumour"), lang("muscle"))
-    assert nowhere.box is None
-    traced = jax.jit(
-        lambda s: MixedPerfusion.on_mask(s, lang("fat"), lang("muscle"))(at)
-    )
+    nowhere = RegionalPerfusion.on_masks((0 * share,), (lang("tumour"),))
+    assert not nowhere(at).any()
+    traced = jax.jit(lambda s: RegionalPerfusion.on_masks((s,), (lang("fat"),))(at))
     assert traced(share).shape == (6, 5)
 
 
 def test_mixed_tissue_conducts_in_series_and_stores_in_sum():
     first, second = Tissue(0.8, 1000.0, 4000.0, 10.0), Tissue(0.2, 2000.0, 1000.0, 30.0)
-    both = mix(jnp.array([0.5]), first, second)
+    both = mix((jnp.array([0.5]), jnp.array([0.5])), (first, second))
     assert float(both.conductivity[0]) == pytest.approx(0.32)
     assert float(both.capacity[0]) == pytest.approx(3e6)
     assert float(both.density[0]) == pytest.approx(1500.0)

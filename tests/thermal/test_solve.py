@@ -16,7 +16,7 @@ from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Robin, Sides, around, outer
 from pinav.thermal.dose import value_exceeded_by
 from pinav.thermal.grids import CartesianGrid, RadialGrid
-from pinav.thermal.perfusion import MixedPerfusion, lang
+from pinav.thermal.perfusion import RegionalPerfusion, lang
 from pinav.thermal.protocols import Piecewise, plan_steps
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import default_stepper, probes_at, run, solve
@@ -29,12 +29,13 @@ from pinav.thermal.tissues import Blood, Tissue, mix
 def heated_tumour(grid, side):
     """A tumour in muscle, with perfusion that follows the temperature."""
     share = grid.ball(0.008)
+    shares, muscle = (share, 1 - share), Tissue(0.49, 1090.0, 3421.0, 700.0)
     return Bioheat(
         grid,
-        mix(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.49, 1090.0, 3421.0, 700.0)),
+        mix(shares, (Tissue(0.55, 1045.0, 3600.0), muscle)),
         Blood(),
-        MixedPerfusion(share, lang("tumour"), lang("muscle")),
-        (PowerSource(2.2e5 * share, 1e4), EddySource(0.1, 0.4)),
+        RegionalPerfusion(shares, (lang("tumour"), lang("muscle"))),
+        (PowerSource(2.2e5 * share, 1e4), EddySource(0.4, 0.1)),
         outer(side) if len(grid.shape) == 1 else around(grid, side),
     )
 
@@ -72,7 +73,7 @@ def test_reverse_mode_is_forward_mode_is_central_differences():
         own = eqx.tree_at(
             lambda m: (
                 m.tissue.conductivity,
-                m.perfusion.outside.gain,
+                m.perfusion.laws[1].gain,
                 m.sources[0].power,
             ),
             model,
@@ -123,7 +124,7 @@ def test_a_run_is_differentiated_in_blocks_or_whole(monkeypatch, kept, cells):
 
     Grids differ, so that none runs what was compiled for the other.
     """
-    monkeypatch.setattr(Rosenbrock, "kept_values", kept)
+    monkeypatch.setattr("pinav.thermal.solve.MANY_VALUES", kept)
     model = heated_tumour(RadialGrid.sphere(0.03, cells), Robin(20.0, 25.0))
     edges, stepper = (0.0, 70.0, 160.0), Rosenbrock(20.0)
     protocol = Piecewise.constant(edges, [1.5e4, 0.7e4], 1e5)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from validation.heat import exact
+from validation.heat.checks import Check, table
 from validation.heat.checks import powers as switched
 from validation.heat.checks import reference_model as medium
 from validation.heat.exact import SET_S, Medium
@@ -13,6 +14,7 @@ from validation.heat.exact.controls import discrete_eigenmode_rate, on_off_cycle
 from validation.heat.verification import CASES, CLOSED, STEADY, muscle_sink, two_shells
 from validation.heat.waveform import Waveform
 
+from pinav.report import as_text
 from pinav.thermal.boundaries import Insulated, around
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import lang
@@ -121,6 +123,12 @@ def test_the_error_falls_at_second_order_in_space_and_time(error, coarse, fine, 
     errors = error(coarse), error(fine)
     assert np.log2(errors[0] / errors[1]) >= 1.9
     assert errors[1] < most
+
+
+def test_a_check_outside_its_tolerance_is_marked():
+    bad = Check("a case", 1.0, 2.0, 0.5, "K")
+    assert "NO" in as_text(table([bad]))
+    assert bad.error == 1.0
 
 
 @pytest.mark.slow

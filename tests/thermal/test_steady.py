@@ -10,13 +10,22 @@ from validation.heat.checks import reference_model as medium
 from validation.heat.verification import CLOSED
 
 from pinav.errors import InputError
-from pinav.thermal.boundaries import Dirichlet, Insulated, Periodic, Robin, Sides, outer
+from pinav.thermal.boundaries import (
+    AbstractBoundary,
+    Dirichlet,
+    Insulated,
+    Passage,
+    Periodic,
+    Robin,
+    Sides,
+    outer,
+)
 from pinav.thermal.dose import LIVER_DAMAGE
 from pinav.thermal.grids import CartesianGrid, RadialGrid
-from pinav.thermal.perfusion import MixedPerfusion, lang
+from pinav.thermal.perfusion import RegionalPerfusion, lang
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import solve
-from pinav.thermal.sources import DistantEddySource, axis_distance
+from pinav.thermal.sources import EddySource, axis_distance
 from pinav.thermal.starts import (
     AtSteadyState,
     HeatState,
@@ -31,7 +40,7 @@ ENDS = (Sides(Insulated(), Robin(10.0, 25.0)),)
 def test_a_steady_state_with_nonlinear_perfusion_is_where_a_run_ends():
     grid = RadialGrid.sphere(0.04, 40)
     share = grid.ball(0.01)
-    law = MixedPerfusion(share, lang("tumour"), lang("muscle"))
+    law = RegionalPerfusion((share, 1 - share), (lang("tumour"), lang("muscle")))
     model = medium(grid, 1.2e5 * share, outer(Robin(20.0, 25.0)), law)
     end = solve(
         model, powers((0.0, 1e5), [1.0]), stepper=Rosenbrock(200.0)
@@ -83,6 +92,34 @@ def test_a_periodic_box_does_not_know_where_it_begins():
     assert float(first.energy.imbalance) < 1e-10
 
 
+class Flux(AbstractBoundary):
+    """A prescribed flux into the tissue [W m⁻²], as a boundary of one's own."""
+
+    flux: float
+
+    def passage(self, area, resistance):
+        return Passage(jnp.zeros_like(area), inflow=self.flux * area)
+
+
+@pytest.mark.parametrize("low", [Dirichlet(37.0), Robin(80.0, 37.0)])
+@pytest.mark.parametrize("across", [(), (Periodic(),)], ids=["slab", "plane"])
+def test_a_prescribed_flux_needs_no_other_change(across, low):
+    """The rise is that of a constant flux through wall and tissue, exact on a grid."""
+    size, count, flux = 1e-3, 20, 150.0
+    shape = (count, *(3 for _ in across))
+    model = medium(
+        CartesianGrid.cubes(shape, size), 0.0, (Sides(low, Flux(flux)), *across), 0.0
+    )
+    film = 0.0 if isinstance(low, Dirichlet) else 1 / low.exchange
+    resistance = film + (np.arange(count) + 0.5) * size / 0.5
+    rise = np.moveaxis(np.asarray(find_steady_state(model).temperature) - 37.0, 0, -1)
+    assert rise == pytest.approx(np.broadcast_to(flux * resistance, rise.shape))
+    heated = solve(model, powers((0.0, 60.0), [0.0]))
+    area = float(model.grid.faces(0)[0].sum())
+    assert float(heated.energy.brought) == pytest.approx(60.0 * flux * area)
+    assert float(heated.energy.imbalance) < 1e-10
+
+
 def test_ends_that_meet_need_another_axis():
     with pytest.raises(InputError, match="ends that do not meet on a grid with one"):
         medium(RadialGrid.slab(0.03, 10), 2e4, (Periodic(),))
@@ -124,7 +161,7 @@ def test_damage_is_accumulated_beside_the_dose():
 
 def test_eddy_power_grows_with_the_square_of_the_radius():
     grid = RadialGrid.cylinder(0.1, 20)
-    source = DistantEddySource(0.4)
+    source = EddySource(0.4)
     level = source.level(4.85e3, 1e5)
     # 1.649740e4 W/m³ at 15 cm
     expected = 1.649740e4 * (grid.centers / 0.15) ** 2

@@ -13,7 +13,6 @@ from pinav.scenarios import paper
 from pinav.systems import Observation, system_text
 from pinav.trajectories import (
     Trajectories,
-    bootstrap,
     concatenate,
     simulate,
     split,
@@ -300,19 +299,3 @@ def test_channels_that_nobody_observed_can_be_added():
     np.testing.assert_array_equal(wide.commands["f"], data.commands["f"])
     with pytest.raises(InputError, match="channel 'x': stands twice"):
         with_missing_channels(data, {"x": "um"})
-
-
-def test_bootstrap_draws_whole_trajectories_with_replacement():
-    data = ragged(4)
-    draws = bootstrap(data, 50, key=jax.random.key(0))
-    assert [len(draw) for draw in draws] == [4] * 50
-    chosen = np.array([draw.provenance["selection"] for draw in draws])
-    assert set(chosen.ravel()) == {0, 1, 2, 3}
-    assert any(len(set(row)) < 4 for row in chosen)
-    np.testing.assert_array_equal(
-        draws[0].trajectory(0).states, data.trajectory(int(chosen[0, 0])).states
-    )
-    with pytest.raises(InputError, match="two or more trajectories"):
-        bootstrap(data.select([0]), 2, key=jax.random.key(0))
-    with pytest.raises(InputError, match="count: expected 1 or more, got 0"):
-        bootstrap(data, 0, key=jax.random.key(0))

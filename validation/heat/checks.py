@@ -1,10 +1,11 @@
 """What the solver is verified with: a reference medium, its powers, and one check."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from pinav.report import Table
 from pinav.thermal.bioheat import Bioheat
@@ -12,7 +13,8 @@ from pinav.thermal.boundaries import AbstractEnds, Dirichlet, around, outer
 from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.perfusion import AbstractPerfusion, ConstantPerfusion
 from pinav.thermal.protocols import Piecewise
-from pinav.thermal.quantities import Number, Numbers
+from pinav.thermal.quantities import Field, Number, Numbers
+from pinav.thermal.solve import probes_at
 from pinav.thermal.sources import PowerSource
 from pinav.thermal.tissues import Blood, Tissue
 
@@ -87,9 +89,9 @@ def powers(edges: Numbers, factors: Numbers) -> Piecewise:
 
 
 def checks_at(
-    case: str, points: Any, values: Any, true: Any, tolerance: float, unit: str = "K"
+    case: str, points: Any, values: Any, true: Any, tolerance: float
 ) -> Iterator[Check]:
-    """One check for each point [m].
+    """One check of a rise [K] for each point [m].
 
     Args:
         case: its name.
@@ -97,11 +99,42 @@ def checks_at(
         values: by the solver.
         true: exact ones.
         tolerance: of each.
-        unit: of values and tolerance.
     """
     for point, value, expected in zip(points, values, true, strict=True):
         name = f"{case}, {1e3 * point:g} mm"
-        yield Check(name, float(value), float(expected), tolerance, unit)
+        yield Check(name, float(value), float(expected), tolerance, "K")
+
+
+def checks_along(
+    case: str,
+    model: Bioheat,
+    temperature: Field,
+    solution: Callable[[np.ndarray], Any],
+    tolerance: float,
+    *,
+    points: Sequence[float] = (0.0, 0.01, 0.02),
+    every: int = 1,
+) -> Iterator[Check]:
+    """Checks along a radius: probes at points, and the cell with the largest error.
+
+    Args:
+        case: its name.
+        model: on a grid along a radius.
+        temperature: by the solver [°C].
+        solution: exact rises [K] at places [m].
+        tolerance: of each check.
+        points: of the probes [m].
+        every: so many cells one is compared, of a solution that takes long.
+    """
+    at = np.asarray(points)
+    rise = probes_at(model, at)(temperature) - 37.0
+    yield from checks_at(case, at, rise, solution(at), tolerance)
+    places = np.asarray(model.grid.distances())[::every]
+    rises, true = np.asarray(temperature)[::every] - 37.0, np.asarray(solution(places))
+    worst = int(np.abs(rises - true).argmax())
+    name = f"{case}, worst of {len(places)} cells"
+    one = slice(worst, worst + 1)
+    yield from checks_at(name, places[one], rises[one], true[one], tolerance)
 
 
 def table(checks: Sequence[Check]) -> Table:

@@ -57,9 +57,10 @@ def _jump(fraction: float, count: int = 400) -> Comparison:
     end = radius / (count / 10 + fraction) * count
     grid = RadialGrid.sphere(end, count)
     ball = grid.ball(radius)
+    tissues = Tissue(0.2, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)
     model = Bioheat(
         grid,
-        mix(ball, Tissue(0.2, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)),
+        mix((ball, 1 - ball), tissues),
         Blood(),
         ConstantPerfusion(0.0),
         (PowerSource(6.15e5 * ball, AMPLITUDE),),

@@ -1,6 +1,7 @@
 """The solver against exact solutions, on this installation: one row for each case."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -12,7 +13,7 @@ from validation.heat import exact
 from validation.heat.checks import (
     AMPLITUDE,
     Check,
-    checks_at,
+    checks_along,
     powers,
     reference_model,
 )
@@ -36,11 +37,11 @@ from pinav.thermal.boundaries import (
 )
 from pinav.thermal.dose import cem43_segment
 from pinav.thermal.grids import CartesianGrid, RadialGrid
-from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
+from pinav.thermal.perfusion import ConstantPerfusion, RegionalPerfusion, lang
 from pinav.thermal.protocols import plan_steps
 from pinav.thermal.quantities import Number
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.solve import probes_at, run, solve
+from pinav.thermal.solve import run, solve
 from pinav.thermal.sources import LinearResponse, PowerSource
 from pinav.thermal.starts import HeatState
 from pinav.thermal.steppers import RKL2
@@ -58,61 +59,67 @@ def verify() -> list[Check]:
     return [check for case in CASES.values() for check in case()]
 
 
+Solution = Callable[[np.ndarray], Any]
+"""Exact rises [K] at places [m]."""
+
+
 def _steady(
-    model: Bioheat, points: Any, true: Any, case: str, tolerance: float
+    case: str, model: Bioheat, solution: Solution, tolerance: float
 ) -> Iterator[Check]:
-    protocol, probes = powers((0.0, STEADY), [1.0]), probes_at(model, points)
-    temperature = solve(model, protocol, stepper=Rosenbrock(500.0)).final.temperature
-    yield from checks_at(case, points, probes(temperature) - 37.0, true, tolerance)
+    protocol = powers((0.0, STEADY), [1.0])
+    end = solve(model, protocol, stepper=Rosenbrock(500.0)).final.temperature
+    yield from checks_along(f"{case}, steady", model, end, solution, tolerance)
 
 
 def _slabs() -> Iterator[Check]:
-    points = np.array([0.0, 0.01, 0.02])
     slab = reference_model(RadialGrid.slab(0.03, 320), 2e4)
-    true = exact.perfused_slab(points, np.inf, SET_S, 2e4, 0.03)
-    yield from _steady(slab, points, true, "perfused slab, steady", 1e-4)
-    probes = probes_at(slab, points)
+
+    def rise(r: np.ndarray, t: float = np.inf) -> Any:
+        return exact.perfused_slab(r, t, SET_S, 2e4, 0.03)
+
+    yield from _steady("perfused slab", slab, rise, 1e-4)
     times = (60.0, 300.0, 1800.0)
-    found = solve(slab, powers((0.0, 1800.0), [1.0]), save_at=times, observe=probes)
+    found = solve(slab, powers((0.0, 1800.0), [1.0]), save_at=times)
     for t, values in zip(times, found.observed, strict=True):
-        true = exact.perfused_slab(points, t, SET_S, 2e4, 0.03)
         name = f"perfused slab, {t:g} s"
-        yield from checks_at(name, points, values - 37, true, 1e-3)
-    skin = reference_model(
-        RadialGrid.slab(0.03, 320),
-        420.0,
-        (Sides(Robin(10.0, 25.0), Dirichlet(37.0)),),
-        0.525,
-    )
+        yield from checks_along(name, slab, values, partial(rise, t=t), 1e-3)
+    sides = (Sides(Robin(10.0, 25.0), Dirichlet(37.0)),)
+    skin = reference_model(RadialGrid.slab(0.03, 320), 420.0, sides, 0.525)
     half = Medium(0.5, SET_S.capacity, 0.5 * SET_S.perfusion)
-    true = exact.skin(points, half, 420.0, 0.03, 10.0, 25.0) - 37.0
-    yield from _steady(skin, points, true, "skin, steady", 1e-3)
+    constants = half, 420.0, 0.03, 10.0, 25.0
+    yield from _steady("skin", skin, lambda r: exact.skin(r, *constants) - 37.0, 1e-3)
 
 
 def _round() -> Iterator[Check]:
-    points = np.array([0.0, 0.01, 0.02])
     for name, make, true in (
         ("cylinder", RadialGrid.cylinder, exact.perfused_cylinder),
         ("ball", RadialGrid.sphere, exact.perfused_ball),
     ):
         model = reference_model(make(0.03, 320), 2e4)
-        values = true(points, SET_S, 2e4, 0.03)
-        yield from _steady(model, points, values, f"perfused {name}, steady", 2e-4)
+        solution = partial(true, medium=SET_S, source=2e4, radius=0.03)
+        yield from _steady(f"perfused {name}", model, solution, 2e-4)
 
 
 def _heated_spheres() -> Iterator[Check]:
-    points = np.array([0.0, 0.004, 0.01])
     grid = RadialGrid.sphere(0.05, 400)
     for name, perfusion in (("bare", 0.0), ("perfused", 1.05)):
         model = reference_model(grid, 4e5 * grid.ball(0.005), perfusion=perfusion)
-        probes = probes_at(model, points)
-        solution = solve(model, powers((0.0, 600.0), [1.0]), stepper=Rosenbrock(2.0))
+        end = solve(model, powers((0.0, 600.0), [1.0]), stepper=Rosenbrock(2.0)).final
         medium = Medium(0.5, SET_S.capacity, 3617.0 * perfusion)
-        true = [
-            exact.heated_sphere(float(r), 600.0, medium, 4e5, 0.005) for r in points
-        ]
-        rise = probes(solution.final.temperature) - 37.0
-        yield from checks_at(f"heated sphere, {name}, 600 s", points, rise, true, 2e-3)
+        case = 600.0, medium, 4e5, 0.005
+        yield from checks_along(
+            f"heated sphere, {name}, 600 s",
+            model,
+            end.temperature,
+            _at_each(exact.heated_sphere, *case),
+            2e-3,
+            points=(0.0, 0.004, 0.01),
+        )
+
+
+def _at_each(function: Callable[..., float], *constants: Any) -> Solution:
+    """The exact solution of one place, at many."""
+    return lambda places: [function(float(r), *constants) for r in places]
 
 
 def _two_media() -> Iterator[Check]:
@@ -121,24 +128,23 @@ def _two_media() -> Iterator[Check]:
     grid = RadialGrid.sphere(10 * radius, 400)
     fraction = grid.ball(radius)
     inner, outside = Tissue(0.778, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)
-    tissue = mix(fraction, inner, outside)
+    tissue = mix((fraction, 1 - fraction), (inner, outside))
     model = reference_model(grid, 6.15e6 * fraction, None, 0.0, tissue)
     media = Medium(0.778, 1660.0 * 2540.0), Medium(0.642, 3.72e6)
-    probes = probes_at(model, [0.0])
-    for end, step in ((1e6, 1e4), (60.0, 0.5)):
-        solution = solve(model, powers((0.0, end), [1.0]), stepper=Rosenbrock(step))
+    for end, step, edge in ((1e6, 1e4, 10 * radius), (60.0, 0.5, np.inf)):
+        found = solve(model, powers((0.0, end), [1.0]), stepper=Rosenbrock(step)).final
         late = end > 1e5
-        true = exact.two_conductivities(
-            0.0,
-            np.inf if late else end,
-            *media,
-            6.15e6,
-            radius,
-            outer_radius=10 * radius if late else np.inf,
+        true = partial(exact.two_conductivities, outer_radius=edge)
+        constants = np.inf if late else end, *media, 6.15e6, radius
+        yield from checks_along(
+            f"two conductivities, {'steady' if late else '60 s'}",
+            model,
+            found.temperature,
+            _at_each(true, *constants),
+            2e-2,
+            points=(0.0,),
+            every=1 if late else 20,
         )
-        value = float(probes(solution.final.temperature)[0]) - 37.0
-        name = f"two conductivities, {'steady' if late else '60 s'}, centre"
-        yield Check(name, value, true, 2e-2, "K")
 
 
 def two_shells(count: int, *, cut: bool = True) -> tuple[Bioheat, tuple[Any, ...]]:
@@ -150,11 +156,12 @@ def two_shells(count: int, *, cut: bool = True) -> tuple[Bioheat, tuple[Any, ...
     """
     grid = RadialGrid.sphere(0.05, count)
     fraction = grid.ball(0.01) if cut else jnp.round(grid.ball(0.01))
+    shares, laws = (fraction, 1 - fraction), map(ConstantPerfusion, (0.833, 0.45))
     model = Bioheat(
         grid,
-        mix(fraction, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
+        mix(shares, (Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0))),
         Blood(1000.0, 4180.0),
-        MixedPerfusion(fraction, ConstantPerfusion(0.833), ConstantPerfusion(0.45)),
+        RegionalPerfusion(shares, tuple(laws)),
         (PowerSource(1.0579e5 * fraction + 700.0 * (1 - fraction), AMPLITUDE),),
         outer(Dirichlet(37.0)),
     )
@@ -167,14 +174,19 @@ def two_shells(count: int, *, cut: bool = True) -> tuple[Bioheat, tuple[Any, ...
 
 def _two_shells() -> Iterator[Check]:
     model, case = two_shells(400)
-    points = np.array([0.0, 0.005, 0.02])
-    true = [exact.perfused_spheres(float(r), np.inf, *case) for r in points]
-    yield from _steady(model, points, true, "two perfused shells, steady", 1e-3)
-    probes = probes_at(model, points)
-    early = solve(model, powers((0.0, 300.0), [1.0])).final.temperature
-    true = [exact.perfused_spheres(float(r), 300.0, *case) for r in points]
-    name = "two perfused shells, 300 s"
-    yield from checks_at(name, points, probes(early) - 37.0, true, 5e-3)
+    for t, tolerance, every in ((np.inf, 1e-3, 1), (300.0, 5e-3, 20)):
+        steady = np.isinf(t)
+        end, step = (STEADY, 500.0) if steady else (t, 7.5)
+        found = solve(model, powers((0.0, end), [1.0]), stepper=Rosenbrock(step)).final
+        yield from checks_along(
+            f"two perfused shells, {'steady' if steady else '300 s'}",
+            model,
+            found.temperature,
+            _at_each(exact.perfused_spheres, t, *case),
+            tolerance,
+            points=(0.0, 0.005, 0.02),
+            every=every,
+        )
 
 
 def _point() -> Iterator[Check]:
@@ -182,15 +194,13 @@ def _point() -> Iterator[Check]:
     # All power in the innermost cell: a point, as far as the grid can show one.
     model = reference_model(grid, jnp.zeros(400).at[0].set(0.1 / grid.volumes[0]))
     points = np.asarray(grid.centers)[[16, 40, 80]]
-    true = [exact.point_source(float(r), np.inf, SET_S, 0.1) for r in points]
-    yield from _steady(model, points, true, "point source, steady", 6e-3)
-    times, probes = (300.0, 1800.0), probes_at(model, points)
-    found = solve(model, powers((0.0, 1800.0), [1.0]), save_at=times, observe=probes)
-    for t, values in zip(times, found.observed - 37.0, strict=True):
-        for r, value in zip(points, values, strict=True):
-            right = exact.point_source(float(r), t, SET_S, 0.1)
+    times = (300.0, 1800.0, STEADY)
+    found = solve(model, powers((0.0, STEADY), [1.0]), save_at=times)
+    for t, values in zip((*times[:2], np.inf), found.observed - 37.0, strict=True):
+        for cell, r in zip((16, 40, 80), points, strict=True):
+            right = float(exact.point_source(float(r), t, SET_S, 0.1))
             name = f"point source, {t:g} s, {1e3 * r:g} mm"
-            yield Check(name, float(value), float(right), 1e-3 * float(right), "K")
+            yield Check(name, float(values[cell]), right, 1e-3 * right, "K")
 
 
 def _spots() -> Iterator[Check]:

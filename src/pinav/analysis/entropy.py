@@ -104,16 +104,23 @@ def entropy_production(
     scaled = roots * gradients
     forces = drifts / roots[..., 0]
     slopes = (columns / roots).reshape(count * dim, -1)
-    rest, slopes = _without_gradients(scaled, forces.reshape(-1, 1), slopes)
+    left, values, _ = np.linalg.svd(scaled.reshape(-1, kernels), full_matrices=False)
+    basis = left[:, values > SMALLEST * values[0]]
+    # What is left when the nearest gradient is taken away.
+    rest, slopes = (
+        field - basis @ (basis.T @ field) for field in (forces.reshape(-1, 1), slopes)
+    )
     spread = slopes.T @ slopes @ posterior.covariance / count
     gradient = 2 * slopes.T @ rest[:, 0] / count
     shares = _held_out_shares(scaled, forces)
     noise = float(np.trace(spread))
     rate = float(shares.mean()) - noise
+    # Samples are correlated: the variance of their mean is that of blocks.
+    means = np.array([block.mean() for block in np.array_split(shares, BLOCKS)])
     variance = (
         gradient @ posterior.covariance @ gradient
         + 2 * np.sum(spread * spread.T)
-        + _variance_of_mean(shares)
+        + means.var(ddof=1) / BLOCKS
         + (relative_sd * rate) ** 2
     )
     return EntropyProduction(
@@ -122,17 +129,6 @@ def entropy_production(
         positions=positions,
         current=roots[..., 0] * rest.reshape(count, dim),
     )
-
-
-def _without_gradients(
-    gradients: Float[np.ndarray, "sample dim kernel"],
-    *fields: Float[np.ndarray, "row _"],
-) -> list[Float[np.ndarray, "row _"]]:
-    """Fields less the nearest gradient."""
-    columns = gradients.reshape(-1, gradients.shape[2])
-    left, values, _ = np.linalg.svd(columns, full_matrices=False)
-    basis = left[:, values > SMALLEST * values[0]]
-    return [field - basis @ (basis.T @ field) for field in fields]
 
 
 def _held_out_shares(
@@ -185,9 +181,3 @@ def _scalar_kernels(model: OverdampedSwimmer) -> Callable[[Vector], Array]:
         )
     centers, width = places.centers, places.width
     return lambda x: kernel_values(x, centers, width)
-
-
-def _variance_of_mean(values: Float[np.ndarray, " sample"]) -> float:
-    """Variance of a mean over samples that are correlated, from that of blocks."""
-    means = np.array([block.mean() for block in np.array_split(values, BLOCKS)])
-    return float(means.var(ddof=1) / BLOCKS)

@@ -76,17 +76,13 @@ class HelmholtzSplit(eqx.Module):
         return 1.0 - self.rotational_fraction
 
 
-def helmholtz_split(field: FieldMap, *, reach: float | None = None) -> HelmholtzSplit:
-    """Split a force into its gradient and its rotational part.
-
-    Args:
-        reach: the region is what lies so near to a sample [L]; the map's own near
-            places unless given. Everywhere counts if it is infinite.
+def helmholtz_split(field: FieldMap) -> HelmholtzSplit:
+    """Split a force into its gradient and its rotational part, near the data.
 
     Raises:
         InputError: no force is known on the region, or it is zero there.
     """
-    region = _region(field, field.force, reach)
+    region = _region(field, field.force)
     basis = _Basis.of(field, region)
     force = field.force[region]
     parts = basis.fit(force.ravel())
@@ -107,10 +103,7 @@ def helmholtz_split(field: FieldMap, *, reach: float | None = None) -> Helmholtz
 
 
 def rotational_fractions(
-    field: FieldMap,
-    forces: Float[np.ndarray, "sample rows columns 2"],
-    *,
-    reach: float | None = None,
+    field: FieldMap, forces: Float[np.ndarray, "sample rows columns 2"]
 ) -> Float[np.ndarray, " sample"]:
     """Rotational fraction of each of several forces, such as draws of a posterior.
 
@@ -120,26 +113,20 @@ def rotational_fractions(
     Raises:
         InputError: no force is known on the region, or one is zero there.
     """
-    region = _region(field, forces, reach)
+    region = _region(field, forces)
     basis = _Basis.of(field, region)
     weights = basis.fit(forces[:, region].reshape(len(forces), -1).T)
     parts = [basis.parts(column) for column in weights.T]
-    return np.array(
-        [
-            _fraction(gradient[region], rotational[region])
-            for gradient, rotational in parts
-        ]
-    )
+    return np.array([_fraction(one[region], two[region]) for one, two in parts])
 
 
 def sample_forces(
     posterior: Posterior, field: FieldMap, count: int, *, key: PRNGKeyArray
 ) -> Float[np.ndarray, "sample rows columns 2"]:
     """Forces on the grid of a map, of models drawn from a posterior, at time zero."""
-    points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
     with jax.enable_x64(new_val=True):
         draws = posterior.draws(count, key=key)
-        forces = _forces(posterior.free, draws, points.reshape(-1, 2))
+        forces = _forces(posterior.free, draws, field.points)
     return np.asarray(forces).reshape(count, *field.force.shape)
 
 
@@ -157,11 +144,9 @@ def _forces(
 
 
 def _region(
-    field: FieldMap,
-    forces: Float[np.ndarray, "*sample rows columns 2"],
-    reach: float | None,
+    field: FieldMap, forces: Float[np.ndarray, "*sample rows columns 2"]
 ) -> Bool[np.ndarray, "rows columns"]:
-    reach = field.regions.near if reach is None else reach
+    reach = field.regions.near
     finite = np.isfinite(forces).all(axis=-1)
     region = (field.distance <= reach) & finite.reshape(-1, *field.distance.shape).all(
         axis=0
@@ -169,7 +154,7 @@ def _region(
     if region.sum() < 3:
         raise InputError(
             f"helmholtz_split field: no finite force within {reach:g} of a sample; "
-            "raise reach, or draw the map around the data"
+            "draw the map around the data"
         )
     if not forces[..., region, :].any(axis=(-2, -1)).all():
         raise InputError(

@@ -45,7 +45,7 @@ class Command:
     title: str = ""
     report: str | None = None
     result: str | None = None
-    file: str = ""
+    file: str = "metrics"
     sections: str = ""
     resumable: bool = False
     compiler_flags: bool = True

@@ -1,6 +1,7 @@
 """The data of a command: trajectories of pinav, or a recording of a tracker."""
 
 import contextlib
+import re
 from pathlib import Path
 
 from pinav.errors import InputError
@@ -22,13 +23,23 @@ def read_data(
 
     Args:
         reading: how it is read where it is a recording.
-        doubtful: a recording whose conventions look wrong is read all the same.
+        doubtful: a recording whose conventions look wrong is read all the same, as
+            `pinav inspect` does.
     """
+    try:
+        return _read(path, reading, doubtful=doubtful)
+    except InputError as error:
+        if doubtful or not re.search("--[a-z]", str(error)):
+            raise
+        raise InputError(f"{error}; {ELSEWHERE}") from error
+
+
+def _read(path: Path, reading: Reading, *, doubtful: bool) -> Trajectories:
     if reading.columns or reading.format or not is_trajectories(path):
         data = read_recording(path, reading)
         several = [] if doubtful else doubts(data)
         if several:
-            raise InputError(f"{path}: {'; '.join(several)}; {ELSEWHERE}")
+            raise InputError(f"{path}: {'; '.join(several)}")
         return data
     for name in reading.content():
         if name != "units":

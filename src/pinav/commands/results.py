@@ -1,7 +1,6 @@
 """The start of a run, and the way of a result into it, the terminal and the page."""
 
 import hashlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from pinav.commands import COMMANDS
 from pinav.commands.command import Command, CommandResult, resolve
 from pinav.commands.settings import ResumableOptions, RunOptions
 from pinav.errors import InputError
-from pinav.figures.images import Figures
+from pinav.figures.images import save_pictures
 from pinav.reading import Reading
 from pinav.report import Code, Image, Section, Table, render, sections_text
 from pinav.runs import RunFolder
@@ -106,26 +105,24 @@ def write_report(folder: RunFolder, command: Command | None = None) -> Path:
     for name in folder.manifest.entries():
         if name.endswith((".eqx", ".npz")) and not name.startswith("checkpoint-"):
             folder.check_file(name)
-    figures = Figures(folder.path)
     content = [
-        figures.saved(section)
+        save_pictures(section, folder.path)
         for command in (maker, *(c for c in COMMANDS if not c.title))
         for section in sections_of(command, folder)
     ]
-    page = render(maker.title, _subtitle(folder), [*content, *_provenance(folder)])
+    versions = folder.read_json("environment.json")
+    config = (folder.path / "config.toml").read_text(encoding="utf-8")
+    provenance = [
+        Section("Configuration", [Code(config)]),
+        Section("Versions", [Table(("what", "version"), list(versions.items()))]),
+    ]
+    subtitle = f"pinav {versions['pinav']}, run {folder.path.name}"
+    page = render(maker.title, subtitle, [*content, *provenance])
     folder.write_text("report.html", page)
     images = [b.path for s in content for b in s.blocks if isinstance(b, Image)]
-    folder.record(*_figures(folder, images))
+    files = (f for i in map(Path, images) for f in i.parent.glob(f"{i.stem}.*"))
+    folder.record(*(file.relative_to(folder.path).as_posix() for file in files))
     return folder.path / "report.html"
-
-
-def _figures(folder: RunFolder, images: Sequence[str | Path]) -> list[str]:
-    """Names of the figures that were drawn, in all of their formats."""
-    return [
-        file.relative_to(folder.path).as_posix()
-        for image in images
-        for file in Path(image).parent.glob(f"{Path(image).stem}.*")
-    ]
 
 
 def _maker(folder: RunFolder, other: Command | None) -> Command:
@@ -135,17 +132,3 @@ def _maker(folder: RunFolder, other: Command | None) -> Command:
         if command.title and command.name == name:
             return command
     raise InputError(f"{folder.path}/config.toml: command {name!r} is unknown")
-
-
-def _subtitle(folder: RunFolder) -> str:
-    environment = folder.read_json("environment.json")
-    return f"pinav {environment['pinav']}, run {folder.path.name}"
-
-
-def _provenance(folder: RunFolder) -> list[Section]:
-    environment = folder.read_json("environment.json")
-    config = (folder.path / "config.toml").read_text(encoding="utf-8")
-    return [
-        Section("Configuration", [Code(config)]),
-        Section("Versions", [Table(("what", "version"), list(environment.items()))]),
-    ]

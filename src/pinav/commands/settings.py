@@ -5,7 +5,7 @@ This module imports no numerical library, so that `--help` is quick.
 """
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
@@ -17,8 +17,6 @@ from pinav.settings import Range as Range
 from pinav.settings import Settings as Settings
 from pinav.settings import Several as Several
 from pinav.settings import numbers as numbers
-
-RecipeName = Literal["default", "paper"]
 
 SystemName = Annotated[
     str | None,

@@ -26,7 +26,7 @@ from pinav.dynamics import (
 from pinav.errors import InputError
 from pinav.evaluation.scores import require_x64
 from pinav.fitting import Outcome
-from pinav.fitting.engine.constant_priors import ParametricModel
+from pinav.fitting.engine.local_model import ParametricModel
 from pinav.fitting.engine.multiple_shooting import Linearisation, advance, linearise
 from pinav.fitting.matching.state import Observations
 from pinav.trajectories import Trajectories, smooth_states

@@ -34,7 +34,6 @@ from pinav.figures.style import (
     add_legend,
     draw_panels,
     label_axes,
-    prepare_axes,
     with_unit,
 )
 from pinav.report import quantity
@@ -243,7 +242,6 @@ def sobol_figure(indices: SobolIndices, caption: str = "") -> Picture:
 
 
 def _bars(indices: SobolIndices, outcome: np.intp, *, ax: Axes) -> None:
-    prepare_axes(ax)
     places = np.arange(len(indices.factors))
     for shift, name, color, values, interval in (
         (-0.2, "first order", BLUE, indices.first, indices.first_interval),

@@ -126,9 +126,7 @@ Series = Mapping[str, Sequence[tuple[float, float]]]
 """Points (x, y) by model; several at one x are several seeds."""
 
 
-def scaling_figure(
-    force: Series, rollouts: Series, *, quantity: str, unit: str = "1"
-) -> Figure:
+def scaling_figure(force: Series, rollouts: Series, *, quantity: str) -> Figure:
     """Force error and rollout error over the size or the noise of the data, log-log.
 
     A zero on the x axis stands left of all others, and is labelled so.
@@ -137,11 +135,10 @@ def scaling_figure(
         force: relative force error in visited regions.
         rollouts: median position error of held-out rollouts.
         quantity: label of the x axis.
-        unit: of length; "1" means dimensionless.
     """
     percent = {m: [(x, 100 * y) for x, y in points] for m, points in force.items()}
     left = quantity, "force error in visited regions (%)"
-    right = quantity, with_unit("held-out median position error", unit)
+    right = quantity, "held-out median position error"
     panels = {
         "(a) force": partial(_scaling, percent, left),
         "(b) rollouts from held-out starts": partial(
@@ -154,7 +151,6 @@ def scaling_figure(
 def _scaling(
     series: Series, labels: tuple[str, str], *, legend: int = 0, ax: Axes
 ) -> None:
-    prepare_axes(ax)
     ticks = sorted({x for points in series.values() for x, _ in points})
     least = min((x for x in ticks if x > 0), default=1.0)
     place = {x: x if x > 0 else least / 2 for x in ticks}

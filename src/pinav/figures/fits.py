@@ -10,7 +10,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pinav.evaluation import normal_interval
+from pinav.evaluation import ForceLine, normal_interval
 from pinav.figures.images import Picture
 from pinav.figures.maps import force_comparison
 from pinav.figures.navigation import greatest_force, paths_map, spread_map
@@ -28,7 +28,7 @@ from pinav.figures.style import (
     with_unit,
 )
 from pinav.figures.trajectories import loss_curve
-from pinav.learning.findings import Findings, FoundTerm, Profile, Rollouts
+from pinav.learning.findings import Findings, FoundTerm, Rollouts
 from pinav.navigation.adaptive.flight import ShownFlight
 from pinav.navigation.maps import Course
 from pinav.trajectories import POSITION_CHANNELS
@@ -116,12 +116,10 @@ def force_line_figures(fit: Findings) -> list[Picture]:
     """The force along lines through data that are not planar."""
     pictures = []
     for name, line in (fit.lines or {}).items():
-        sd = np.zeros_like(line.force) if line.sd is None else line.sd
         units = fit.units.get(name, "1"), fit.units.get("force", "?")
-        curve, true = Profile(line.places, line.force, sd), line.true
         caption = f"The force along {name} through the middle of the data"
-        caption += "." if true is None else "; dashed: the truth."
-        draw = partial(_force_band, name, curve, units, true)
+        caption += "." if line.true is None else "; dashed: the truth."
+        draw = partial(_force_band, name, line, units)
         pictures.append(
             _small_picture(f"force-{name}", draw, caption, f"Force over {name}")
         )
@@ -129,20 +127,16 @@ def force_line_figures(fit: Findings) -> list[Picture]:
 
 
 def _force_band(
-    coordinate: str,
-    curve: Profile,
-    units: tuple[str, str],
-    true: np.ndarray | None = None,
-    *,
-    ax: Axes,
+    coordinate: str, line: ForceLine, units: tuple[str, str], *, ax: Axes
 ) -> None:
     """A force along a coordinate with its band; units of length and of force."""
     labels = with_unit(coordinate, units[0]), with_unit("force", units[1])
-    interval = normal_interval(curve.force, curve.sd)
-    band(curve.places, curve.force, interval, labels=labels, ax=ax)
+    sd = np.zeros_like(line.force) if line.sd is None else line.sd
+    interval = normal_interval(line.force, sd)
+    band(line.places, line.force, interval, labels=labels, ax=ax)
     ax.axhline(0.0, color=GREY, lw=0.6)
-    if true is not None:
-        ax.plot(curve.places, true, color=TRUTH, lw=1.0, ls="--")
+    if line.true is not None:
+        ax.plot(line.places, line.true, color=TRUTH, lw=1.0, ls="--")
 
 
 def profile_figure(index: int, term: FoundTerm, fit: Findings) -> Picture | None:

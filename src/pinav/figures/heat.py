@@ -6,7 +6,6 @@ result with its words.
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -39,7 +38,7 @@ from pinav.figures.style import (
     scale_log,
     style_of,
 )
-from pinav.thermal.heated_run import HeatedRun
+from pinav.thermal.heated_run import Cut, HeatedRun
 
 ISOTHERMS = (39.0, 41.0, 43.0, 45.0, 47.0)
 """Temperatures [°C] that are marked."""
@@ -221,58 +220,44 @@ def _maps(run: HeatedRun) -> Figure:
     """Sections through the hottest cell and through the middle of the tumour."""
     cuts = sections_through(run.target, run.temperature, run.spacing)
     panels = []
-    for cut in cuts:
+    for name, cut in cuts.items():
         shown = {"spacing": run.spacing[:2], "outline": cut.of(run.target)}
         heat = partial(plane_map, levels=ISOTHERMS, label="temperature [°C]", **shown)
         dose = partial(plane_map, levels=DOSES, label="CEM43 [min]", **shown)
-        panels.append(partial(heat, cut.of(run.temperature), title=cut.name))
+        panels.append(partial(heat, cut.of(run.temperature), title=name))
         panels.append(partial(dose, cut.of(run.dose), logarithmic=True))
     return draw_panels((7.5, 3.2 * len(cuts)), panels, columns=2)
-
-
-class MapSection(NamedTuple):
-    """A plane in which a field is drawn.
-
-    Attributes:
-        name: what its title says.
-        place: index of the cells along the third axis; none where the field is a plane.
-    """
-
-    name: str
-    place: int | None
-
-    def of(self, field: Float[np.ndarray, "..."]) -> Float[np.ndarray, "row column"]:
-        """The cells of a field that lie in the plane."""
-        return field if self.place is None else field[:, :, self.place]
 
 
 def sections_through(
     target: Float[np.ndarray, "..."],
     temperature: Float[np.ndarray, "..."],
     spacing: tuple[float, ...],
-) -> list[MapSection]:
+) -> dict[str, Cut]:
     """Planes through the hottest cell and through the middle of the target.
 
     Args:
         target: volume fraction of the target in each cell.
         temperature: temperature of each cell [°C].
         spacing: edges of a cell [m].
+
+    Returns:
+        The planes by their titles.
     """
     if target.ndim == 2:
-        return [MapSection("", None)]
+        return {"": Cut(2, None)}
     hottest = np.unravel_index(np.nanargmax(temperature), temperature.shape)
     mass = target.sum(axis=(0, 1))
     middle = round(float(mass @ np.arange(mass.size) / mass.sum()))
     cuts: dict[int, list[str]] = {}
     for name, index in (("hottest cell", int(hottest[2])), ("tumour", middle)):
         cuts.setdefault(index, []).append(name)
-    return [
-        MapSection(
-            f"z = {1e3 * spacing[2] * (index + 0.5):.4g} mm, {' and '.join(names)}",
-            index,
+    return {
+        f"z = {1e3 * spacing[2] * (index + 0.5):.4g} mm, {' and '.join(names)}": Cut(
+            2, index
         )
         for index, names in cuts.items()
-    ]
+    }
 
 
 def duration(seconds: float) -> str:

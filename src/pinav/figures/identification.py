@@ -116,7 +116,6 @@ def single_rollouts(
 
 
 def _single_rollout(one: ShownRollout, time: str, *, ax: Axes) -> None:
-    prepare_axes(ax)
     origin = one.observed[0]
     seen, path = one.observed - origin, one.predicted - origin
     ax.plot(*seen.T, color=TRACK, lw=WIDE, label="observed")
@@ -170,32 +169,24 @@ def horizon_errors(
     horizons: Sequence[float],
     relative: Mapping[str, Sequence[float]],
     *,
-    time_unit: str = "s",
     ax: Axes | None = None,
 ) -> Axes:
     """Median end-point error over path length, for each model, over the horizon.
 
     Args:
-        horizons: durations of the rollouts [T].
+        horizons: durations of the rollouts [s].
         relative: errors of each model at these horizons; NaN where there are none.
-        time_unit: unit of the horizons.
         ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
     for index, (name, values) in enumerate(relative.items()):
         style = style_of(name, index)
-        line = {
-            "color": style.color,
-            "ls": style.dash,
-            "lw": THIN,
-            "label": style.label,
-        }
-        ax.plot(horizons, values, marker="o", ms=3, **line)
+        line = {"color": style.color, "ls": style.dash, "lw": THIN}
+        ax.plot(horizons, values, marker="o", ms=3, label=style.label, **line)
     ax.set(xscale="log", yscale="log")
     ax.set_xticks(list(horizons), [f"{h:g}" for h in horizons])
     ax.minorticks_off()
-    labels = with_unit("rollout", time_unit), "end-point error / path length"
-    return label_axes(ax, *labels, legend=1)
+    return label_axes(ax, "rollout [s]", "end-point error / path length", legend=1)
 
 
 def speed_law(law: SpeedLaw, *, unit: str = "um/s", ax: Axes | None = None) -> Axes:

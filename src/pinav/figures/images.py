@@ -144,24 +144,14 @@ class Movie(AbstractBlock):
         return f"<p>{escape(self.caption)}</p>"
 
 
-class Figures:
-    """The folder of the figures of a run.
-
-    Attributes:
-        folder: where the files are written.
-    """
-
-    def __init__(self, run: Path) -> None:
-        self.folder = run / "figures"
-
-    def saved(self, section: Section) -> Section:
-        """The section with its pictures and movies drawn and written."""
-        return Section(section.heading, [self._saved(b) for b in section.blocks])
-
-    def _saved(self, block: AbstractBlock) -> AbstractBlock:
+def save_pictures(section: Section, run: Path) -> Section:
+    """The section with its pictures and movies drawn, and written into a run."""
+    folder, blocks = run / "figures", []
+    for block in section.blocks:
         if isinstance(block, Picture):
-            return block.saved(self.folder)
-        if isinstance(block, Movie):
-            file = block.write(self.folder / f"{block.name}.gif")
-            return Image(file, block.caption, block.caption)
-        return block
+            block = block.saved(folder)
+        elif isinstance(block, Movie):
+            file = block.write(folder / f"{block.name}.gif")
+            block = Image(file, block.caption, block.caption)
+        blocks.append(block)
+    return Section(section.heading, blocks)

@@ -85,7 +85,8 @@ def last_frame_figure(title: str, frames: FittedFrames) -> Picture:
 
 
 def _last_frame(frames: FittedFrames) -> Figure:
-    cut = sections_through(frames.target, frames.fitted, frames.spacing)[0]
+    cuts = sections_through(frames.target, frames.fitted, frames.spacing)
+    name, cut = next(iter(cuts.items()))
     reading, fitted = cut.of(frames.read), cut.of(frames.fitted)
     shared = float(np.nanmin(fitted)) - 1.0, float(np.nanmax(fitted)) + 1.0
     widest = float(np.nanmax(np.abs(reading - fitted)))
@@ -93,7 +94,7 @@ def _last_frame(frames: FittedFrames) -> Figure:
     panel = partial(
         plane_map, spacing=spacing, outline=outline, levels=()
     )  # noise has no contours
-    title = cut.name.replace(", ", ",\n")  # else into the next panel
+    title = name.replace(", ", ",\n")  # else into the next panel
     panels = [
         partial(panel, reading, title=title, label="reading [°C]", limits=shared),
         partial(panel, fitted, levels=ISOTHERMS, label="fit [°C]", limits=shared),

@@ -295,13 +295,12 @@ def recordings_figure(
     *,
     way: Float[np.ndarray, "_ 2"],
     thrust: float,
-    units: Mapping[str, str] = DIMENSIONLESS,
 ) -> Figure:
     """What was recorded, over what is not known of the force, and the planned way."""
     assert maps.sd is not None
     figure = new_figure(4.8, 4.8)
-    ax, shown = figure.add_subplot(), {"thrust": thrust, "route": way, "units": units}
-    spread_map(maps.learned, maps.sd, course, **shown, ax=ax)
+    ax = figure.add_subplot()
+    spread_map(maps.learned, maps.sd, course, thrust=thrust, route=way, ax=ax)
     for index, path in enumerate(paths):
         label = "recorded" if index == 0 else None
         line = {"color": TRACK, "lw": 0.9, "path_effects": _halo(BLACK, 2.0)}

@@ -138,7 +138,6 @@ def recording_figure(recording: Trajectories, quality: Quality) -> Picture:
 
 def paths(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """Every segment as a line, its first position as a dot; y up."""
-    prepare_axes(ax)
     names = [run.name for run in quality.runs]
     for label, segment in zip(labels(recording), recording, strict=True):
         color, mark = _look(names, str(label["run"]))
@@ -176,7 +175,6 @@ def overlay_figure(recording: Trajectories, image: np.ndarray) -> Picture:
 
 def speeds(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """Median speed at each frequency, and 80 % of the windows of a single run."""
-    prepare_axes(ax)
     names = [run.name for run in quality.runs]
     for run in quality.runs:
         color, mark = _look(names, run.name)
@@ -197,7 +195,6 @@ def speeds(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
 
 def intervals(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """How often which interval between rows occurs, within segments."""
-    prepare_axes(ax)
     steps = np.concatenate([np.diff(segment.times) for segment in recording])
     middle = float(np.median(steps))
     ax.hist(steps, bins=60, range=(0.0, max(2 * middle, steps.max())), color=GREY)
@@ -210,7 +207,6 @@ def intervals(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
 
 def commands(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """The drive, as points in the plane: frequency outwards, heading around."""
-    prepare_axes(ax)
     names = [run.name for run in quality.runs]
     every = max(1, int(recording.lengths.sum()) // _DOTS)
     for label, segment in zip(labels(recording), recording, strict=True):
@@ -224,7 +220,6 @@ def commands(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
 
 def speeds_of_tracks(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """Median speed of each particle, in the order of the file."""
-    prepare_axes(ax)
     values = [np.nan if t.speed is None else t.speed for t in quality.tracks]
     ax.plot(np.arange(1, len(values) + 1), values, "o", ms=3, color=BLUE)
     ax.set_ylim(bottom=0)
@@ -233,7 +228,6 @@ def speeds_of_tracks(recording: Trajectories, quality: Quality, ax: Axes) -> Axe
 
 def errors_of_tracks(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """Scatter and localisation error of each particle, the latter with its error."""
-    prepare_axes(ax)
     rows = [
         (number, error.scatter, error.deviation, error.error)
         for number, track in enumerate(quality.tracks, start=1)

@@ -286,7 +286,7 @@ def draw_panels(
     axes = grid.ravel()
     titled = dict(panels) if isinstance(panels, Mapping) else dict(enumerate(panels))
     for ax, (title, draw) in zip(axes, titled.items(), strict=False):
-        draw(ax=ax)
+        draw(ax=prepare_axes(ax))
         if isinstance(title, str):
             title_panel(ax, title)
     for ax in axes[len(panels) :]:

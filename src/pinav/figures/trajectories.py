@@ -268,21 +268,15 @@ def decomposition(
 
 
 def acceleration_figure(
-    learned: Decomposition,
-    *,
-    true: Decomposition | None = None,
-    units: Mapping[str, str] = DIMENSIONLESS,
+    learned: Decomposition, *, true: Decomposition | None = None
 ) -> Figure:
-    """The decomposition of the acceleration, x above y."""
+    """The decomposition of the acceleration, x above y, dimensionless."""
     figure = new_figure(7.0, 4.4)
-    upper = figure.add_subplot(2, 1, 1)
-    lower = figure.add_subplot(2, 1, 2, sharex=upper)
+    upper, lower = figure.subplots(2, 1, sharex=True)
     for component, ax in enumerate((upper, lower)):
-        decomposition(learned, component, true=true, units=units, ax=ax)
-        if component == 1 and (legend := ax.get_legend()) is not None:
-            legend.remove()
+        decomposition(learned, component, true=true, ax=ax)
+    lower.get_legend().remove()
     upper.set_xlabel("")
-    upper.tick_params(labelbottom=False)
     return figure
 
 
@@ -295,10 +289,9 @@ def figure1(
     phases: Sequence[tuple[str, int]],
     *,
     model: str = "ude",
-    units: Mapping[str, str] = DIMENSIONLESS,
     barrier: tuple[Sequence[float], float] | None = None,
 ) -> Figure:
-    """The paper's Figure 1, for one kind of model.
+    """The paper's Figure 1, for one kind of model, dimensionless.
 
     Panels: (a) trajectory, truth and untrained; (b) the same, trained; (c) training
     loss; (d) velocity, truth and untrained; (e) the same, trained.
@@ -311,7 +304,6 @@ def figure1(
         losses: as for `loss_curve`.
         phases: as for `loss_curve`.
         model: `ude` or `nn-only`; sets colours and words.
-        units: unit of each channel; "1" means dimensionless.
         barrier: centre and width of an obstacle to outline.
 
     References:
@@ -322,8 +314,8 @@ def figure1(
     panels = ((f"{model}-untrained", untrained, "ad"), (model, trained, "be"))
     for name, states, (path, speed) in panels:
         paths, speeds = {name: states[:, :2]}, {name: states[:, 2:]}
-        trajectory(truth[:, :2], paths, units=units, barrier=barrier, ax=axes[path])
-        velocity(times, truth[:, 2:], speeds, units=units, ax=axes[speed])
+        trajectory(truth[:, :2], paths, barrier=barrier, ax=axes[path])
+        velocity(times, truth[:, 2:], speeds, ax=axes[speed])
         label = style_of(name).label
         title_panel(axes[path], f"({path}) truth and {label}", pad=PHASE_NAMES)
         title_panel(axes[speed], f"({speed}) truth and {label}")

@@ -5,11 +5,11 @@ from pinav.fitting.bayes.fit_bayes import fit_bayes as fit_bayes
 from pinav.fitting.bayes.parameters import derive as derive
 from pinav.fitting.bayes.parameters import principal_drags as principal_drags
 from pinav.fitting.bayes.parameters import rotational_fraction as rotational_fraction
-from pinav.fitting.engine.constant_priors import ParametricModel as ParametricModel
-from pinav.fitting.engine.constant_priors import ravel_model as ravel_model
 from pinav.fitting.engine.evidence_fit import EvidenceFit as EvidenceFit
+from pinav.fitting.engine.evidence_fit import EvidenceProgress as EvidenceProgress
 from pinav.fitting.engine.evidence_fit import GoodnessOfFit as GoodnessOfFit
-from pinav.fitting.engine.iterate import EvidenceProgress as EvidenceProgress
+from pinav.fitting.engine.local_model import ParametricModel as ParametricModel
+from pinav.fitting.engine.local_model import ravel_model as ravel_model
 from pinav.fitting.engine.posterior import Band as Band
 from pinav.fitting.engine.posterior import Estimate as Estimate
 from pinav.fitting.engine.posterior import Posterior as Posterior
@@ -27,7 +27,6 @@ from pinav.fitting.environments.gradient_matching import (
 from pinav.fitting.environments.gradient_matching import (
     simpler_models as simpler_models,
 )
-from pinav.fitting.environments.kernels import WITHOUT_PRIOR as WITHOUT_PRIOR
 from pinav.fitting.environments.kernels import KernelGrid as KernelGrid
 from pinav.fitting.environments.kernels import (
     changing_environment as changing_environment,

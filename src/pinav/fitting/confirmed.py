@@ -9,8 +9,7 @@ from collections.abc import Sequence
 
 from pinav.errors import FitError
 from pinav.fitting.bayes.fit_bayes import NOT_FINITE
-from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
-from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit, iterate
 from pinav.fitting.engine.problem import Step
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
 from pinav.fitting.evidence.model_evidence import model_evidence

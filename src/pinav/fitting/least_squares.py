@@ -17,16 +17,23 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from pinav.arguments import on_device
 from pinav.errors import InputError
-from pinav.fitting.engine.constant_priors import (
+from pinav.fitting.engine.evidence_fit import (
+    DEFECT_TOLERANCE,
+    EvidenceFit,
+    EvidenceProgress,
+    evidence_fit,
+    iterate,
+)
+from pinav.fitting.engine.local_model import (
+    AbstractLocalModel,
     ConstantPriors,
     ParametricModel,
+    Prediction,
+    States,
     parameter_names,
     ravel_model,
     selected_entries,
 )
-from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
-from pinav.fitting.engine.iterate import DEFECT_TOLERANCE, EvidenceProgress, iterate
-from pinav.fitting.engine.local_model import AbstractLocalModel, Prediction, States
 from pinav.fitting.engine.problem import (
     AbstractProblem,
     AbstractStepRule,

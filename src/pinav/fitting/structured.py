@@ -23,7 +23,7 @@ from pinav.fitting.bayes.fit_bayes import fit_bayes
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.parameters import Learn
 from pinav.fitting.confirmed import best_fit
-from pinav.fitting.engine.iterate import EvidenceProgress
+from pinav.fitting.engine.evidence_fit import EvidenceProgress
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.rugged.free import fit_free, has_many_hills
 from pinav.fitting.structure.fits import (

@@ -14,7 +14,6 @@ from pinav.forces.force import AbstractCommandedForce as AbstractCommandedForce
 from pinav.forces.force import AbstractForce as AbstractForce
 from pinav.forces.force import AbstractLearnedForce as AbstractLearnedForce
 from pinav.forces.force import AbstractPotentialForce as AbstractPotentialForce
-from pinav.forces.force import HelmholtzParts as HelmholtzParts
 from pinav.forces.force import KernelPlaces as KernelPlaces
 from pinav.forces.force import SumForce as SumForce
 from pinav.forces.force import ZeroForce as ZeroForce
@@ -36,7 +35,6 @@ from pinav.forces.kernels import KernelPotential as KernelPotential
 from pinav.forces.kernels import KernelStream as KernelStream
 from pinav.forces.kernels import check_kernels as check_kernels
 from pinav.forces.kernels import kernel_centers as kernel_centers
-from pinav.forces.kernels import kernel_values as kernel_values
 from pinav.forces.landscapes import CompactHill as CompactHill
 from pinav.forces.landscapes import GaussianBarrier as GaussianBarrier
 from pinav.forces.landscapes import HarmonicTrap as HarmonicTrap
@@ -78,7 +76,6 @@ from pinav.forces.propulsion import heading_offset as heading_offset
 from pinav.forces.propulsion import mean_gain as mean_gain
 from pinav.forces.structures import AbstractProfileTerm as AbstractProfileTerm
 from pinav.forces.structures import AbstractTerm as AbstractTerm
-from pinav.forces.structures import Remainder as Remainder
 from pinav.forces.structures import StructuredForce as StructuredForce
 from pinav.forces.structures import split_structure as split_structure
 from pinav.forces.surfaces import AbstractSurface as AbstractSurface

@@ -14,6 +14,7 @@ from pinav.forces.force import AbstractForce, AbstractPotentialForce
 from pinav.forces.formulas import NUMERIC
 from pinav.forces.landscapes import GaussianBarrier
 from pinav.forces.profiles import Gaussian
+from pinav.settings import Range
 
 
 class GaussianRidge(AbstractPotentialForce):
@@ -235,7 +236,7 @@ def random_barriers(
     Raises:
         InputError: `count` is not positive.
     """
-    _check_count("random_barriers", count)
+    Range(least=1).check("random_barriers count", count)
     where, how_high, how_wide = jax.random.split(key, 3)
     centers = domain.spread_points(where, count)
     height = _uniform(how_high, heights, count)
@@ -262,7 +263,7 @@ def random_fibres(
     Raises:
         InputError: `count` is not positive.
     """
-    _check_count("random_fibres", count)
+    Range(least=1).check("random_fibres count", count)
     where, how_high, direction = jax.random.split(key, 3)
     centers = domain.spread_points(where, count)
     height = _uniform(how_high, heights, count)
@@ -275,8 +276,3 @@ def _uniform(
     key: PRNGKeyArray, limits: tuple[float, float], count: int
 ) -> Float[Array, " {count}"]:
     return jax.random.uniform(key, (count,), minval=limits[0], maxval=limits[1])
-
-
-def _check_count(name: str, count: int) -> None:
-    if count < 1:
-        raise InputError(f"{name} count: expected 1 or more, got {count}")

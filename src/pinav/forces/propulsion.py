@@ -336,19 +336,14 @@ class RollingPropulsion(AbstractCommandedForce):
         return float(self.delay) + float(self.lag)
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return self.matrix.astype(x.dtype) @ self.command(t).astype(x.dtype)
-
-    def command(self, t: Scalar) -> Float[Array, "2"]:
-        r"""$s(f)\, n(\theta)$ at the delayed time [Hz]; needs a programme."""
         if self.programme is None:
             raise InputError(
                 "RollingPropulsion: expected commands; bind those of a trajectory by "
                 "pinav.dynamics.drive_by_commands(model, trajectory), or give a "
                 "programme"
             )
-        frequency, heading = self.programme(jnp.asarray(t) - self.delay)
-        direction = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
-        return self.response(frequency) * direction
+        command = jnp.stack(self.programme(jnp.asarray(t) - self.delay))
+        return self.actuator(command).astype(x.dtype)
 
     def drive_by(
         self,

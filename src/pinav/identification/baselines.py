@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
 from pinav.identification.forecast import (
@@ -36,54 +36,38 @@ class Baseline(eqx.Module):
         return path
 
 
-class Samples(eqx.Module):
-    """Velocities of a track beside the commands."""
-
-    velocity: Float[np.ndarray, "sample 2"]
-    position: Float[np.ndarray, "sample 2"]
-    frequency: Float[np.ndarray, " sample"]
-    heading: Float[np.ndarray, " sample"]
-
-    @classmethod
-    def of(cls, track: Track) -> "Samples":
-        """All samples whose window lies within their segment."""
-        parts = []
-        window = min(WINDOW, 2 * track.width)
-        for piece in track.pieces:
-            times = piece.times
-            low = np.searchsorted(times, times - window / 2)
-            high = np.searchsorted(times, times + window / 2, side="right") - 1
-            inner = (times - times[0] >= window / 2) & (times[-1] - times >= window / 2)
-            inner &= high > low
-            low, high = low[inner], high[inner]
-            interval = (times[high] - times[low])[:, None]
-            velocity = (piece.states[high] - piece.states[low]) / interval
-            frequency, heading = commands_of(piece)
-            parts.append(
-                (velocity, piece.states[inner], frequency[inner], heading[inner])
-            )
-        return cls(*map(np.concatenate, zip(*parts, strict=True)))
-
-    def command(self) -> Float[np.ndarray, "sample 2"]:
-        r"""$f\,n(\theta)$ [Hz]."""
-        return command_vector(self.frequency, self.heading)
-
-
 def least_squares(track: Track) -> Baseline:
     """Gain matrix and drift by least squares of the velocity: no delay, no noise."""
     begin = time.perf_counter()
-    samples = Samples.of(track)
-
-    def rows(command: np.ndarray) -> np.ndarray:
-        return np.concatenate([command, np.ones((len(command), 1))], axis=1)
-
-    design = rows(samples.command())
-    best = np.linalg.lstsq(design, samples.velocity, rcond=None)[0]
+    parts = [(piece, *velocities(track, piece)) for piece in track.pieces]
+    design = np.concatenate([_regressors(piece)[rows] for piece, _, rows in parts])
+    targets = np.concatenate([values for _, values, _ in parts])
+    best = np.linalg.lstsq(design, targets, rcond=None)[0]
 
     def velocity(piece: Trajectory) -> np.ndarray:
-        return rows(command_vector(*commands_of(piece))) @ best
+        return _regressors(piece) @ best
 
     return Baseline("least squares", velocity, time.perf_counter() - begin)
+
+
+def velocities(
+    track: Track, piece: Trajectory
+) -> tuple[Float[np.ndarray, "row 2"], Bool[np.ndarray, " time"]]:
+    """Velocities [L T⁻¹] of a segment where a window lies within it, and a mask."""
+    times, window = piece.times, min(WINDOW, 2 * track.width)
+    low = np.searchsorted(times, times - window / 2)
+    high = np.searchsorted(times, times + window / 2, side="right") - 1
+    inner = (times - times[0] >= window / 2) & (times[-1] - times >= window / 2)
+    inner &= high > low
+    low, high = low[inner], high[inner]
+    interval = (times[high] - times[low])[:, None]
+    return (piece.states[high] - piece.states[low]) / interval, inner
+
+
+def _regressors(piece: Trajectory) -> Float[np.ndarray, "time 3"]:
+    """The command [Hz], and one."""
+    command = command_vector(*commands_of(piece))
+    return np.concatenate([command, np.ones((len(command), 1))], axis=1)
 
 
 INTERVAL = 0.5

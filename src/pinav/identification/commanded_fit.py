@@ -51,11 +51,6 @@ from pinav.forces import (
     tensor_matrix,
 )
 from pinav.identification.drive import is_open
-from pinav.identification.estimates import (
-    constants_of,
-    learned_numbers,
-    posterior_over,
-)
 from pinav.identification.fit import CandidateSearch, stated_coordinates
 from pinav.identification.likelihood import (
     Design,
@@ -347,15 +342,9 @@ def _result(
         weights, covariance = problem.weights.posterior(quadratic, chosen)
         return joint_posterior(block, weights, covariance, 1.0)[0]
 
-    slopes = problem.search.slopes(learned, conditional_mean)
-    # The linear unknowns follow the nonlinear ones: their covariance is that at given
-    # noise, and what they follow.
-    cross = slopes @ spread
-    unknown = np.concatenate([learned, mean])
-    covariance = np.block([[spread, cross.T], [cross, alone + cross @ slopes.T]])
-    search = problem.search
-    numbers = learned_numbers(search.learned, search.linear, unknown)
-    posterior = posterior_over(problem.swimmer, numbers, covariance)
+    posterior, constants = problem.search.joint_posterior(
+        problem.swimmer, learned, spread, conditional_mean, alone
+    )
     quadratic, _, information = problem.quadratic(learned)
     log_prior = _log_prior(problem.search, learned)
     linear = LinearFit(
@@ -371,7 +360,7 @@ def _result(
         iterations=rounds,
         hyperparameters=chosen,
         posterior=posterior,
-        constants=constants_of(numbers, covariance),
+        constants=constants,
         states=None,
         goodness=None,
         linear=linear,

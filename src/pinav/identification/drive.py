@@ -6,8 +6,10 @@ are parameters of the search.
 """
 
 import abc
+import contextlib
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -29,12 +31,8 @@ from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
 from pinav.forces import RollingPropulsion, ZeroFlow, ZeroForce
 from pinav.identification.parameters import (
-    CORNER,
-    DELAY,
     DRIFT,
     GAIN,
-    LAG,
-    RESIDUAL,
     ROLLING,
     Coordinates,
     Parameter,
@@ -155,22 +153,18 @@ def is_open(system: System, path: str) -> bool:
 
 def rolling_coordinates(swimmer: Swimmer | OverdampedSwimmer) -> Coordinates:
     """Coordinates of `ROLLING` in a swimmer, absent ones without a propulsion."""
-    coordinates = np.array([parameter.absent for parameter in ROLLING])
-    propulsion = swimmer.propulsion
-    if isinstance(propulsion, RollingPropulsion):
-        numbers = {
-            DELAY: propulsion.delay,
-            LAG: propulsion.lag,
-            CORNER: getattr(propulsion.response, "corner", None),
-            RESIDUAL: getattr(propulsion.response, "residual", None),
-        }
-        for place, parameter in enumerate(ROLLING):
-            number = numbers[parameter.path]
-            at = (
-                math.nan
-                if number is None
-                else parameter.scale.coordinate(float(number))
-            )
+    return coordinates_of(ROLLING, swimmer)
+
+
+def coordinates_of(
+    parameters: Sequence[Parameter], swimmer: Swimmer | OverdampedSwimmer
+) -> Coordinates:
+    """Coordinates of parameters in a swimmer, absent where it has no such number."""
+    coordinates = np.array([parameter.absent for parameter in parameters])
+    for place, parameter in enumerate(parameters):
+        with contextlib.suppress(InputError):
+            number = FreeNumber(parameter.path).pick(swimmer)
+            at = parameter.scale.coordinate(float(number))
             coordinates[place] = coordinates[place] if math.isnan(at) else at
     return coordinates
 
@@ -251,9 +245,7 @@ class OtherDrive(AbstractDrive):
         return cls(swimmer, parameters)
 
     def coordinates(self, swimmer: OverdampedSwimmer) -> Coordinates:
-        picked = [FreeNumber(one.path).pick(swimmer) for one in self.parameters]
-        several = zip(self.parameters, picked, strict=True)
-        return np.array([one.scale.coordinate(float(at)) for one, at in several])
+        return coordinates_of(self.parameters, swimmer)
 
     def displacements(
         self, coordinates: Float[Array, " parameter"], blocks: Blocks

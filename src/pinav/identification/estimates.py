@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.fitting import Estimate, EvidenceFit, Posterior, ravel_model
-from pinav.fitting.engine.constant_priors import selected_entries
+from pinav.fitting.engine.local_model import selected_entries
 from pinav.forces import (
     RollingPropulsion,
     UniformFlow,

@@ -24,7 +24,7 @@ from pinav.identification.estimates import estimates as estimates_of
 from pinav.identification.fit import fit_track
 from pinav.identification.parameters import DELAY
 from pinav.identification.selection import LEAST_SQUARES, Row, Selection
-from pinav.identification.tracks import Track
+from pinav.identification.tracks import Track, pairs_apart
 from pinav.systems import System
 
 TURNING_WINDOW = 2.0
@@ -57,12 +57,11 @@ def turning_rate(track: Track) -> tuple[float, float]:
     rates = []
     for piece in track.pieces:
         turned = np.unwrap(piece.commands["heading"])
-        later = np.searchsorted(piece.times, piece.times + TURNING_WINDOW)
-        index = np.flatnonzero(later < len(turned))
-        index = index[piece.commands["frequency"][index] > 0]
-        later = later[index]
-        interval = piece.times[later] - piece.times[index]
-        rates.append((turned[later] - turned[index]) / interval)
+        first, last = pairs_apart(piece.times, TURNING_WINDOW)
+        driven = piece.commands["frequency"][first] > 0
+        first, last = first[driven], last[driven]
+        interval = piece.times[last] - piece.times[first]
+        rates.append((turned[last] - turned[first]) / interval)
     values = np.concatenate(rates)
     if not len(values):
         return 0.0, math.inf

@@ -9,8 +9,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError
-from pinav.fitting import EvidenceFit, Hyperparameters, LinearFit, Outcome
+from pinav.fitting import (
+    Estimate,
+    EvidenceFit,
+    Hyperparameters,
+    LinearFit,
+    Outcome,
+    Posterior,
+)
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import NoWeights
 from pinav.identification.drive import fitted_coordinates, is_open
@@ -305,11 +313,15 @@ class CandidateSearch:
     ) -> EvidenceFit:
         """Evidence and posterior about the maximum."""
         spread, volume = self.laplace(learned)
-        coefficients, covariance = self._joint(learned, spread)
-        unknown = np.concatenate([learned, coefficients])
-        numbers = learned_numbers(self.learned, self.linear, unknown)
-        posterior = posterior_over(system.swimmer, numbers, covariance)
-        constants = constants_of(numbers, covariance)
+        _, information = self._coefficients(learned)
+        present = np.flatnonzero(self.present)
+        posterior, constants = self.joint_posterior(
+            system.swimmer,
+            learned,
+            spread,
+            lambda place: self._coefficients(place)[0][present],
+            np.linalg.inv(information)[np.ix_(present, present)],
+        )
         noise = constants[BLOCK_NOISE].value
         hyperparameters = Hyperparameters(np.zeros(0), 0.0, noise, volume - value)
         nothing = Quadratic(
@@ -352,18 +364,31 @@ class CandidateSearch:
         (_, (best, information)), _ = self._evaluate(learned)
         return np.asarray(best), np.asarray(information)
 
-    def _joint(
-        self, learned: Float[np.ndarray, " learned"], spread: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients, and the joint covariance with what is learned."""
-        best, information = self._coefficients(learned)
-        slopes = self.slopes(learned, lambda place: self._coefficients(place)[0])
-        present = np.flatnonzero(self.present)
-        alone = np.linalg.inv(information)[np.ix_(present, present)]
-        slopes = slopes[present]
+    def joint_posterior(
+        self,
+        swimmer: Swimmer | OverdampedSwimmer,
+        learned: Float[np.ndarray, " learned"],
+        spread: Float[np.ndarray, "learned learned"],
+        linear_mean: Callable[[np.ndarray], np.ndarray],
+        alone: Float[np.ndarray, "linear linear"],
+    ) -> tuple[Posterior, dict[str, Estimate]]:
+        """Posterior of a swimmer and the learned constants.
+
+        The linear unknowns, gain, drift and weights, follow the nonlinear ones: their
+        covariance is that at given nonlinear ones, and what they follow.
+
+        Args:
+            spread: covariance of the nonlinear unknowns.
+            linear_mean: mean of the linear unknowns at given nonlinear ones.
+            alone: covariance of the linear unknowns at given nonlinear ones.
+        """
+        slopes = self.slopes(learned, linear_mean)
         cross = slopes @ spread
-        joint = np.block([[spread, cross.T], [cross, alone + cross @ slopes.T]])
-        return best[present], joint
+        covariance = np.block([[spread, cross.T], [cross, alone + cross @ slopes.T]])
+        unknown = np.concatenate([learned, linear_mean(learned)])
+        numbers = learned_numbers(self.learned, self.linear, unknown)
+        posterior = posterior_over(swimmer, numbers, covariance)
+        return posterior, constants_of(numbers, covariance)
 
 
 DIFFERENCE, ACROSS_KINKS, WIDEST = 0.02, 0.25, 0.5

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.fitting import EvidenceFit
-from pinav.identification.tracks import Track
+from pinav.identification.tracks import Track, pairs_apart
 from pinav.systems import System
 
 
@@ -273,11 +273,9 @@ class Prior(NamedTuple):
 def _typical_speed(track: Track) -> float:
     speeds = []
     for piece in track.pieces:
-        index = np.arange(0, len(piece.times))
-        later = np.searchsorted(piece.times, piece.times + track.width)
-        fits = later < len(index)
-        step = piece.states[later[fits]] - piece.states[index[fits]]
-        interval = piece.times[later[fits]] - piece.times[index[fits]]
+        first, last = pairs_apart(piece.times, track.width)
+        step = piece.states[last] - piece.states[first]
+        interval = piece.times[last] - piece.times[first]
         speeds.append(np.hypot(*step.T) / interval)
     values = np.concatenate(speeds)
     return max(float(np.sqrt(np.mean(values**2))) if len(values) else 0.0, 1e-6)

@@ -15,8 +15,7 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting import EvidenceFit, model_evidence
-from pinav.fitting.engine.evidence_fit import evidence_fit
-from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.evidence_fit import evidence_fit, iterate
 from pinav.fitting.engine.problem import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression

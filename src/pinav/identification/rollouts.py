@@ -11,7 +11,7 @@ from pinav.fitting import EvidenceFit
 from pinav.identification.estimates import drift_of, gain_of
 from pinav.identification.estimates import speed as speed_of
 from pinav.identification.forecast import Displacement, Forecast, Predictor, cycles
-from pinav.identification.tracks import Track, commands_of
+from pinav.identification.tracks import Track, commands_of, pairs_apart
 from pinav.recordings import image_positions
 from pinav.trajectories import Trajectories, Trajectory
 
@@ -303,18 +303,16 @@ class SpeedLaw(eqx.Module):
         for piece in track.pieces:
             along = cycles(fit.model, piece) @ gain_of(fit.model).T
             drift = np.outer(piece.times - piece.times[0], drift_of(fit.model))
-            later = np.searchsorted(piece.times, piece.times + track.width)
-            index = np.arange(0, len(later), max(1, len(later) // 400))
-            index = index[later[index] < len(piece.times)]
-            later = later[index]
-            step, observed = along[later] - along[index], piece.states - drift
-            moved = observed[later] - observed[index]
+            some = slice(None, None, max(1, len(piece.times) // 400))
+            first, last = (i[some] for i in pairs_apart(piece.times, track.width))
+            step, observed = along[last] - along[first], piece.states - drift
+            moved = observed[last] - observed[first]
             size = np.hypot(*step.T)
-            interval = piece.times[later] - piece.times[index]
+            interval = piece.times[last] - piece.times[first]
             rolling = size > 0
             ahead = (moved * step).sum(axis=1) / np.where(rolling, size, 1)
             speed.append(ahead[rolling] / interval[rolling])
-            frequency.append(commands_of(piece)[0][index][rolling])
+            frequency.append(commands_of(piece)[0][first][rolling])
         several = np.concatenate(frequency)
         places = np.linspace(0, max(float(several.max()), 1e-3), 60)
         return cls(several, np.concatenate(speed), places, *speed_of(fit, places))

@@ -53,7 +53,8 @@ from pinav.identification.rollouts import (
     stack,
     stacking_weight,
 )
-from pinav.identification.tracks import Track, after, before
+from pinav.identification.tracks import Track, after, before, pairs_apart
+from pinav.settings import FRACTION
 from pinav.systems import System
 
 LEAST_SQUARES = "least squares"
@@ -259,8 +260,7 @@ def split(track: Track, fraction: float) -> tuple[Track, Track]:
     Raises:
         InputError: `fraction` is not between 0 and 1, or a part is too short.
     """
-    if not 0 < fraction < 1:
-        raise InputError(f"split fraction: expected between 0 and 1, got {fraction}")
+    FRACTION.check("split fraction", fraction)
     first, last = track.span
     moment = first + fraction * (last - first)
     return before(track, moment), after(track, moment)
@@ -287,12 +287,10 @@ def velocity_r2(track: Track, displacement: Displacement) -> float:
     observed, predicted = [], []
     for piece in track.pieces:
         path = displacement(piece)
-        later = np.searchsorted(piece.times, piece.times + 2 * track.width)
-        index = np.flatnonzero(later < len(piece.times))
-        later = later[index]
-        interval = (piece.times[later] - piece.times[index])[:, None]
-        observed.append((piece.states[later] - piece.states[index]) / interval)
-        predicted.append((path[later] - path[index]) / interval)
+        first, last = pairs_apart(piece.times, 2 * track.width)
+        interval = (piece.times[last] - piece.times[first])[:, None]
+        observed.append((piece.states[last] - piece.states[first]) / interval)
+        predicted.append((path[last] - path[first]) / interval)
     return _r2(np.concatenate(observed), np.concatenate(predicted))
 
 

@@ -237,6 +237,15 @@ def commands_of(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
+def pairs_apart(
+    times: Float[np.ndarray, " time"], interval: float
+) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
+    """Each sample, and the first one that comes an interval or more after it."""
+    later = np.searchsorted(times, times + interval)
+    first = np.flatnonzero(later < len(times))
+    return first, later[first]
+
+
 def before(track: Track, time: float) -> Track:
     """The part of a track before a time; blocks keep their length."""
     return _cut(track, lambda times: times < time)

@@ -9,9 +9,7 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import Swimmer
 from pinav.evaluation import (
-    FieldMap,
     ForceLine,
-    default_regions,
     field_map,
     force_error_at_samples,
     force_errors,
@@ -29,7 +27,7 @@ from pinav.fitting import (
     is_worth_a_search,
     simpler_models,
 )
-from pinav.fitting.environments.summary import MIXTURE, KnownSwimmer
+from pinav.fitting.environments.summary import MIXTURE, PROFILE, KnownSwimmer
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined
 from pinav.forces import (
@@ -46,7 +44,6 @@ from pinav.learning.findings import (
     FoundLaw,
     FoundStructure,
     FoundTerm,
-    Profile,
     Rollouts,
 )
 from pinav.learning.learned import Learned
@@ -68,16 +65,15 @@ def found_structure(run: Learned) -> FoundStructure | None:
     if evidence is None or posterior is None or evidence.structure is None:
         return None
     model: Any = kernels.model
-    force = model.environment
+    force, search = model.environment, evidence.structure
     terms = split_structure(force)[0] if hasattr(force, "terms") else ()
-    gain, rotation = evidence.structure.gain, evidence.structure.rotation
     return FoundStructure(
         tuple(
             _found_term(term, index, posterior, kernels.data)
             for index, term in enumerate(terms)
         ),
-        gain if np.isfinite(gain) else None,
-        rotation if np.isfinite(rotation) else None,
+        search.gain if np.isfinite(search.gain) else None,
+        search.rotation if np.isfinite(search.rotation) else None,
         turns=kernels.choice.name == MIXTURE,
         sought=is_worth_a_search(model, kernels.data),
         of_teacher=run.teacher is not None,
@@ -122,7 +118,7 @@ def _found_law(
 
 def _profile(
     term: AbstractProfileTerm, posterior: Posterior, index: int, data: Trajectories
-) -> Profile:
+) -> ForceLine:
     """The profile over the coordinates that were observed, with its deviation."""
     samples = jnp.asarray(data.positions[data.observed[..., :2].all(-1)])
     coordinates = np.asarray(jax.vmap(term.coordinates)(samples))
@@ -134,7 +130,7 @@ def _profile(
         return jax.vmap(model.environment.terms[index].profile)(jnp.asarray(places))
 
     values = derive(posterior, profile)
-    return Profile(
+    return ForceLine(
         places + float(term.offset),
         np.array([one.value for one in values]),
         np.array([one.sd for one in values]),
@@ -305,13 +301,7 @@ def _force_maps(fit: Learned, plan: FitPlan) -> ForceMaps:
     learned = field_map(model.environment, plan.data)
     truth = _true_environment(plan)
     return ForceMaps(
-        FieldMap(
-            learned.x,
-            learned.y,
-            learned.force,
-            learned.distance,
-            default_regions(plan.data),
-        ),
+        learned,
         sd=None if fit.posterior is None else fit.force_sd(learned),
         true=None if truth is None else field_map(truth, plan.data).force,
     )
@@ -337,8 +327,8 @@ def _force_error(
 def _force_lines(fit: Learned, plan: FitPlan) -> dict[str, ForceLine]:
     """The force along lines through data that are not planar."""
     model: Any = fit.model
-    profile = plan.summary.profile
-    axes = range(plan.data.dim) if profile is None else profile.along
+    has_profile = plan.choice.name == PROFILE
+    axes = model.environment.along if has_profile else range(plan.data.dim)
     truth = _true_environment(plan)
     return {
         plan.data.channels[axis]: force_line(

@@ -167,10 +167,16 @@ class Evidence:
         support: float | None = None,
     ) -> "Evidence":
         """The numbers of a fit."""
+        chosen = fit.hyperparameters
         return cls(
             mean=np.asarray(fit.posterior.mean),
             covariance=np.asarray(fit.posterior.covariance),
-            hyperparameters=_plain(fit.hyperparameters),
+            hyperparameters=Hyperparameters(
+                shape=np.asarray(chosen.shape),
+                amplitude=float(chosen.amplitude),
+                noise=float(chosen.noise),
+                log_evidence=float(chosen.log_evidence),
+            ),
             constants=estimated_constants(fit, choice) | rotational_part(fit, data),
             states=data.states if fit.states is None else fit.states,
             outcome=str(fit.outcome),
@@ -188,16 +194,6 @@ class Evidence:
         if theta.shape != self.mean.shape:
             raise ValueError(f"expected {self.mean.size} parameters, got {theta.size}")
         return Posterior(free, self.mean, self.covariance, self.hyperparameters)
-
-
-def _plain(chosen: Hyperparameters) -> Hyperparameters:
-    """The same with numbers that are no arrays of a device."""
-    return Hyperparameters(
-        shape=np.asarray(chosen.shape),
-        amplitude=float(chosen.amplitude),
-        noise=float(chosen.noise),
-        log_evidence=float(chosen.log_evidence),
-    )
 
 
 def _process(

@@ -56,27 +56,19 @@ class FoundLaw:
 
 
 @dataclasses.dataclass(frozen=True)
-class Profile:
-    """The profile of a term along its coordinate."""
-
-    places: Float[np.ndarray, " place"]
-    force: Float[np.ndarray, " place"]
-    sd: Float[np.ndarray, " place"]
-
-
-@dataclasses.dataclass(frozen=True)
 class FoundTerm:
     """A term of the force.
 
     Attributes:
         geometry: its numbers, such as a centre [L] or an angle [rad].
+        profile: the force along its coordinate, where it is a function of one.
     """
 
     name: str
     formula: str
     geometry: tuple[Estimate, ...]
     law: FoundLaw | None = None
-    profile: Profile | None = None
+    profile: ForceLine | None = None
 
 
 @dataclasses.dataclass(frozen=True)

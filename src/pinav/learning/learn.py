@@ -28,7 +28,7 @@ from pinav.forces import AbstractForce, as_learned_force
 from pinav.identification import fit_commanded, needs_kalman_filter
 from pinav.identification.parameters import BLOCK_NOISE
 from pinav.learning.account import account
-from pinav.learning.evidence import Evidence, SearchResult
+from pinav.learning.evidence import SearchResult
 from pinav.learning.learned import (
     MODEL,
     Learned,
@@ -121,15 +121,9 @@ def learn(
     if not isinstance(system, System):
         system = choose_system(system, data)
     with jax.enable_x64(new_val=True):
+        network = {"seed": seed, "width": width, "depth": depth}
         plan = plan_fit(
-            system,
-            data,
-            model=model,
-            recipe=recipe,
-            train=train,
-            seed=seed,
-            width=width,
-            depth=depth,
+            system, data, model=model, recipe=recipe, train=train, **network
         )
         fit = infer(plan, checkpoint=checkpoint, on_progress=on_progress)
         return dataclasses.replace(fit, found=account(plan, fit))
@@ -161,13 +155,13 @@ def infer(
     if isinstance(plan.recipe, Langevin):
         assert plan.thermal is not None  # planned for this recipe
         result, thermal = fit_thermal(plan.thermal, model, plan.system, plan.data)
-        fit = _of_evidence(plan, header, result)
+        fit = of_evidence(header, result, plan.system, plan.data)
         return dataclasses.replace(fit, thermal=thermal)
     if not isinstance(plan.recipe, Bayes):
         return _match(plan, model, checkpoint, on_progress)
     if needs_kalman_filter(plan.system):
         result, support = _fit_commanded(plan, model.environment, on_progress)
-        return _of_evidence(plan, header, result, support=support)
+        return of_evidence(header, result, plan.system, plan.data, support=support)
     return _infer_force(plan, model, header, on_progress)
 
 
@@ -202,24 +196,14 @@ def _infer_force(
     learned = as_learned_force(result.model.environment)
     if learned is not None and learned.helmholtz is not None:
         choice = msgspec.structs.replace(plan.choice, name=MIXTURE)
-        header = msgspec.structs.replace(header, choice=choice)
-    fit = _of_evidence(plan, header, result, search)
+        header = dataclasses.replace(header, choice=choice)
+    fit = of_evidence(header, result, plan.system, plan.data, search)
     if teacher is None or search is None:
         return fit
     choice = teacher_choice(teacher, header.choice)
-    header = msgspec.structs.replace(header, choice=choice)
-    return fit.with_teacher(_of_evidence(plan, header, teacher, search))
-
-
-def _of_evidence(
-    plan: FitPlan,
-    header: ModelHeader,
-    fit: EvidenceFit,
-    search: SearchResult | None = None,
-    support: float | None = None,
-) -> Learned:
-    evidence = Evidence.of(fit, header.choice, plan.data, search, support)
-    return of_evidence(header, fit, plan.system, plan.data, evidence)
+    header = dataclasses.replace(header, choice=choice)
+    kernels = of_evidence(header, teacher, plan.system, plan.data, search)
+    return fit.with_teacher(kernels)
 
 
 def _fit_commanded(

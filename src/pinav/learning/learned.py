@@ -8,12 +8,14 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
+from pinav.codec import decode_blank, encode
+from pinav.dynamics import AbstractDynamics, with_dtype
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap, exact_forces, require_x64
 from pinav.fitting import (
@@ -24,10 +26,9 @@ from pinav.fitting import (
     is_network,
 )
 from pinav.fitting.environments.catalogue import build
-from pinav.fitting.environments.kernels import MobilitySummary
 from pinav.fitting.environments.summary import DataSummary, KnownSwimmer, ModelChoice
 from pinav.forces import as_learned_force, split_structure
-from pinav.learning.evidence import Evidence, with_units
+from pinav.learning.evidence import Evidence, SearchResult, with_units
 from pinav.learning.findings import Findings
 from pinav.learning.matching import Losses
 from pinav.learning.plan import read_system_of, write_system_of
@@ -51,7 +52,8 @@ FINDINGS = "metrics"
 """Name of the result of a finished fit."""
 
 
-class ModelHeader(msgspec.Struct, frozen=True):
+@dataclasses.dataclass(frozen=True)
+class ModelHeader:
     """The first line of a model file: how the model is built again."""
 
     choice: ModelChoice
@@ -105,7 +107,7 @@ class Learned(AbstractLearned):
         headers: list[ModelHeader] = []
 
         def build_untrained(content: Mapping[str, Any]) -> AbstractDynamics:
-            headers.append(msgspec.convert(content, ModelHeader))
+            headers.append(read_header(content))
             return build_model(headers[-1], system)
 
         models = {
@@ -160,7 +162,8 @@ class Learned(AbstractLearned):
     def write(self, folder: RunFolder) -> "Learned":
         """Write the fit into a run; the model last, which says that all is there."""
         assert self.header is not None
-        save_data(folder, self.data)
+        save(self.data, folder.path / DATA_FILE, overwrite=True)
+        folder.record(DATA_FILE)
         write_system_of(folder, self.system)
         results: dict[str, Any] = {
             POSTERIOR: self.evidence,
@@ -285,14 +288,14 @@ class Learned(AbstractLearned):
         """The learned constants; their deviation is NaN without a posterior."""
         if self.evidence is not None:
             estimates = self.evidence.constants
-            return with_units(estimates, self.choice, self.model, self.system)
-        paths = self.choice.paths() if MODEL in self.models else {}
-        values = {name: attrgetter(path)(self.model) for name, path in paths.items()}
-        estimates = {
-            name: Estimate(float(value), float("nan"))
-            for name, value in values.items()
-            if np.ndim(value) == 0
-        }
+        elif MODEL in self.models:
+            estimates = {
+                name: Estimate(float(value), float("nan"))
+                for name, path in self.choice.paths().items()
+                if np.ndim(value := attrgetter(path)(self.model)) == 0
+            }
+        else:
+            return {}
         return with_units(estimates, self.choice, self.model, self.system)
 
     @property
@@ -332,16 +335,35 @@ class Learned(AbstractLearned):
         return self.posterior.force_sd(field.points).reshape(field.force.shape)
 
 
+def read_header(content: Mapping[str, Any]) -> ModelHeader:
+    """The header of a model file; long arrays in it are zero, as the file has them.
+
+    Raises:
+        InputError: another version wrote it.
+    """
+    own = {name: part for name, part in content.items() if name != "pinav"}
+    try:
+        header = decode_blank(ModelHeader, own)
+    except InputError as error:
+        raise InputError(
+            f"this run was fitted by another version of pinav ({error}); fit the data "
+            "again"
+        ) from error
+    force = header.data.environment
+    if force is None:
+        return header
+    # Numbers of a document are plain, and what a fit learns are arrays.
+    force = eqx.tree_at(
+        lambda f: jax.tree.leaves(f.trainable), force, replace_fn=jnp.asarray
+    )
+    data = dataclasses.replace(header.data, environment=force)
+    return dataclasses.replace(header, data=data)
+
+
 def build_model(header: ModelHeader, system: System) -> AbstractDynamics:
     """An untrained model of the shape that a model file's header describes."""
     model = build(header.choice, system.swimmer, header.data)
     return with_dtype(model, jnp.dtype(header.dtype))
-
-
-def save_data(folder: RunFolder, data: Trajectories) -> None:
-    """Keep the trajectories that are fitted."""
-    save(data, folder.path / DATA_FILE, overwrite=True)
-    folder.record(DATA_FILE)
 
 
 def write_model(
@@ -351,7 +373,7 @@ def write_model(
     name: str = f"{MODEL}.eqx",
 ) -> None:
     """Write a fitted model; last, as it says that all of its fit is there."""
-    folder.write_model(name, msgspec.to_builtins(header), model)
+    folder.write_model(name, encode(header).document, model)
 
 
 def is_written(folder: RunFolder) -> bool:
@@ -367,14 +389,17 @@ def of_evidence(
     fit: EvidenceFit,
     system: System,
     data: Trajectories,
-    evidence: Evidence,
+    search: SearchResult | None = None,
+    support: float | None = None,
 ) -> Learned:
-    """A fit by the evidence; the kernels of the header's model may be coarser."""
-    summary = header.data.with_kernels_of(fit.model.environment)
-    if isinstance(fit.model, OverdampedSwimmer):
-        mobility = MobilitySummary.of(fit.model.mobility)
-        summary = msgspec.structs.replace(summary, mobility=mobility)
-    header = msgspec.structs.replace(header, data=summary)
+    """A fit by the evidence; the kernels of the header's model may be coarser.
+
+    Args:
+        search: what the search for a structure weighed; None without one.
+        support: log evidence of a field beside commands over none [nats].
+    """
+    evidence = Evidence.of(fit, header.choice, data, search, support)
+    header = dataclasses.replace(header, data=header.data.of_fit(fit.model))
     models: dict[str, AbstractDynamics] = {MODEL: fit.model}
     return Learned(None, system, data, models, header.choice, evidence, header=header)
 

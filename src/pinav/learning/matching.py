@@ -99,7 +99,8 @@ def matching(
     substeps = substeps_for(data)
     recipes = (curriculum(data, max_steps=max_steps),)
     if is_complete(data):
-        linear = _is_linear(model)
+        learned = as_learned_force(getattr(model, "environment", ZeroForce()))
+        linear = learned is not None and learned.is_linear
         rates = None if linear else rates_to_match(model, data)
         if linear or rates is not None:
             steps = DEFECT_STEPS * max_steps
@@ -124,12 +125,6 @@ FINER = 8
 
 DEFECT_STEPS = 2
 """Steps of propagated defects for each of a window."""
-
-
-def _is_linear(model: AbstractDynamics) -> bool:
-    environment = getattr(model, "environment", ZeroForce())
-    learned = as_learned_force(environment)
-    return learned is not None and learned.is_linear
 
 
 def check_starts(data: Trajectories) -> None:

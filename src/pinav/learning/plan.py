@@ -6,12 +6,11 @@ import os
 import re
 from pathlib import Path
 
-import msgspec
 import numpy as np
-from jaxtyping import Float
 
 from pinav.errors import InputError
 from pinav.fitting.environments.catalogue import mean_drag
+from pinav.fitting.environments.kernels import kernel_environment
 from pinav.fitting.environments.summary import (
     PROFILE,
     DataSummary,
@@ -19,7 +18,7 @@ from pinav.fitting.environments.summary import (
     summarise_for,
     summarise_for_matching,
 )
-from pinav.forces import LinearDrag
+from pinav.forces import KernelPotential, LinearDrag
 from pinav.identification import (
     needs_kalman_filter,
     record_commands,
@@ -182,7 +181,7 @@ def plan_fit(
         else summarise_for(choice, data)
     )
     if chosen is not None and name == PROFILE:
-        summary = msgspec.structs.replace(summary, profile=chosen.profile(data))
+        summary = dataclasses.replace(summary, environment=chosen.profile(data))
     check_memory(data, summary)
     is_open &= isinstance(recipe, Bayes)
     return FitPlan(recipe, system, data, choice, summary, is_open, chosen)
@@ -281,11 +280,6 @@ def looks_brownian(data: Trajectories) -> bool:
     with the one after; those of a smooth path correlate positively, and those of
     independent errors of observation by -2/3 and 1/6.
     """
-    one, two = _correlations(data)
-    return bool(-0.58 < one < -0.42 and abs(two) < 0.1)
-
-
-def _correlations(data: Trajectories) -> Float[np.ndarray, " lag"]:
     products = np.zeros(3)
     for piece in data:
         observed_times = piece.observed[:, 0]
@@ -298,7 +292,10 @@ def _correlations(data: Trajectories) -> Float[np.ndarray, " lag"]:
         products += [
             np.sum(second[lag:] * second[: len(second) - lag]) for lag in range(3)
         ]
-    return products[1:] / products[0] if products[0] > 0 else np.ones(2)
+    if not products[0] > 0:
+        return False
+    one, two = products[1:] / products[0]
+    return bool(-0.58 < one < -0.42 and abs(two) < 0.1)
 
 
 def check_system(
@@ -335,7 +332,11 @@ def check_system(
 
 def check_memory(data: Trajectories, summary: DataSummary) -> None:
     """Refuse data whose linearised problem does not fit into the memory."""
-    weights = len(summary.centers) * summary.dim
+    force = summary.environment
+    laid = None if force is None else force.kernels
+    if laid is None:  # a network is taught by kernels
+        laid = kernel_environment(KernelPotential, data, dim=data.dim).kernels
+    weights = len(laid.centers) * summary.dim
     needed = 8.0 * data.states.size * weights
     available = SHARE_OF_MEMORY * free_memory()
     if needed > available:

@@ -29,8 +29,7 @@ from pinav.fitting import (
     slow_reference,
     warp_at_slow_end,
 )
-from pinav.fitting.environments.kernels import ProfileSummary
-from pinav.forces import KernelAxis
+from pinav.forces import KernelAxis, KernelProfile
 from pinav.learning.recipes import Langevin
 from pinav.systems import System
 from pinav.systems.thermal_unknown import split_period
@@ -86,10 +85,10 @@ class ThermalChoice:
         """True if positions are exact and the diffusion is one number."""
         return (self.diffusion, self.observation, self.reference) == (None, None, None)
 
-    def profile(self, data: Trajectories) -> ProfileSummary:
+    def profile(self, data: Trajectories) -> KernelProfile:
         """The untrained force along the coordinates, on which alone it depends."""
         across = ACROSS.get(len(self.axes), min(ACROSS.values()))
-        return ProfileSummary.of(profile_environment(data, self.axes, across=across))
+        return profile_environment(data, self.axes, across=across)
 
 
 def _axes(

@@ -53,16 +53,20 @@ class LineBuffer:
         return LineBuffer(half[: LONGEST + 1]), [line for line in lines if line]
 
 
-class AbstractSource(abc.ABC):
-    """Bytes of a rig."""
+class AbstractSink(abc.ABC):
+    """A receiver of commands."""
+
+    @abc.abstractmethod
+    def write(self, data: bytes) -> None:
+        """Pass whole lines on; what cannot be delivered is dropped, never kept."""
+
+
+class AbstractSource(AbstractSink):
+    """Bytes of a rig, which takes the answers where it can be answered."""
 
     @abc.abstractmethod
     def read(self, wait: float) -> Reading:
         """The bytes that arrive within so many seconds."""
-
-    @abc.abstractmethod
-    def write(self, data: bytes) -> None:
-        """Answer the rig, where the source can be answered; what is lost is lost."""
 
     @abc.abstractmethod
     def hang_up(self) -> None:
@@ -128,23 +132,66 @@ class FileSource(AbstractSource):
         self._file = None
 
 
+class Connection:
+    """A connection that is tried again, at longer and longer intervals, when lost.
+
+    Attributes:
+        socket: none while it is lost.
+        due: time on the monotonic clock before which it is not tried again [s].
+    """
+
+    def __init__(self, host: str, port: int, patience: float = LONGEST_WAIT) -> None:
+        self.address, self.patience = (host, port), patience
+        self.socket: socket.socket | None = None
+        self.due, self._wait = 0.0, FIRST_WAIT
+
+    def open(self) -> None:
+        """Connect if it is lost, and due."""
+        if self.socket is not None or time.monotonic() < self.due:
+            return
+        try:
+            self.socket = socket.create_connection(self.address, self.patience)
+        except OSError:
+            self.lose()
+            return
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._wait = FIRST_WAIT
+
+    def send(self, data: bytes) -> None:
+        """Send bytes; they are dropped while it is lost, for commands age."""
+        try:
+            if self.socket is not None:
+                self.socket.sendall(data)
+        except OSError:
+            self.lose()
+
+    def lose(self) -> None:
+        """Close it, to be tried again later."""
+        self.close()
+        self.due = time.monotonic() + self._wait
+        self._wait = min(2 * self._wait, LONGEST_WAIT)
+
+    def close(self) -> None:
+        """Release the socket."""
+        if self.socket is not None:
+            self.socket.close()
+        self.socket = None
+
+
 class SocketSource(AbstractSource):
     """A rig that serves a socket; when it closes, it is tried again and again."""
 
     def __init__(self, host: str, port: int) -> None:
-        self.address = (host, port)
-        self._socket: socket.socket | None = None
-        self._wait = FIRST_WAIT
-        self._next = 0.0
+        self.connection = Connection(host, port)
 
     def read(self, wait: float) -> Reading:
-        if self._socket is None:
+        if (peer := self.connection.socket) is None:
             return self._connect(wait)
-        ready, _, _ = select.select([self._socket], [], [], wait)
+        ready, _, _ = select.select([peer], [], [], wait)
         if not ready:
             return Reading()
         try:
-            data = self._socket.recv(CHUNK)
+            data = peer.recv(CHUNK)
         except OSError:
             data = b""
         if data:
@@ -153,39 +200,22 @@ class SocketSource(AbstractSource):
         return Reading(fresh=True, text="the rig has closed the connection")
 
     def _connect(self, wait: float) -> Reading:
-        now = time.monotonic()
-        if now < self._next:
-            time.sleep(min(wait, self._next - now))
+        self.connection.open()
+        if self.connection.socket is None:
+            ahead = max(self.connection.due - time.monotonic(), 0.0)
+            time.sleep(min(wait, ahead))
             return Reading()
-        try:
-            self._socket = socket.create_connection(self.address, timeout=LONGEST_WAIT)
-        except OSError:
-            self._wait = min(2 * self._wait, LONGEST_WAIT)
-            self._next = time.monotonic() + self._wait
-            return Reading()
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket.settimeout(LONGEST_WAIT)
-        self._wait = FIRST_WAIT
-        host, port = self.address
+        host, port = self.connection.address
         return Reading(fresh=True, text=f"connected to {host}:{port}")
 
     def write(self, data: bytes) -> None:
-        if self._socket is None:
-            return
-        try:
-            self._socket.sendall(data)
-        except OSError:
-            self.hang_up()
+        self.connection.send(data)
 
     def hang_up(self) -> None:
-        self.close()
-        self._next = time.monotonic() + self._wait
-        self._wait = min(2 * self._wait, LONGEST_WAIT)
+        self.connection.lose()
 
     def close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-        self._socket = None
+        self.connection.close()
 
 
 class StreamSource(AbstractSource):
@@ -247,24 +277,6 @@ def source_of(text: str, token: str = "") -> AbstractSource:
     return FileSource(Path(text)) if address is None else SocketSource(*address)
 
 
-class AbstractSink(abc.ABC):
-    """A receiver of commands."""
-
-    @abc.abstractmethod
-    def write(self, data: bytes) -> None:
-        """Pass whole lines on; what cannot be delivered is dropped, never kept."""
-
-
-class SourceSink(AbstractSink):
-    """The connection that frames come from."""
-
-    def __init__(self, source: AbstractSource) -> None:
-        self.source = source
-
-    def write(self, data: bytes) -> None:
-        self.source.write(data)
-
-
 class FileSink(AbstractSink):
     """The end of a file; each line is there when the call returns."""
 
@@ -277,27 +289,14 @@ class FileSink(AbstractSink):
 
 
 class SocketSink(AbstractSink):
-    """Another connection; while there is none, commands are dropped, for they age."""
+    """Another connection."""
 
     def __init__(self, host: str, port: int) -> None:
-        self.address = (host, port)
-        self._socket: socket.socket | None = None
-        self._wait, self._next = FIRST_WAIT, 0.0
+        self.connection = Connection(host, port, patience=0.2)
 
     def write(self, data: bytes) -> None:
-        now = time.monotonic()
-        try:
-            if self._socket is None and now >= self._next:
-                self._socket = socket.create_connection(self.address, timeout=0.2)
-                self._wait = FIRST_WAIT
-            if self._socket is not None:
-                self._socket.sendall(data)
-        except OSError:
-            if self._socket is not None:
-                self._socket.close()
-            self._socket = None
-            self._next = now + self._wait
-            self._wait = min(2 * self._wait, LONGEST_WAIT)
+        self.connection.open()
+        self.connection.send(data)
 
 
 def sink_of(text: str | None, source: AbstractSource, token: str = "") -> AbstractSink:
@@ -307,6 +306,6 @@ def sink_of(text: str | None, source: AbstractSource, token: str = "") -> Abstra
         InputError: it is no usable address.
     """
     if text is None:
-        return SourceSink(source)
+        return source
     address = address_of(text, token)
     return FileSink(Path(text)) if address is None else SocketSink(*address)

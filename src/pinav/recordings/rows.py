@@ -10,21 +10,10 @@ from jaxtyping import Bool, Float64, Int64
 from pinav.reading import Reading
 from pinav.recordings import units
 from pinav.recordings.table import Table
+from pinav.trajectories import COMMAND_UNITS as COMMAND_UNITS
 
 FRAMES = "frame"
 """Unit of times that are only numbers of frames."""
-
-COMMAND_UNITS: Mapping[str, str] = {
-    "frequency": "Hz",
-    "heading": "rad",
-    "gamma": "rad",
-    "psi": "rad",
-    "field_x": "1",
-    "field_y": "1",
-    "field_z": "1",
-    "acoustic_frequency": "Hz",
-}
-"""The commands that recordings have, and their units."""
 
 
 @final
@@ -116,25 +105,18 @@ class Tracks:
         """The rows where the mask is true."""
         rows = np.flatnonzero(kept)
 
-        def names(words: list[str] | None) -> list[str] | None:
-            return None if words is None else [words[row] for row in rows]
+        def chosen(name: str) -> Any:
+            column = getattr(self, name)
+            if isinstance(column, list):
+                return [column[row] for row in rows]
+            return None if column is None else column[rows]
 
-        def values(array: np.ndarray | None) -> Any:
-            return None if array is None else array[rows]
-
+        columns = ("x", "y", "z", "particle", "run", "kind", "frame", "time", "segment")
         return dataclasses.replace(
             self,
-            x=self.x[rows],
-            y=self.y[rows],
-            z=values(self.z),
             place=lambda row: self.place(int(rows[row])),
-            particle=names(self.particle),
-            run=names(self.run),
-            kind=names(self.kind),
-            frame=values(self.frame),
-            time=values(self.time),
-            segment=values(self.segment),
             commands={name: c[rows] for name, c in self.commands.items()},
+            **{name: chosen(name) for name in columns},
         )
 
     def where(self, row: int, what: str) -> str:

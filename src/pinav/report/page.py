@@ -199,7 +199,8 @@ class Table(AbstractBlock):
     def html(self) -> str:
         rows = [[_cell_text(cell) for cell in row] for row in self.rows]
         numeric = [
-            all(map(_looks_numeric, column)) for column in zip(*rows, strict=True)
+            all(t in _WORDS_FOR_NUMBERS or _NUMBER.fullmatch(t) for t in column)
+            for column in zip(*rows, strict=True)
         ] or [False] * len(self.header)
         caption = f"<caption>{escape(self.caption)}</caption>" if self.caption else ""
         head = _row("th", self.header, numeric)
@@ -212,10 +213,6 @@ class Table(AbstractBlock):
 
 def _cell_text(cell: Cell, digits: int = 4) -> str:
     return cell if isinstance(cell, str) else number(cell, digits)
-
-
-def _looks_numeric(text: str) -> bool:
-    return text in _WORDS_FOR_NUMBERS or _NUMBER.fullmatch(text) is not None
 
 
 def _row(tag: str, cells: Sequence[str], numeric: Sequence[bool]) -> str:

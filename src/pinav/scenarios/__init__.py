@@ -19,7 +19,6 @@ from pinav.scenarios.media import shear as shear
 from pinav.scenarios.media import shear_current as shear_current
 from pinav.scenarios.media import varying_director as varying_director
 from pinav.scenarios.media import vortex_current as vortex_current
-from pinav.scenarios.paths import true_paths as true_paths
 from pinav.scenarios.thermal_truths import brownian as brownian
 from pinav.scenarios.thermal_truths import ring as ring
 from pinav.scenarios.thermal_truths import wall as wall

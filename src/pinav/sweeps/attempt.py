@@ -57,17 +57,6 @@ class Order(msgspec.Struct, frozen=True):
     timeout: float | None = None
 
 
-class Answer(msgspec.Struct, frozen=True):
-    """What a worker says when it is through.
-
-    Attributes:
-        refusal: why it did nothing, or could write nothing; empty where the cell is
-            done.
-    """
-
-    refusal: str = ""
-
-
 def process_name() -> str:
     """This process among those of all machines."""
     return f"{platform.node()} {os.getpid()}"
@@ -81,23 +70,22 @@ def attempt(version: str, order: str) -> str:
         order: an `Order` as JSON.
 
     Returns:
-        An `Answer` as JSON; files say the rest.
+        Why nothing was done, or could be written; empty where the cell is done, and
+        files say the rest.
     """
-    answer = Answer()
     if version != __version__:
-        answer = Answer(
+        return (
             f"the client is pinav {version}, a worker on {platform.node()} pinav "
             f"{__version__}; install the same version on both"
         )
-    else:
-        try:
-            _carry_out(msgspec.json.decode(order, type=Order))
-        except InputError as error:
-            answer = Answer(str(error))
-        except OSError as error:
-            place = f"{error.filename}: " if error.filename else ""
-            answer = Answer(f"{place}{error.strerror or error}")
-    return msgspec.json.encode(answer).decode()
+    try:
+        _carry_out(msgspec.json.decode(order, type=Order))
+    except InputError as error:
+        return str(error)
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        return f"{place}{error.strerror or error}"
+    return ""
 
 
 def _carry_out(order: Order) -> None:

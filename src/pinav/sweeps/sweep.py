@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from pinav import __version__
 from pinav.errors import InputError
-from pinav.sweeps.attempt import Answer, Order, process_name
+from pinav.sweeps.attempt import Order, process_name
 from pinav.sweeps.cluster import Cluster
 from pinav.sweeps.store import Cell, CellOutcome, CellStore, is_claimed
 
@@ -154,12 +154,11 @@ class _Sweep:
 
     def _settle(self, future: Any, cell: Cell) -> CellOutcome | None:
         """What became of a cell; none where its worker was lost."""
-        words = self.cluster.answer(future)
-        if words is None:
+        refusal = self.cluster.answer(future)
+        if refusal is None:
             return None
-        answer = msgspec.json.decode(words, type=Answer)
-        if answer.refusal:
-            raise InputError(f"{answer.refusal}; then continue with --resume")
+        if refusal:
+            raise InputError(f"{refusal}; then continue with --resume")
         return self.store.wait_for(cell)
 
 

@@ -2,15 +2,19 @@
 
 A table holds `kind`, the class's name in kebab case, and one key for each field. A
 class may also be stated by the parameters of its classmethod `of`. Whatever concrete
-class stands in a module of the packages below is known by that: no list names it.
+class stands in a module of the packages below is known by that: no list names it. A
+user's own Python file defines further ones, named `file.py:name`.
 """
 
 import dataclasses
 import difflib
 import importlib
+import importlib.util
 import inspect
 import math
 import pkgutil
+import sys
+import traceback
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
@@ -25,7 +29,6 @@ import pinav.forces
 import pinav.systems
 from pinav.codec import kebab, members
 from pinav.errors import InputError
-from pinav.systems.python import load_name, python_reference
 
 TOML = dict[str, Any]
 
@@ -158,9 +161,12 @@ def _decode_array(key: str, axes: list[str], value: Any, context: Context) -> An
         raise InputError(f"{key}: expected finite numbers, got {_show(value)}")
     named = {"dim": context.dim}
     sizes = [int(a) if a.isdigit() else named.get(a) for a in axes]
-    fits = len(sizes) == numbers.ndim and all(
-        size in (None, actual)
-        for size, actual in zip(sizes, numbers.shape, strict=True)
+    fits = axes == ["..."] or (
+        len(sizes) == numbers.ndim
+        and all(
+            size in (None, actual)
+            for size, actual in zip(sizes, numbers.shape, strict=True)
+        )
     )
     if not fits:
         shape = " by ".join(
@@ -269,3 +275,70 @@ def _guess(name: Any, known: Any) -> str:
 def _show(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+ORIGIN = "pinav_own_"
+"""Begins the names of the modules that are loaded here."""
+
+
+def load_name(key: str, reference: str, folder: Path | None) -> Any:
+    """The value `file.py:name`, for which the file is run; `key` is for messages.
+
+    Args:
+        folder: base of relative file names; None refuses to run the file.
+    """
+    if folder is None:
+        raise InputError(
+            f"{key}: {reference!r} names Python code, which is not run from a data "
+            "file; give the system by --system"
+        )
+    place, _, name = reference.rpartition(":")
+    module = _load((folder / Path(place).expanduser()).resolve())
+    if not hasattr(module, name):
+        names = [n for n in vars(module) if not n.startswith("_")]
+        raise InputError(
+            f"{place}: defines no {name!r}; choose one of {', '.join(names) or 'none'}"
+        )
+    return getattr(module, name)
+
+
+def python_reference(key: str, cls: type) -> str:
+    """Reference by which a file names a class of a user's own."""
+    module = sys.modules.get(cls.__module__)
+    if module is None or not cls.__module__.startswith(ORIGIN):
+        raise InputError(
+            f"{key}: {cls.__name__} of the module {cls.__module__} cannot be named "
+            "in a file; put the class into a file and name the system file.py:name"
+        )
+    return f"{module.__file__}:{cls.__qualname__}"
+
+
+def _load(path: Path) -> types.ModuleType:
+    name = ORIGIN + path.as_posix().replace(".", "_")
+    if name in sys.modules:
+        return sys.modules[name]
+    if not path.is_file():
+        raise InputError(
+            f"{path}: there is no such file; name a Python file as it lies"
+        )
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        del sys.modules[name]
+        raise InputError(f"{path}: {_failure(path, error)}") from error
+    return module
+
+
+def _failure(path: Path, error: BaseException) -> str:
+    """The error of a user's code in one line, with the line of the file."""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == str(path)]
+    if isinstance(error, SyntaxError):
+        lines = [error.lineno]
+    where = f"line {lines[-1]}: " if lines else ""
+    return f"{where}{type(error).__name__}: {' '.join(str(error).split())}; correct it"

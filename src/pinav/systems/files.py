@@ -23,11 +23,11 @@ from pinav.systems.codec import (
     decode,
     decode_module,
     encode,
+    load_name,
     number,
 )
 from pinav.systems.known_physics import force_of, section_of, swimmer_of
 from pinav.systems.priors import AbstractNumberPrior, FreeNumber
-from pinav.systems.python import load_name
 from pinav.systems.starts import AbstractStarts
 from pinav.systems.system import (
     MODELS,

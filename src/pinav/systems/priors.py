@@ -2,13 +2,12 @@
 
 import abc
 import math
-import re
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from pinav.arguments import Scalar, check_positive
+from pinav.arguments import STEPS, Scalar, check_positive
 from pinav.errors import InputError
 
 
@@ -109,7 +108,3 @@ class FreeNumber(eqx.Module):
                 f"learn: {self.path!r} is not in the swimmer: {error}"
             ) from error
         return part
-
-
-STEPS = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
-"""Steps of a path: a place in a tuple, in brackets, or the name of a field."""

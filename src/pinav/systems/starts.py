@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.errors import InputError
 from pinav.forces import Domain
+from pinav.settings import Range
 
 
 class AbstractStarts(eqx.Module):
@@ -36,8 +37,7 @@ class AbstractStarts(eqx.Module):
         Raises:
             InputError: `count` is not positive.
         """
-        if count is not None and count < 1:
-            raise InputError(f"starts count: expected 1 or more, got {count}")
+        Range(least=1).check("starts count", count)
         key = jax.random.key(self.seed) if key is None else key
         return _states(self, key, self.count if count is None else count, order)
 

@@ -14,14 +14,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
-from pinav.thermal.boundaries import AbstractEnds
+from pinav.thermal.boundaries import AbstractEnds, Passage
 from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.perfusion import AbstractPerfusion
-from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Field
 from pinav.thermal.sources import AbstractSource
 from pinav.thermal.tissues import Blood, Tissue
@@ -68,12 +67,9 @@ class Bioheat(eqx.Module):
                     f"{self.grid.shape} of the grid, got shape {shape}"
                 )
 
-    def levels(
-        self, protocol: AbstractProtocol, t: Float[Array, ""], interval: Int[Array, ""]
-    ) -> Float[Array, " source"]:
-        """Level of each source at a time [s] in an interval of the protocol."""
-        amplitude = protocol.amplitude(t, interval)
-        levels = [s.level(amplitude, protocol.frequency) for s in self.sources]
+    def levels(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, " source"]:
+        """Level of each source in a field of a peak [A m⁻¹] and a frequency [Hz]."""
+        levels = [source.level(amplitude, frequency) for source in self.sources]
         return jnp.stack(levels) if levels else jnp.zeros(0)
 
 
@@ -95,14 +91,16 @@ class HeatBalance(eqx.Module):
     Attributes:
         inverse_capacity: one over the heat capacity of each cell [K J⁻¹].
         conductances: across all faces of each axis [W K⁻¹], the sides included.
+        outside: temperatures behind both ends of each axis [°C]; none where they meet.
+        inflow: what metabolism, and sides whatever the temperature, bring in [W].
         shapes: of the sources, times the volume.
     """
 
     inverse_capacity: Field
     conductances: tuple[Field, ...]
-    sides: tuple[AbstractEnds, ...]
+    outside: tuple[tuple[Scalar, Scalar] | None, ...]
     volumes: Field
-    metabolic: Field
+    inflow: Field
     shapes: tuple[Field, ...]
     perfusion: AbstractPerfusion
     blood: Blood
@@ -114,16 +112,21 @@ class HeatBalance(eqx.Module):
         def full(value: Any) -> Field:
             return jnp.broadcast_to(jnp.asarray(value, float), grid.shape)
 
-        k = full(tissue.conductivity)
-        axes = range(len(grid.shape))
+        k, inflow = full(tissue.conductivity), full(tissue.metabolic) * volumes
+        conductances, outside = [], []
+        for axis, sides in enumerate(model.sides):
+            conductance, (low, high) = _faces(grid, k, axis, sides)
+            conductances.append(conductance)
+            outside.append(None if sides.joined else (low.outside, high.outside))
+            cells = [slice(None)] * axis
+            inflow = inflow.at[*cells, :1].add(low.inflow)
+            inflow = inflow.at[*cells, -1:].add(high.inflow)
         return cls(
             inverse_capacity=1 / (full(tissue.capacity) * volumes),
-            conductances=tuple(
-                _conductances(grid, k, axis, model.sides[axis]) for axis in axes
-            ),
-            sides=model.sides,
+            conductances=tuple(conductances),
+            outside=tuple(outside),
             volumes=volumes,
-            metabolic=full(tissue.metabolic) * volumes,
+            inflow=inflow,
             shapes=tuple(
                 full(source.shape(grid)) * volumes for source in model.sources
             ),
@@ -137,8 +140,8 @@ class HeatBalance(eqx.Module):
         return self.blood.specific_heat * mass * (temperature - self.blood.arterial)
 
     def heating(self, levels: Float[Array, " source"]) -> Field:
-        """What metabolism and the sources bring into each cell [W]."""
-        heat = self.metabolic
+        """What metabolism, sides of given flow and sources bring into each cell [W]."""
+        heat = self.inflow
         for index, shape in enumerate(self.shapes):
             heat = heat + levels[index] * shape
         return heat
@@ -154,7 +157,7 @@ class HeatBalance(eqx.Module):
             )
             first = _part(temperature, axis, 0, 1)
             last = _part(temperature, axis, count - 1, count)
-            low, high = self.sides[axis].outside(first, last)
+            low, high = self.outside[axis] or (last, first)
             below = _part(conductance, axis, 0, 1) * (first - low)
             above = _part(conductance, axis, count, count + 1) * (last - high)
             # zeros around each part: joined before, they would be several times slower
@@ -183,6 +186,50 @@ class HeatBalance(eqx.Module):
         """
         return jax.jvp(self.sink, (temperature,), (jnp.ones_like(temperature),))[1]
 
+    def solve(
+        self,
+        diagonal: Field,
+        right: Field,
+        *,
+        conduct: Scalar = 1.0,
+        tolerance: float = 0.0,
+    ) -> Field:
+        """Solve a diagonal plus conduction [W K⁻¹] times a factor, which is symmetric.
+
+        Exactly along one axis; by conjugate gradients in planes and boxes, up to a
+        relative tolerance.
+        """
+        # linear in the temperature: sides at zero leave the matrix alone
+        at_zero, _ = self.conduction(jnp.zeros_like(right))
+
+        def times(change: Field) -> Field:
+            gain, _ = self.conduction(change)
+            return diagonal * change - conduct * (gain - at_zero)
+
+        total = diagonal
+        for axis, conductance in enumerate(self.conductances):
+            count = right.shape[axis]
+            # periodic ends are counted in the diagonal as any others
+            faces = (_part(conductance, axis, i, count + i) for i in (0, 1))
+            total = total + conduct * sum(faces)
+        if right.ndim == 1:
+            inner, zero = -conduct * self.conductances[0][1:-1], jnp.zeros(1)
+            lower, upper = jnp.append(zero, inner), jnp.append(inner, zero)
+
+            def exactly(_: Any, b: Field) -> Field:
+                bands = lower, total, upper
+                return jax.lax.linalg.tridiagonal_solve(*bands, b[:, None])[:, 0]
+
+            return jax.lax.custom_linear_solve(times, right, exactly, symmetric=True)
+        change, _ = jax.scipy.sparse.linalg.cg(
+            times,
+            right,
+            tol=tolerance,
+            maxiter=20 * max(right.shape),
+            M=lambda b: b / total,
+        )
+        return change
+
     @property
     def fastest(self) -> Float[Array, ""]:
         r"""Bound on the rates of decay [s⁻¹], by Gershgorin's circles.
@@ -193,7 +240,7 @@ class HeatBalance(eqx.Module):
         total = jnp.zeros_like(self.inverse_capacity)
         for axis, conductance in enumerate(self.conductances):
             count = total.shape[axis]
-            ends = 2.0 if self.sides[axis].joined else 1.0
+            ends = 2.0 if self.outside[axis] is None else 1.0
             first = ends * _part(conductance, axis, 0, 1)
             last = ends * _part(conductance, axis, count, count + 1)
             inner = 2 * _part(conductance, axis, 1, count)
@@ -218,20 +265,21 @@ def fastest_rate(model: Bioheat) -> Float[Array, ""]:
     return HeatBalance.of(model).fastest
 
 
-def _conductances(
+def _faces(
     grid: AbstractGrid, k: Field, axis: int, sides: AbstractEnds
-) -> Field:
-    """Across all faces of one axis, the sides included."""
+) -> tuple[Field, tuple[Passage, Passage]]:
+    """Conductances across all faces of one axis, and what passes its ends."""
     area, resistance = grid.faces(axis), grid.half_widths(axis) / k
     count = k.shape[axis]
     # half cells in series: the harmonic mean, exact where the conductivity jumps
     series = _part(resistance, axis, 0, count - 1) + _part(resistance, axis, 1, count)
-    low, high = sides.conductances(
+    ends = sides.passages(
         (_part(area, axis, 0, 1), _part(area, axis, count, count + 1)),
         (_part(resistance, axis, 0, 1), _part(resistance, axis, count - 1, count)),
     )
+    low, high = (end.conductance for end in ends)
     inner = _part(area, axis, 1, count) / series
-    return jnp.concatenate([low, inner, high], axis=axis)
+    return jnp.concatenate([low, inner, high], axis=axis), ends
 
 
 def _part(array: Array, axis: int, start: int, stop: int) -> Array:

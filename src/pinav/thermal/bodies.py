@@ -4,7 +4,7 @@ Everything that a file may have wrong is refused here, before a folder is made: 
 shape, its place, its unit, labels without a tissue, and numbers that no tissue has.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from pinav.errors import InputError
+from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.case import Case, FromFile
 from pinav.thermal.case_geometry import Box, Meshed, Voxels
 from pinav.thermal.case_matter import (
@@ -28,7 +29,6 @@ from pinav.thermal.images import NEGLIGIBLE, Image, check_place, read_image
 from pinav.thermal.perfusion import (
     AbstractPerfusion,
     ConstantPerfusion,
-    MixedPerfusion,
     RegionalPerfusion,
     mass_perfusion,
     perfusion_factor,
@@ -59,31 +59,31 @@ KINDS = {
 
 
 class Body(eqx.Module):
-    """Everything that a case is made of, but for what heats it.
+    """The tissues of a case, and where its target is.
 
     Attributes:
-        fractions: volume fraction of each tissue in each cell.
-        laws: for each tissue, what picks its perfusion from a model.
+        fractions: volume fraction of each tissue in each cell, in the order of the laws
+            of perfusion.
         target: volume fraction of the target in each cell.
         middle: middle of the target [m]; none on grids whose target is in the middle.
         radius: radius of a target that is a ball [m].
         image: labels, where the cells are voxels.
     """
 
-    grid: AbstractGrid
-    tissue: Tissue
-    blood: Blood
-    perfusion: AbstractPerfusion
     fractions: dict[str, Field]
-    laws: dict[str, Callable[[Any], Any]] = eqx.field(static=True)
     target: Field
     middle: tuple[float, ...] | None = None
     radius: float | None = None
     image: Image | None = None
 
+    def law(self, name: str) -> Callable[[Any], Any]:
+        """What picks the perfusion of a tissue from a model."""
+        index = list(self.fractions).index(name)
+        return lambda model: model.perfusion.laws[index]
 
-def build_body(case: Case, folder: Path) -> Body:
-    """The grid, tissues and target of a case.
+
+def build_body(case: Case, folder: Path) -> tuple[Bioheat, Body]:
+    """The tissues and target of a case, and the model of them without sources.
 
     Raises:
         InputError: a name or a unit is unknown, a perfusion implausible, or a file
@@ -94,31 +94,19 @@ def build_body(case: Case, folder: Path) -> Body:
     return _ball_body(case, case.grid)
 
 
-def _ball_body(case: Case, grid: Meshed) -> Body:
+def _ball_body(case: Case, grid: Meshed) -> tuple[Bioheat, Body]:
     cells, blood, (medium, tumour) = grid.build(), case.blood, case.ball
     target = cells.ball(tumour.radius, center=tumour.center)
-    inside, outside = tumour.tissue.properties(), medium.properties()
-    return Body(
-        grid=cells,
-        tissue=mix(target, inside, outside),
-        blood=blood,
-        perfusion=MixedPerfusion.on_mask(
-            target,
-            tumour.tissue.perfusion.law(blood, inside),
-            medium.perfusion.law(blood, outside),
-        ),
-        fractions={"tumour": target, "tissue": 1 - target},
-        laws={
-            "tumour": lambda m: m.perfusion.inside,
-            "tissue": lambda m: m.perfusion.outside,
-        },
-        target=target,
-        middle=tumour.center,
-        radius=tumour.radius,
-    )
+    fractions = {"tumour": target, "tissue": 1 - target}
+    media = tumour.tissue, medium
+    shares, tissues = tuple(fractions.values()), [one.properties() for one in media]
+    laws = [one.perfusion.law(blood, t) for one, t in zip(media, tissues, strict=True)]
+    perfusion = RegionalPerfusion.on_masks(shares, tuple(laws))
+    model = _join(case, cells, tissues, perfusion)
+    return model, Body(fractions, target, tumour.center, tumour.radius)
 
 
-def _voxel_body(case: Case, grid: Voxels, folder: Path) -> Body:
+def _voxel_body(case: Case, grid: Voxels, folder: Path) -> tuple[Bioheat, Body]:
     image = read_image(folder / grid.labels)
     box = _box(grid, image)
     if image.spacing is None:
@@ -128,38 +116,37 @@ def _voxel_body(case: Case, grid: Voxels, folder: Path) -> Body:
         case.check_extent(cells)
     except ValueError as error:
         raise InputError(f"{image.path}: {error}") from error
-    masks = _masks(case, image)
-    blood, files = case.blood, _Files(folder, image)
-    media = {
-        name: _properties(medium, masks[name], files)
-        for name, medium in case.tissues.items()
-    }
-    laws = {
-        name: _law(medium, blood, media[name], masks[name], files)
-        for name, medium in case.tissues.items()
-    }
+    masks, files = _masks(case, image), _Files(folder, image)
+    media = [(medium, masks[name]) for name, medium in case.tissues.items()]
+    tissues = [_properties(medium, mask, files) for medium, mask in media]
+    laws = [
+        _law(medium, case.blood, tissue, mask, files)
+        for (medium, mask), tissue in zip(media, tissues, strict=True)
+    ]
     target = _target(case, masks, files)
-    return Body(
-        grid=cells,
-        tissue=_join(media, masks),
-        blood=blood,
-        perfusion=RegionalPerfusion(
-            tuple(jnp.asarray(masks[name], float) for name in laws),
-            tuple(laws.values()),
-        ),
-        fractions={name: jnp.asarray(mask, float) for name, mask in masks.items()},
-        laws={name: _pick(index) for index, name in enumerate(laws)},
-        target=jnp.asarray(target),
-        middle=_centroid(target, box.sizes),
-        image=image,
-    )
+    fractions = {name: jnp.asarray(masks[name], float) for name in case.tissues}
+    perfusion = RegionalPerfusion(tuple(fractions.values()), tuple(laws))
+    model = _join(case, cells, tissues, perfusion)
+    middle = _centroid(target, box.sizes)
+    return model, Body(fractions, jnp.asarray(target), middle, image=image)
+
+
+def _join(
+    case: Case,
+    grid: AbstractGrid,
+    tissues: Sequence[Tissue],
+    perfusion: RegionalPerfusion,
+) -> Bioheat:
+    tissue = mix(perfusion.fractions, tissues)
+    sides = case.boundaries(len(grid.shape))
+    return Bioheat(grid, tissue, case.blood, perfusion, (), sides)
 
 
 def read_heating(heating: Heating, path: Path, body: Body) -> np.ndarray:
     """SAR [W/kg] or concentration [kg/m³] of each voxel."""
     assert body.image is not None
     kind = "absorption" if isinstance(heating, Absorption) else "concentration"
-    everywhere = np.ones(body.grid.shape, bool)
+    everywhere = np.ones(body.target.shape, bool)
     values = _Files(path.parent, body.image).read(path.name, kind, everywhere)
     if not values.max() > 0:
         raise InputError(
@@ -294,19 +281,6 @@ def _law(
     return ConstantPerfusion(jnp.asarray(values * factor))
 
 
-def _join(
-    media: dict[str, Tissue], masks: dict[str, Bool[np.ndarray, "..."]]
-) -> Tissue:
-    joined = {}
-    for name in PROPERTIES:
-        parts = [
-            np.where(masks[key], np.asarray(getattr(medium, name)), 0.0)
-            for key, medium in media.items()
-        ]
-        joined[name] = jnp.asarray(np.sum(parts, axis=0))
-    return Tissue(**joined)
-
-
 def _target(
     case: Case, masks: dict[str, Bool[np.ndarray, "..."]], files: _Files
 ) -> np.ndarray:
@@ -334,7 +308,3 @@ def _centroid(target: np.ndarray, sizes: tuple[float, ...]) -> tuple[float, ...]
     places = np.indices(target.shape) + 0.5
     means = [float((target * axis).sum() / target.sum()) for axis in places]
     return tuple(mean * size for mean, size in zip(means, sizes, strict=True))
-
-
-def _pick(index: int) -> Callable[[Any], AbstractPerfusion]:
-    return lambda model: model.perfusion.laws[index]

@@ -1,11 +1,12 @@
-r"""What happens at the sides of a grid: a conductance to an outside temperature.
+r"""What happens at the sides of a grid: heat flows by a conductance, or is given.
 
 No ghost cells: with $\Delta$ from the centre of the last cell to the wall,
 $G = A/(\Delta/k)$ to a wall of given temperature, $A/(1/h + \Delta/k)$ to a fluid, and
-0 where nothing passes.
+0 where nothing passes. A new boundary is a class here, and its name in `BOUNDARIES`.
 """
 
 import abc
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,22 +17,31 @@ from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.quantities import Celsius, Exchange, Field
 
 
+class Passage(NamedTuple):
+    r"""Heat through the faces of a side into the cells, $q - G (T - T_\infty)$.
+
+    Attributes:
+        conductance: $G$ of each face [W K⁻¹].
+        outside: $T_\infty$ behind it [°C].
+        inflow: $q$ through each face, whatever the temperature [W].
+    """
+
+    conductance: Field
+    outside: Scalar = 0.0
+    inflow: Field | Scalar = 0.0
+
+
 class AbstractBoundary(eqx.Module):
     """One side of a grid."""
 
     @abc.abstractmethod
-    def conductance(self, area: Field, resistance: Field) -> Field:
-        """Heat flow per degree [W K⁻¹].
+    def passage(self, area: Field, resistance: Field) -> Passage:
+        """Heat that passes.
 
         Args:
             area: of the faces [m²].
             resistance: of the half cells before them, `half width / k` [m² K W⁻¹].
         """
-
-    @property
-    @abc.abstractmethod
-    def outside(self) -> Scalar:
-        """Temperature behind the conductance [°C]."""
 
 
 class Dirichlet(AbstractBoundary):
@@ -39,23 +49,15 @@ class Dirichlet(AbstractBoundary):
 
     temperature: Scalar = eqx.field(metadata={"range": Celsius})
 
-    def conductance(self, area: Field, resistance: Field) -> Field:
-        return area / resistance
-
-    @property
-    def outside(self) -> Scalar:
-        return self.temperature
+    def passage(self, area: Field, resistance: Field) -> Passage:
+        return Passage(area / resistance, self.temperature)
 
 
 class Insulated(AbstractBoundary):
     """No heat passes: insulation, or a plane of symmetry."""
 
-    def conductance(self, area: Field, resistance: Field) -> Field:
-        return jnp.zeros_like(area)
-
-    @property
-    def outside(self) -> Scalar:
-        return 0.0
+    def passage(self, area: Field, resistance: Field) -> Passage:
+        return Passage(jnp.zeros_like(area))
 
 
 class Robin(AbstractBoundary):
@@ -79,13 +81,14 @@ class Robin(AbstractBoundary):
                 "Insulated() where no heat passes"
             )
 
-    def conductance(self, area: Field, resistance: Field) -> Field:
+    def passage(self, area: Field, resistance: Field) -> Passage:
         # Film and half cell in series; the form stays finite for an infinite exchange.
-        return area / (1 / jnp.asarray(self.exchange) + resistance)
+        film = 1 / jnp.asarray(self.exchange)
+        return Passage(area / (film + resistance), self.ambient)
 
-    @property
-    def outside(self) -> Scalar:
-        return self.ambient
+
+BOUNDARIES = (Dirichlet, Robin, Insulated)
+"""Those that a case may state, by the names of their fields."""
 
 
 class AbstractEnds(eqx.Module):
@@ -97,19 +100,15 @@ class AbstractEnds(eqx.Module):
         """Whether heat that leaves by one end enters by the other."""
 
     @abc.abstractmethod
-    def conductances(
+    def passages(
         self, areas: tuple[Field, Field], resistances: tuple[Field, Field]
-    ) -> tuple[Field, Field]:
-        """Heat flow per degree through the lower and the upper end [W K⁻¹].
+    ) -> tuple[Passage, Passage]:
+        """Heat through the lower and the upper end.
 
         Args:
             areas: of the faces at both ends [m²].
             resistances: of the half cells before them [m² K W⁻¹].
         """
-
-    @abc.abstractmethod
-    def outside(self, first: Field, last: Field) -> tuple[Field, Field]:
-        """Temperatures [°C] behind both ends, from those of the outermost cells."""
 
 
 class Sides(AbstractEnds):
@@ -126,14 +125,11 @@ class Sides(AbstractEnds):
     def joined(self) -> bool:
         return False
 
-    def conductances(
+    def passages(
         self, areas: tuple[Field, Field], resistances: tuple[Field, Field]
-    ) -> tuple[Field, Field]:
+    ) -> tuple[Passage, Passage]:
         low, high = zip(areas, resistances, strict=True)
-        return self.low.conductance(*low), self.high.conductance(*high)
-
-    def outside(self, first: Field, last: Field) -> tuple[Field, Field]:
-        return jnp.asarray(self.low.outside), jnp.asarray(self.high.outside)
+        return self.low.passage(*low), self.high.passage(*high)
 
 
 class Periodic(AbstractEnds):
@@ -143,14 +139,11 @@ class Periodic(AbstractEnds):
     def joined(self) -> bool:
         return True
 
-    def conductances(
+    def passages(
         self, areas: tuple[Field, Field], resistances: tuple[Field, Field]
-    ) -> tuple[Field, Field]:
-        through = areas[0] / (resistances[0] + resistances[1])
+    ) -> tuple[Passage, Passage]:
+        through = Passage(areas[0] / (resistances[0] + resistances[1]))
         return through, through
-
-    def outside(self, first: Field, last: Field) -> tuple[Field, Field]:
-        return last, first
 
 
 def around(grid: AbstractGrid, boundary: AbstractBoundary) -> tuple[AbstractEnds, ...]:

@@ -6,10 +6,11 @@ import tomllib
 from pathlib import Path
 from typing import Any, Literal
 
+import jax.numpy as jnp
 import msgspec
 
 from pinav.errors import InputError
-from pinav.thermal.boundaries import AbstractBoundary, AbstractEnds, Insulated, outer
+from pinav.thermal.boundaries import AbstractBoundary, AbstractEnds, outer
 from pinav.thermal.case_geometry import (
     Ends,
     Grid,
@@ -44,7 +45,7 @@ from pinav.thermal.quantities import (
     explain,
     read_module,
 )
-from pinav.thermal.sources import AbstractSource, DistantEddySource, EddySource
+from pinav.thermal.sources import EddySource
 from pinav.thermal.tissues import Blood
 
 ARRAYS = 40
@@ -121,11 +122,10 @@ class Case(Strict, frozen=True):
         return read_boundary("wall", self.wall_table)
 
     @property
-    def eddy(self) -> AbstractSource | None:
+    def eddy(self) -> EddySource | None:
         """Eddy currents, of one radius or about an axis."""
-        kinds = EddySource, DistantEddySource
         table = self.eddy_table
-        return None if table is None else read_module("eddy", kinds, table)
+        return None if table is None else read_module("eddy", (EddySource,), table)
 
     @property
     def damage(self) -> Arrhenius | None:
@@ -171,8 +171,10 @@ class Case(Strict, frozen=True):
         stated = [one for one in self.sides.along if isinstance(one, Ends)]
         tables = [side for one in stated for side in (one.low, one.high)]
         sides = [read_boundary("sides", one) for one in tables if one is not None]
-        walls = [one for one in (self.wall, *sides) if not isinstance(one, Insulated)]
-        return [float(t) for t in (self.blood.arterial, *(w.outside for w in walls))]
+        one = jnp.ones(())
+        walls = [side.passage(one, one) for side in (self.wall, *sides)]
+        outside = [float(wall.outside) for wall in walls if wall.conductance > 0]
+        return [float(self.blood.arterial), *outside]
 
     def _check_ball(self, grid: AbstractGrid) -> None:
         if self.tissue is None or self.tumour is None:

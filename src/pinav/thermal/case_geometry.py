@@ -6,12 +6,10 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from pinav.thermal.boundaries import (
+    BOUNDARIES,
     AbstractBoundary,
     AbstractEnds,
-    Dirichlet,
-    Insulated,
     Periodic,
-    Robin,
     Sides,
 )
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
@@ -132,7 +130,7 @@ class SideTables(Strict, frozen=True):
 
 def read_boundary(key: str, side: Side) -> AbstractBoundary:
     """The boundary that a table states."""
-    return read_module(key, (Dirichlet, Robin, Insulated), side)
+    return read_module(key, BOUNDARIES, side)
 
 
 def _ends(key: str, ends: Across, wall: AbstractBoundary) -> AbstractEnds:

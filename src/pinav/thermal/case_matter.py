@@ -40,6 +40,7 @@ from pinav.thermal.sources import (
     LinearResponse,
     LogNormalSizes,
     TabulatedHeating,
+    check_increasing,
 )
 from pinav.thermal.tissues import Blood, Tissue, preset
 
@@ -226,13 +227,7 @@ class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
     scale: Scale = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("amplitudes", "frequencies"):
-            values = getattr(self, name)
-            if not values or sorted(set(values)) != list(values):
-                raise ValueError(
-                    f"{name}: expected increasing numbers, got {list(values)}; sort "
-                    "the table"
-                )
+        check_increasing(self, "amplitudes", "frequencies")
         shape = [len(self.frequencies)] * len(self.amplitudes)
         if [len(row) for row in self.slp] != shape:
             raise ValueError(

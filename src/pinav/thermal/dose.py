@@ -11,7 +11,6 @@ References:
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -27,12 +26,6 @@ GAS_CONSTANT = 8.314462618
 
 ZERO_CELSIUS = 273.15
 """In kelvin."""
-
-
-def cem43_rate(temperature: Field) -> Field:
-    """Equivalent minutes at 43 °C per minute, without a cut-off."""
-    steepness = jnp.where(temperature >= BREAK, 1.0, 2.0)
-    return jnp.exp2((temperature - BREAK) * steepness)
 
 
 def cem43_segment(
@@ -52,17 +45,16 @@ def cem43_segment(
     return _mean_rate(begin, end, jnp.asarray(cutoff)) * (duration / 60.0)
 
 
-@jax.custom_jvp
 def _mean_rate(begin: Any, end: Any, cutoff: Any) -> Field:
     first = _doubling(begin, cutoff)
     last = _doubling(end, cutoff)
     # of two powers of two alone: exponentials are what a dose costs
-    low, high = jnp.minimum(first, 1.0), jnp.minimum(last, 1.0)
+    low, high = _within(first, 0.0, 1.0), _within(last, 0.0, 1.0)
     rise = (
         2 * np.log(2.0) * (_within(end, cutoff, BREAK) - _within(begin, cutoff, BREAK))
     )
     below = _mean(low**2, high**2, low * high, rise)
-    low, high = jnp.maximum(first, 1.0), jnp.maximum(last, 1.0)
+    low, high = _within(first, 1.0, np.inf), _within(last, 1.0, np.inf)
     rise = np.log(2.0) * (_within(end, BREAK, np.inf) - _within(begin, BREAK, np.inf))
     above = _mean(low, high, jnp.sqrt(low * high), rise)
     below = _share(begin, end, cutoff, BREAK) * below
@@ -70,61 +62,13 @@ def _mean_rate(begin: Any, end: Any, cutoff: Any) -> Field:
     return below + above
 
 
-@_mean_rate.defjvp
-def _mean_rate_jvp(
-    primals: tuple[Any, ...], tangents: tuple[Any, ...]
-) -> tuple[Field, Field]:
-    r"""$\partial m/\partial T_1 = (R(T_1) - m)/(T_1 - T_0)$, and so for $T_0$.
-
-    Where that cancels, the series of the derivative of a single exponential. The
-    cut-off is no quantity to differentiate by, but is: it takes the rate there away.
-    """
-    begin, end, cutoff = primals
-    mean = _mean_rate(begin, end, cutoff)
-    change = end - begin
-    first, last = (_counted_rate(t, cutoff) for t in (begin, end))
-    crossed = _crosses(begin, end, cutoff)
-    small = (jnp.abs(change) < SMALL_CHANGE) & ~(crossed | _crosses(begin, end, BREAK))
-    # What is not chosen below must be finite, too: a gradient multiplies it by zero,
-    # and NaN would remain.
-    divisor = jnp.where(small | (change == 0), 1.0, change)
-    by_end = jnp.where(small, _series(end, last, change), (last - mean) / divisor)
-    by_begin = jnp.where(
-        small, _series(begin, first, -change), (mean - first) / divisor
-    )
-    lost = jnp.where(crossed, cem43_rate(cutoff) / jnp.abs(divisor), 0.0)
-    return mean, by_begin * tangents[0] + by_end * tangents[1] - lost * tangents[2]
-
-
-SMALL_CHANGE = 0.02
-"""Change of temperature [K] up to which derivatives are a series."""
-
-
-def _series(temperature: Any, rate: Any, change: Any) -> Field:
-    r"""$\sum_k (-\Delta)^k R^{(k+1)}(T) / (k + 2)!$, to the fourth power."""
-    steepness = np.log(2.0) * jnp.where(temperature >= BREAK, 1.0, 2.0)
-    z = steepness * change
-    terms = 1 - z / 3 * (1 - z / 4 * (1 - z / 5 * (1 - z / 6)))
-    return rate * steepness / 2 * terms
-
-
-def _counted_rate(temperature: Any, cutoff: Any) -> Field:
-    """Rate where it counts, by the power of two that the mean takes too."""
-    double = _doubling(temperature, cutoff)
-    rate = jnp.where(temperature >= BREAK, double, double**2)
-    return jnp.where(temperature >= cutoff, rate, 0.0)
-
-
-def _crosses(begin: Any, end: Any, bound: Any) -> Any:
-    return (begin < bound) != (end < bound)
-
-
-def _within(temperature: Any, low: Any, high: Any) -> Field:
-    return jnp.clip(temperature, low, high)
+def _within(value: Any, low: Any, high: Any) -> Field:
+    """The nearest value in a range; a bound itself moves as what is above it."""
+    return jnp.where(value >= high, high, jnp.where(value >= low, value, low))
 
 
 def _doubling(temperature: Any, cutoff: Any) -> Field:
-    return jnp.exp2(jnp.maximum(temperature, cutoff) - BREAK)
+    return jnp.exp2(_within(temperature, cutoff, np.inf) - BREAK)
 
 
 SMALL_GROWTH = 0.35
@@ -160,7 +104,7 @@ def _share(begin: Any, end: Any, low: Any, high: Any) -> Field:
     spans = ((begin < low) & (end >= high)) | ((end < low) & (begin >= high))
     partly = crosses | spans
     change = jnp.where(partly, end - begin, 1.0)
-    part = (jnp.clip(end, low, high) - jnp.clip(begin, low, high)) / change
+    part = (_within(end, low, high) - _within(begin, low, high)) / change
     return jnp.where(partly, part, jnp.where(within(begin), 1.0, 0.0))
 
 

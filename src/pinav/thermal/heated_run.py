@@ -1,6 +1,6 @@
 """A run of a case and what it reached: temperatures and doses of target and tissue."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -310,10 +310,11 @@ class Cut(NamedTuple):
     axis: int
     place: int | None
 
-    def of(self, field: Float[Array, "..."]) -> Float[Array, "row column"]:
+    def of(self, field: Any) -> Any:
+        """The cells of a field, of NumPy or JAX, that lie in the plane."""
         if self.place is None:
             return field
-        return jnp.take(field, self.place, axis=self.axis)
+        return field[(*(slice(None),) * self.axis, self.place)]
 
 
 def cuts_through(target: Float[np.ndarray, "..."]) -> tuple[Cut, ...]:
@@ -394,14 +395,11 @@ def radial_balance(setup: Setup, model: Bioheat, protocol: Piecewise) -> RadialB
     """The heat balance of a run along a radius."""
     balance = HeatBalance.of(model)
     cells = balance.volumes.shape[0]
-    ends = jnp.full((1,), float(model.blood.arterial))
-    low, high = model.sides[0].outside(ends, ends)
     most = max(REACH * float(protocol.largest), 1.0)
     amplitudes = np.linspace(0.0, most, AMPLITUDES)
 
     def levels(amplitude: Float[Array, ""]) -> Float[Array, " source"]:
-        each = [s.level(amplitude, protocol.frequency) for s in model.sources]
-        return jnp.stack(each) if each else jnp.zeros(0)
+        return model.levels(amplitude, protocol.frequency)
 
     def sink(celsius: Float[Array, ""]) -> Float[Array, " cell"]:
         return balance.sink(jnp.full(cells, celsius)) * balance.volumes
@@ -409,9 +407,9 @@ def radial_balance(setup: Setup, model: Bioheat, protocol: Piecewise) -> RadialB
     numbers = {
         "inverse_capacity": balance.inverse_capacity,
         "conductances": balance.conductances[0],
-        "outside": jnp.stack([low.reshape(()), high.reshape(())]),
+        "outside": np.asarray(balance.outside[0], float),
         "volumes": balance.volumes,
-        "metabolic": balance.metabolic,
+        "metabolic": balance.inflow,
         "shapes": jnp.stack(balance.shapes),
         "amplitudes": amplitudes,
         "levels": jax.vmap(levels)(jnp.asarray(amplitudes)),

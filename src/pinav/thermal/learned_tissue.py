@@ -344,7 +344,7 @@ def _laws(task: TissueFit, fit: EvidenceFit) -> dict[str, PerfusionCurve]:
         if truth is not None:
             true = np.array([mean_perfusion(truth, name, one) for one in at])
         curves[name] = perfusion_curve(
-            fit.posterior, setup.body.laws[name], at, visited, true
+            fit.posterior, setup.body.law(name), at, visited, true
         )
     return curves
 

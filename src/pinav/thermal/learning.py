@@ -240,7 +240,7 @@ def learn(
         protocol: the field while the readings were taken, best with steps of power:
             at steady state a scale of the power cannot be told from perfusion.
         data: the readings.
-        laws: picks learned perfusions, such as `lambda m: (m.perfusion.outside,)`.
+        laws: picks learned perfusions, such as `lambda m: m.perfusion.laws`.
         constants: picks numbers to learn, such as `lambda m: m.sources[0].scale`.
         noise: standard deviation of a reading [K], of voxels in units of their map;
             estimated unless given.

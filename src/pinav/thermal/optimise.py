@@ -122,7 +122,7 @@ def optimise(
         begin=state,
     )
     begin_numbers = _start_numbers(variables, initial)
-    memory = _Memory(problem, begin_numbers)
+    memory = _Memory(problem)
     start_value = float(memory.at(begin_numbers).values[0])
     numbers, converged = _search(memory, begin_numbers, max_iterations, tolerance)
     best = memory.at(numbers)
@@ -240,8 +240,8 @@ class _Evaluation(NamedTuple):
 
 
 @eqx.filter_jit
-def _forward(problem: _Problem, numbers: Array) -> tuple[Array, Array, Solution]:
-    """Values and their Jacobian, one tangent for each number."""
+def _evaluate(problem: _Problem, numbers: Array) -> tuple[Array, Array, Solution]:
+    """Values, their Jacobian with one tangent for each number, and the solution."""
 
     def evaluate(at: Array) -> tuple[Array, tuple[Array, Solution]]:
         values, solution = problem.values(at)
@@ -251,21 +251,10 @@ def _forward(problem: _Problem, numbers: Array) -> tuple[Array, Array, Solution]
     return values, jacobian, solution
 
 
-@eqx.filter_jit
-def _backward(problem: _Problem, numbers: Array) -> tuple[Array, Array, Solution]:
-    """Values and their Jacobian, one sweep for each value."""
-    value, pull, solution = jax.vjp(problem.values, numbers, has_aux=True)
-    rows = jax.lax.map(lambda row: pull(row)[0], jnp.eye(value.shape[0]))
-    return value, rows, solution
-
-
 class _Memory:
     """The last evaluation, as SciPy asks for value and gradient apart, and the best."""
 
-    def __init__(self, problem: _Problem, start: Float[np.ndarray, " number"]) -> None:
-        values, _ = eqx.filter_eval_shape(problem.values, jnp.asarray(start))
-        # the cheaper mode has fewer sweeps: one a design variable, or one a value
-        self.evaluate = _forward if len(start) <= values.shape[0] else _backward
+    def __init__(self, problem: _Problem) -> None:
         self.problem, self.count = problem, 0
         self.place: np.ndarray | None = None
         self.last: _Evaluation
@@ -274,18 +263,14 @@ class _Memory:
 
     def at(self, numbers: np.ndarray) -> _Evaluation:
         if self.place is None or not np.array_equal(numbers, self.place):
-            values, jacobian, solution = self.evaluate(
-                self.problem, jnp.asarray(numbers)
-            )
-            self.last = _Evaluation(np.asarray(values), np.asarray(jacobian), solution)
+            found = _evaluate(self.problem, jnp.asarray(numbers))
+            values, jacobian = map(np.asarray, found[:2])
+            self.last = _Evaluation(values, jacobian, found[2])
             self.place, self.count = np.array(numbers), self.count + 1
-            self._keep_best(numbers)
+            value, *excesses = self.last.values
+            if max(excesses, default=-1.0) <= FEASIBLE and value > self.best_value:
+                self.best, self.best_value = np.clip(numbers, 0.0, 1.0), value
         return self.last
-
-    def _keep_best(self, numbers: np.ndarray) -> None:
-        value, *excesses = self.last.values
-        if max(excesses, default=-1.0) <= FEASIBLE and value > self.best_value:
-            self.best, self.best_value = np.clip(numbers, 0.0, 1.0), value
 
 
 def _constraint_values(

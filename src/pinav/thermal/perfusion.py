@@ -218,60 +218,49 @@ def lang(tissue: str) -> AbstractPerfusion:
     return LANG[tissue]
 
 
-class MixedPerfusion(AbstractPerfusion):
-    """Two laws in the cells that a mask shares between them, averaged by volume.
-
-    `on_mask` makes one that evaluates the inner law only where the mask is.
-
-    Attributes:
-        fraction: volume fraction of `inside` in each cell; fixed.
-        box: first cell and end along each axis of a part of the grid outside which the
-            share is zero; the whole grid unless given.
-    """
-
-    fraction: Field
-    inside: AbstractPerfusion
-    outside: AbstractPerfusion
-    box: tuple[tuple[int, int], ...] | None = eqx.field(static=True, default=None)
-
-    @classmethod
-    def on_mask(
-        cls, fraction: Field, inside: AbstractPerfusion, outside: AbstractPerfusion
-    ) -> "MixedPerfusion":
-        """The same with the smallest box; the whole grid for a share being traced."""
-        if isinstance(fraction, Tracer) or not np.any(np.asarray(fraction)):
-            return cls(fraction, inside, outside)
-        places = np.nonzero(np.asarray(fraction))
-        box = tuple((int(indices.min()), int(indices.max()) + 1) for indices in places)
-        return cls(fraction, inside, outside, box)
-
-    def __call__(self, temperature: Field) -> Field:
-        without = self.outside(temperature)
-        if self.box is None:
-            return self._mix(self.fraction, temperature, without)
-        cut = tuple(slice(*ends) for ends in self.box)
-        part = self._mix(self.fraction[cut], temperature[cut], without[cut])
-        first = tuple(start for start, _ in self.box)
-        return jax.lax.dynamic_update_slice(without, part, first)
-
-    def _mix(self, fraction: Array, temperature: Array, without: Array) -> Array:
-        return fraction * self.inside(temperature) + (1 - fraction) * without
-
-
 class RegionalPerfusion(AbstractPerfusion):
     """A law for each of any number of tissues, averaged by volume.
 
+    `on_masks` makes one that evaluates each law only where its tissue is.
+
     Attributes:
         fractions: volume fraction of each tissue in each cell; fixed.
+        boxes: for each tissue first cell and end along each axis of a part of the grid
+            outside which its fraction is zero; the whole grid unless given.
     """
 
     fractions: tuple[Field, ...]
     laws: tuple[AbstractPerfusion, ...]
+    boxes: tuple[tuple[tuple[int, int], ...], ...] = eqx.field(static=True, default=())
+
+    @classmethod
+    def on_masks(
+        cls, fractions: tuple[Field, ...], laws: tuple[AbstractPerfusion, ...]
+    ) -> "RegionalPerfusion":
+        """The same with the smallest boxes; the whole grid for fractions being traced.
+
+        Args:
+            fractions: of each tissue.
+            laws: of each tissue, with no values for each cell.
+        """
+        if any(isinstance(fraction, Tracer) for fraction in fractions):
+            return cls(fractions, laws)
+        masks = [np.asarray(fraction) != 0 for fraction in fractions]
+        places = [np.nonzero(mask if mask.any() else ~mask) for mask in masks]
+        boxes = [
+            tuple((int(axis.min()), int(axis.max()) + 1) for axis in place)
+            for place in places
+        ]
+        return cls(fractions, laws, tuple(boxes))
 
     def __call__(self, temperature: Field) -> Field:
         total = jnp.zeros_like(temperature)
-        for fraction, law in zip(self.fractions, self.laws, strict=True):
-            total = total + fraction * law(temperature)
+        whole = tuple((0, count) for count in temperature.shape)
+        boxes = self.boxes or (whole,) * len(self.laws)
+        for fraction, law, box in zip(self.fractions, self.laws, boxes, strict=True):
+            cut, first = tuple(slice(*ends) for ends in box), [low for low, _ in box]
+            part = total[cut] + fraction[cut] * law(temperature[cut])
+            total = jax.lax.dynamic_update_slice(total, part, first)
         return total
 
 

@@ -13,6 +13,7 @@ from pinav.thermal.case import Case, FromFile, read_case
 from pinav.thermal.case_geometry import Probes
 from pinav.thermal.case_matter import Absorption, Power, heating_file
 from pinav.thermal.dose import Arrhenius
+from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.protocols import LIMITS, HfLimit, Piecewise
 from pinav.thermal.quantities import Field
 from pinav.thermal.readings import Readings, simulate_probes
@@ -71,21 +72,14 @@ class Setup(eqx.Module):
             InputError: a name or a unit is unknown, a perfusion implausible, or a file
                 cannot be read.
         """
-        body = build_body(case, folder)
-        grid = body.grid
+        model, body = build_body(case, folder)
+        grid = model.grid
         start = _start(case.start, grid.shape, folder)
-        sources = [_source(case, body, folder)]
+        sources = [_source(case, model, body, folder)]
         if case.eddy is not None:
             case.eddy.shape(grid)  # refuses a grid that has no axis
             sources.append(case.eddy)
-        model = Bioheat(
-            grid,
-            body.tissue,
-            body.blood,
-            body.perfusion,
-            tuple(sources),
-            case.boundaries(len(grid.shape)),
-        )
+        model = eqx.tree_at(lambda m: m.sources, model, tuple(sources))
         if isinstance(start, AtSteadyState):
             find_steady_state(model)  # refuses a case that has none
         stepper = _stepper(case, model)
@@ -138,25 +132,25 @@ def _stepper(case: Case, model: Bioheat) -> AbstractStepper:
     return RKL2.for_step(model, case.step)
 
 
-def _source(case: Case, body: Body, folder: Path) -> AbstractSource:
+def _source(case: Case, model: Bioheat, body: Body, folder: Path) -> AbstractSource:
     heating = case.heating
     if isinstance(heating, Power):
-        return PowerSource(_density(heating, body), heating.reference)
+        return PowerSource(_density(heating, model.grid, body), heating.reference)
     file = heating_file(heating)
     values = None if file is None else read_heating(heating, folder / file, body)
     if isinstance(heating, Absorption):
         assert values is not None
         absorption = jnp.asarray(values)
         source = PowerSource(absorption, heating.reference, heating.scale)
-        return ShiftedSource(source, jnp.zeros(values.ndim), body.tissue.density)
+        return ShiftedSource(source, jnp.zeros(values.ndim), model.tissue.density)
     concentration = values
     if not isinstance(heating.concentration, str):
         concentration = heating.concentration * body.target  # mg/cm³ are kg/m³
     return ParticleSource(jnp.asarray(concentration), heating.heating(), heating.scale)
 
 
-def _density(power: Power, body: Body) -> Field:
-    grid, target = body.grid, body.target
+def _density(power: Power, grid: AbstractGrid, body: Body) -> Field:
+    target = body.target
     if power.width is not None:
         center = body.middle if power.center is None else power.center
         distances = grid.distances(center)

@@ -1,6 +1,7 @@
 """A run: temperature, dose and energy balance over a protocol."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -9,14 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from pinav.arguments import Scalar
 from pinav.thermal.bioheat import Bioheat, HeatBalance
 from pinav.thermal.dose import Arrhenius, cem43_segment
 from pinav.thermal.protocols import AbstractProtocol, Schedule, plan_steps
 from pinav.thermal.quantities import Field, Number, Numbers
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.starts import AT_REST, AbstractStart, HeatState
-from pinav.thermal.steppers import RKL2, AbstractStepper, Watch
+from pinav.thermal.steppers import RKL2, AbstractStepper
 
 
 class EnergyBalance(eqx.Module):
@@ -121,6 +121,10 @@ def default_stepper(model: Bioheat) -> AbstractStepper:
     return Rosenbrock() if len(model.grid.shape) == 1 else RKL2.for_model(model)
 
 
+MANY_VALUES = 150_000_000
+"""Temperatures of a run up to which reverse mode keeps those of all steps: 1.2 GB."""
+
+
 @eqx.filter_jit
 def run(
     model: Bioheat,
@@ -139,28 +143,35 @@ def run(
     and of one block at a time, about twice the square root of the number of steps.
     """
     balance, begin = HeatBalance.of(model), _with_damage(start.state(model), damage)
-    watch = _watch(observe, observe_dose, damage)
 
-    def advance(carry: HeatState, inputs: PyTree) -> tuple[HeatState, PyTree]:
-        durations, forced = inputs
-        total = carry.dose, carry.damage
-        marched = stepper.march(
-            balance, carry.temperature, total, durations, forced, watch
-        )
-        after = HeatState(carry.time, marched.temperature, *marched.total)
-        return after, (marched.kept, marched.flows)
+    # backwards each step is computed anew: its stages would take more time to keep
+    @partial(jax.checkpoint, prevent_cse=False)
+    def step(state: HeatState, inputs: PyTree) -> tuple[HeatState, PyTree]:
+        dt, forced = inputs
+        before = state.temperature
+        change = stepper.change(balance, before, dt, forced)
+        after = before + change.temperature
+        dose, harm = state.dose + cem43_segment(before, after, dt), state.damage
+        if damage is not None and harm is not None:
+            harm = harm + damage.segment(before, after, dt)
+        kept = observe(after), observe_dose(dose), jnp.max(after), change.energy
+        return HeatState(state.time, after, dose, harm), kept
 
-    # one block where reverse mode may keep the states of all steps
-    block = len(schedule.steps)
-    if begin.temperature.size * block > stepper.kept_values:
+    def advance(state: HeatState, inputs: PyTree) -> tuple[HeatState, PyTree]:
+        return jax.lax.scan(step, state, inputs)
+
+    block, values = len(schedule.steps), begin.temperature.size * len(schedule.steps)
+    if values > MANY_VALUES:
         block, advance = schedule.block, jax.checkpoint(advance)
     shape = len(schedule.steps) // block, block
     levels = _levels(model, protocol, schedule, stepper)
     blocks = jax.tree.map(
         lambda a: a.reshape(*shape, *a.shape[1:]), (jnp.asarray(schedule.steps), levels)
     )
-    end, (kept, flows) = jax.lax.scan(advance, begin, blocks)
-    *observed, hottest = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), kept)
+    end, kept = jax.lax.scan(advance, begin, blocks)
+    *observed, hottest, flows = jax.tree.map(
+        lambda a: a.reshape(-1, *a.shape[2:]), kept
+    )
     # observed after every step and picked here: a scan cannot save at some steps alone
     saved = jnp.asarray(schedule.saved)
     temperatures, doses = jax.tree.map(lambda a: a[saved], observed)
@@ -175,19 +186,6 @@ def run(
             stored=balance.stored_heat(begin.temperature, end.temperature),
         ),
     )
-
-
-def _watch(observe: Observe, observe_dose: Observe, damage: Arrhenius | None) -> Watch:
-    """What of a run is added up and kept."""
-
-    def accrue(before: Field, after: Field, dt: Scalar) -> PyTree:
-        dose = cem43_segment(before, after, dt)
-        return dose, None if damage is None else damage.segment(before, after, dt)
-
-    def keep(after: Field, total: PyTree) -> PyTree:
-        return observe(after), observe_dose(total[0]), jnp.max(after)
-
-    return Watch(accrue, keep)
 
 
 def _with_damage(state: HeatState, damage: Arrhenius | None) -> HeatState:
@@ -207,8 +205,8 @@ def _levels(
     nodes = jnp.asarray(stepper.nodes)
 
     def each(begin: Array, dt: Array, interval: Array) -> Array:
-        at = begin + dt * nodes
-        return jax.vmap(lambda t: model.levels(protocol, t, interval))(at)
+        field = jax.vmap(lambda t: protocol.amplitude(t, interval))(begin + dt * nodes)
+        return jax.vmap(lambda h: model.levels(h, protocol.frequency))(field)
 
     steps, starts = jnp.asarray(schedule.steps), jnp.asarray(schedule.starts)
     return jax.vmap(each)(starts, steps, jnp.asarray(schedule.intervals))

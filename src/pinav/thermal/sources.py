@@ -197,13 +197,7 @@ class TabulatedHeating(AbstractHeating):
     values: Float[Array, "amplitude frequency"] = eqx.field(converter=jnp.asarray)
 
     def __check_init__(self) -> None:
-        for name in ("amplitudes", "frequencies"):
-            axis = np.asarray(getattr(self, name))
-            if not (np.all(axis > 0) and np.all(np.diff(axis) > 0)):
-                raise InputError(
-                    f"TabulatedHeating.{name}: expected increasing numbers > 0, got "
-                    f"{axis.tolist()}"
-                )
+        check_increasing(self, "amplitudes", "frequencies")
 
     def slp(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         strength = jnp.asarray(amplitude, float)
@@ -214,6 +208,17 @@ class TabulatedHeating(AbstractHeating):
 
     def validity(self, amplitude: Scalar) -> Float[Array, ""]:
         return jnp.asarray(amplitude / self.amplitudes[-1])
+
+
+def check_increasing(table: Any, *names: str) -> None:
+    """Refuse axes of a table that are empty, not positive or not in order."""
+    for name in names:
+        axis = np.asarray(getattr(table, name), float)
+        if not (axis.size and np.all(axis > 0) and np.all(np.diff(axis) > 0)):
+            raise InputError(
+                f"{name}: expected increasing numbers > 0, got {axis.tolist()}; sort "
+                "the table"
+            )
 
 
 class AbstractSource(eqx.Module):
@@ -334,56 +339,46 @@ def _shift_weights(count: int, cells: Array) -> Float[Array, "to from"]:
 
 
 class EddySource(AbstractSource):
-    r"""Eddy currents of a uniform axial field, $Q = \tfrac12\sigma(\pi\mu_0 r H f)^2$.
-
-    Attributes:
-        radius: $r$ of the current loop [m]: of the body there, not of the tumour.
-        conductivity: $\sigma$ [S m⁻¹].
-
-    References:
-        Atkinson, Brezovich and Chakraborty, IEEE Trans. Biomed. Eng. 31, 70 (1984).
-    """
-
-    radius: Scalar = eqx.field(metadata={"range": Length})
-    conductivity: Scalar = eqx.field(metadata={"range": Siemens})
-
-    def shape(self, grid: AbstractGrid) -> Field:
-        return jnp.ones(grid.shape)
-
-    def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
-        return eddy_power(self.radius, self.conductivity, amplitude * frequency)
-
-
-class DistantEddySource(AbstractSource):
-    r"""Eddy currents about an axis, $Q = \tfrac12\sigma(\pi\mu_0 s H f)^2$.
+    r"""Eddy currents of a uniform axial field, $Q = \tfrac12\sigma(\pi\mu_0 s H f)^2$.
 
     $s$ is the distance of each cell from the axis of the body, along which the field
-    lies: the heat that grows with the radius, where `EddySource` takes one radius for
-    all of the grid.
+    lies, or one radius for all of the grid.
 
     Attributes:
         conductivity: $\sigma$ [S m⁻¹].
+        radius: of the current loop [m]: of the body there, not of the tumour; the
+            distance from the axis unless given.
         axis: place at which the axis meets the plane of the first two edges of a box
             [m]; the middle of the grid unless given.
 
+    Raises:
+        InputError: both radius and axis are given.
+
     References:
         Atkinson, Brezovich and Chakraborty, IEEE Trans. Biomed. Eng. 31, 70 (1984).
     """
 
     conductivity: Scalar = eqx.field(metadata={"range": Siemens})
+    radius: Scalar | None = eqx.field(default=None, metadata={"range": Length})
     axis: tuple[float, float] | None = eqx.field(
         static=True, default=None, metadata={"range": tuple[Place, Place]}
     )
 
+    def __check_init__(self) -> None:
+        if self.radius is not None and self.axis is not None:
+            raise InputError("expected a radius or an axis, got both; remove one")
+
     def shape(self, grid: AbstractGrid) -> Field:
-        return axis_distance(grid, self.axis) ** 2
+        if self.radius is None:
+            return axis_distance(grid, self.axis) ** 2
+        return jnp.full(grid.shape, jnp.asarray(self.radius, float) ** 2)
 
     def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         return eddy_power(1.0, self.conductivity, amplitude * frequency)
 
 
 def axis_distance(grid: AbstractGrid, center: Numbers | None = None) -> Field:
-    """Distance [m] of each cell from the axis of the body, for `DistantEddySource`.
+    """Distance [m] of each cell from the axis of the body, for `EddySource`.
 
     The axis is that of a cylinder; in a plane it is normal to it, and in a box parallel
     to the last edge. It meets the plane of the first two edges at a center [m], the
@@ -393,7 +388,7 @@ def axis_distance(grid: AbstractGrid, center: Numbers | None = None) -> Field:
         if grid.exponent != 1:
             raise InputError(
                 "axis_distance: expected a cylinder or a box, about whose axis eddy "
-                "currents flow, got another grid; take EddySource"
+                "currents flow, got another grid; give a radius"
             )
         return grid.distances(center)
     assert isinstance(grid, CartesianGrid)

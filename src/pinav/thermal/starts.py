@@ -167,16 +167,14 @@ def steady_state(
     needs. From arterial temperature on: where the perfusion of a tumour collapses, so
     that two steady states exist, it is the colder one.
     """
-    levels = [source.level(amplitude, frequency) for source in model.sources]
-    forced = jnp.stack(levels) if levels else jnp.zeros(0)
-    balance = HeatBalance.of(model)
+    balance, forced = HeatBalance.of(model), model.levels(amplitude, frequency)
     # gradients come from one Newton step at the solution, not from the iteration
     arterial = jnp.asarray(model.blood.arterial, float)
     still = jax.lax.stop_gradient((balance, forced, arterial))
     end = _iterate(*still)
     residual = _residual(balance, forced, end.temperature)
     slope = still[0].sink_slope(end.temperature)
-    last = _solve(still[0], slope * still[0].volumes, residual, EXACT)
+    last = still[0].solve(slope * still[0].volumes, residual, tolerance=EXACT)
     return SteadyState(
         end.temperature + last, end.iterations, end.change <= SMALL_CHANGE
     )
@@ -210,7 +208,8 @@ def _iterate(balance: HeatBalance, forced: Array, arterial: Array) -> _Progress:
         # definiteness before the steps are long
         slope = jnp.maximum(balance.sink_slope(at), 0.0) * balance.volumes
         diagonal = slope + capacity / progress.step
-        change = _solve(balance, diagonal, _residual(balance, forced, at), ROUGH)
+        residual = _residual(balance, forced, at)
+        change = balance.solve(diagonal, residual, tolerance=ROUGH)
         step = jnp.minimum(GROWTH * progress.step, LAST_STEP)
         size = jnp.max(jnp.abs(change))
         return _Progress(at + change, step, size, progress.iterations + 1)
@@ -227,48 +226,3 @@ def _residual(balance: HeatBalance, forced: Array, temperature: Field) -> Field:
     gain, _ = balance.conduction(temperature)
     taken = balance.sink(temperature) * balance.volumes
     return gain + balance.heating(forced) - taken
-
-
-def _solve(
-    balance: HeatBalance, diagonal: Field, right: Field, tolerance: float
-) -> Field:
-    """Solve conduction plus a diagonal, which is symmetric."""
-    # linear in the temperature: sides at zero leave the matrix alone
-    at_zero, _ = balance.conduction(jnp.zeros_like(right))
-
-    def times(change: Field) -> Field:
-        gain, _ = balance.conduction(change)
-        return diagonal * change - (gain - at_zero)
-
-    if right.ndim == 1:
-        return jax.lax.custom_linear_solve(
-            times,
-            right,
-            lambda _, b: _tridiagonal(balance, diagonal, b),
-            symmetric=True,
-        )
-    total = diagonal
-    for axis, conductance in enumerate(balance.conductances):
-        count = right.shape[axis]
-        total = total + jax.lax.slice_in_dim(conductance, 0, count, axis=axis)
-        total = total + jax.lax.slice_in_dim(conductance, 1, count + 1, axis=axis)
-    # periodic ends are counted in the diagonal as any others
-    change, _ = jax.scipy.sparse.linalg.cg(
-        times,
-        right,
-        tol=tolerance,
-        maxiter=20 * max(right.shape),
-        M=lambda b: b / total,
-    )
-    return change
-
-
-def _tridiagonal(balance: HeatBalance, diagonal: Field, right: Field) -> Field:
-    (conductance,) = balance.conductances
-    zero, inner = jnp.zeros(1), -conductance[1:-1]
-    return jax.lax.linalg.tridiagonal_solve(
-        jnp.concatenate([zero, inner]),
-        diagonal + conductance[1:] + conductance[:-1],
-        jnp.concatenate([inner, zero]),
-        right[:, None],
-    )[:, 0]

@@ -5,7 +5,6 @@ every stage and are of second order, also where the power changes with time.
 """
 
 import abc
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -19,30 +18,14 @@ from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat, HeatBalance, Rates, fastest_rate
 from pinav.thermal.quantities import Field, Number
 
-Levels = Float[Array, "step node source"]
-
-
-class Watch(eqx.Module):
-    """What of a run adds up over its steps, and what is kept of each.
-
-    Attributes:
-        accrue: what a step adds, from the temperatures before and after it and its
-            length [s].
-        keep: what is kept, from the temperature after a step and the total so far.
-    """
-
-    accrue: Callable[[Field, Field, Scalar], PyTree]
-    keep: Callable[[Field, PyTree], PyTree]
-
+Levels = Float[Array, "node source"]
+"""Levels of the sources at the nodes of a step."""
 
 MARGIN = 0.9
 """Of the stability limit that is used."""
 
 LONGEST = 10.0
 """Time step [s] beyond which nothing is chosen for stability's sake alone."""
-
-FEW_VALUES = 200_000
-"""Temperatures of a run up to which reverse mode keeps all stages."""
 
 STAGES = (3, 5, 7, 9, 11, 13, 15)
 """Numbers of stages among which is chosen."""
@@ -60,37 +43,11 @@ class AbstractStepper(eqx.Module):
     def longest_step(self, model: Bioheat) -> float:
         """Longest time step [s] to take."""
 
-    @property
     @abc.abstractmethod
-    def kept_values(self) -> int:
-        """Temperatures of a run that reverse mode may keep, all steps together."""
-
-    @abc.abstractmethod
-    def march(
-        self,
-        balance: HeatBalance,
-        temperature: Field,
-        total: PyTree,
-        steps: Float[Array, " step"],
-        levels: Levels,
-        watch: Watch,
-    ) -> "March":
-        """Take many steps."""
-
-
-class March(eqx.Module):
-    """What many steps lead to.
-
-    Attributes:
-        total: of what adds up.
-        flows: heat brought in, taken by blood, and lost through the sides [J].
-        kept: of each step.
-    """
-
-    temperature: Field
-    total: PyTree
-    flows: Float[Array, "3"]
-    kept: PyTree
+    def change(
+        self, balance: HeatBalance, temperature: Field, dt: Scalar, levels: Levels
+    ) -> Rates:
+        """Change of the temperature [K] and heat flows [J] over a step of `dt` [s]."""
 
 
 class RKL2(AbstractStepper):
@@ -158,37 +115,8 @@ class RKL2(AbstractStepper):
             )
         return self.longest
 
-    @property
-    def kept_values(self) -> int:
-        return 150_000_000  # 1.2 gigabytes
-
-    def march(
-        self,
-        balance: HeatBalance,
-        temperature: Field,
-        total: PyTree,
-        steps: Float[Array, " step"],
-        levels: Levels,
-        watch: Watch,
-    ) -> "March":
-        def advance(carry: March, inputs: tuple[Array, Array]) -> tuple[March, PyTree]:
-            dt, forced = inputs
-            before = carry.temperature
-            change = self._change(balance, before, dt, forced)
-            after = before + change.temperature
-            total = jax.tree.map(jnp.add, carry.total, watch.accrue(before, after, dt))
-            flows = carry.flows + change.energy
-            return March(after, total, flows, None), watch.keep(after, total)
-
-        # Backwards each step is computed anew: the stages of all of them would not fit.
-        if temperature.size * len(steps) > FEW_VALUES:
-            advance = jax.checkpoint(advance)
-        begin = March(temperature, total, jnp.zeros(3), None)
-        end, kept = jax.lax.scan(advance, begin, (steps, levels))
-        return March(end.temperature, end.total, end.flows, kept)
-
-    def _change(
-        self, balance: HeatBalance, temperature: Field, dt: Scalar, levels: Array
+    def change(
+        self, balance: HeatBalance, temperature: Field, dt: Scalar, levels: Levels
     ) -> Rates:
         rows, first = _rkl2_coefficients(self.stages)
         # heat flows are further components of the same stages, so that they balance

@@ -72,7 +72,7 @@ class TissueFit:
         Raises:
             InputError: a file cannot be read, or nothing could be learned from it.
         """
-        settings, laws = case.learn or Learn(), setup.body.laws
+        settings, laws = case.learn or Learn(), setup.body.fractions
         names = tuple(laws) if settings.laws is None else settings.laws
         for name in names:
             if name not in laws:
@@ -135,7 +135,7 @@ class TissueFit:
             FitError: the fit did not converge.
         """
         setup, kind = self.setup, kind or self.settings.kind
-        laws, model = [setup.body.laws[name] for name in self.names], self.movable()
+        laws, model = [setup.body.law(name) for name in self.names], self.movable()
         for index, law in enumerate(laws):
             model = eqx.tree_at(law, model, self._first_law(kind, index, data))
 
@@ -225,10 +225,10 @@ def _read_truth(path: Path, setup: Setup, names: tuple[str, ...]) -> Setup:
             f"{given}; take the same"
         )
     for name in names:
-        if name not in truth.body.laws:
+        if name not in truth.body.fractions:
             raise InputError(
                 f"learn.truth: expected a case with the tissue {name}, got "
-                f"{', '.join(truth.body.laws)}; name its tissues as here"
+                f"{', '.join(truth.body.fractions)}; name its tissues as here"
             )
     return truth
 
@@ -246,7 +246,7 @@ def perfusion_at_rest(setup: Setup, name: str) -> float:
 
 def mean_perfusion(setup: Setup, name: str, celsius: float) -> float:
     """Perfusion of a tissue at a temperature [kg m⁻³ s⁻¹], on average over it."""
-    law: AbstractPerfusion = setup.body.laws[name](setup.model)
+    law: AbstractPerfusion = setup.body.law(name)(setup.model)
     flow = law(jnp.full(setup.model.grid.shape, celsius))
     fraction = setup.body.fractions[name]
     return float(jnp.sum(flow * fraction) / jnp.sum(fraction))
@@ -274,10 +274,7 @@ def require_heating(setup: Setup) -> None:
 
 def describe_constant(path: str, setup: Setup) -> str:
     """The name of a number of the model, by its path in it."""
-    names = list(setup.body.laws)
-    path = path.replace("perfusion.inside.", "tumour ").replace(
-        "perfusion.outside.", "tissue "
-    )
+    names = list(setup.body.fractions)
     path = re.sub(r"perfusion\.laws\[(\d+)\]\.", lambda m: f"{names[int(m[1])]} ", path)
     if path.endswith(" value"):
         return f"perfusion of {path.removesuffix(' value')} [kg/(m³ s)]"
@@ -299,7 +296,7 @@ def quantities_of(
     setup, settings = fit.setup, fit.settings
     amplitude, frequency = setup.protocol.largest, setup.protocol.frequency
     constant = fit.names if settings.kind == "constant" else ()
-    laws = [setup.body.laws[name] for name in constant]
+    laws = [setup.body.law(name) for name in constant]
     axes = "xyz"[: len(setup.model.grid.shape)] if settings.spot else ""
     names = [f"perfusion of {name} [kg/(m³ s)]" for name in constant]
     names += ["power of the source [W]"] * settings.power_scale

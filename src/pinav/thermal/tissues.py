@@ -4,6 +4,7 @@ A factor of two between sources is normal, and up to ten for perfusion: presets 
 examples, not for anybody's body.
 """
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -148,22 +149,22 @@ def preset(name: str) -> Preset:
     return PRESETS[name]
 
 
-def mix(fraction: Field, inside: Tissue, outside: Tissue) -> Tissue:
-    r"""Two tissues in the cells that a mask shares between them.
+def mix(fractions: Sequence[Field], tissues: Sequence[Tissue]) -> Tissue:
+    r"""Tissues in the cells that they share, by their volume fractions.
 
     $1/k$, $\rho$, $\rho c$ and $Q_{met}$ are averaged by volume: heat that crosses a
-    cut cell meets both tissues in series.
+    cut cell meets all tissues in series.
     """
 
-    def average(a: Any, b: Any) -> Any:
-        return fraction * a + (1 - fraction) * b
+    def average(quantity: Callable[[Tissue], Any]) -> Any:
+        pairs = zip(fractions, tissues, strict=True)
+        return sum(fraction * quantity(tissue) for fraction, tissue in pairs)
 
-    density = average(inside.density, outside.density)
-    capacity = average(inside.capacity, outside.capacity)
+    density = average(lambda tissue: tissue.density)
     # Density comes first: the specific heat is the ratio that keeps the capacity exact.
     return Tissue(
-        conductivity=1 / average(1 / inside.conductivity, 1 / outside.conductivity),
+        conductivity=1 / average(lambda tissue: 1 / tissue.conductivity),
         density=density,
-        specific_heat=capacity / density,
-        metabolic=average(inside.metabolic, outside.metabolic),
+        specific_heat=average(lambda tissue: tissue.capacity) / density,
+        metabolic=average(lambda tissue: tissue.metabolic),
     )

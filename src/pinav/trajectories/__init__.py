@@ -12,9 +12,7 @@ from pinav.trajectories.files import check_savable as check_savable
 from pinav.trajectories.files import is_trajectories as is_trajectories
 from pinav.trajectories.files import load as load
 from pinav.trajectories.files import save as save
-from pinav.trajectories.npz_files import FORMAT as FORMAT
 from pinav.trajectories.selection import Split as Split
-from pinav.trajectories.selection import bootstrap as bootstrap
 from pinav.trajectories.selection import concatenate as concatenate
 from pinav.trajectories.selection import informative_rows as informative_rows
 from pinav.trajectories.selection import informative_samples as informative_samples
@@ -30,8 +28,4 @@ from pinav.trajectories.simulation import smooth_states as smooth_states
 from pinav.trajectories.trajectories import POSITION_CHANNELS as POSITION_CHANNELS
 from pinav.trajectories.trajectories import UNKNOWN_UNIT as UNKNOWN_UNIT
 from pinav.trajectories.trajectories import Trajectories as Trajectories
-from pinav.trajectories.trajectory import Ragged as Ragged
 from pinav.trajectories.trajectory import Trajectory as Trajectory
-from pinav.trajectories.trajectory import arrays_per_trajectory as arrays_per_trajectory
-from pinav.trajectories.trajectory import check_increasing as check_increasing
-from pinav.trajectories.trajectory import check_trajectory as check_trajectory

@@ -12,9 +12,8 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.trajectories.npz_files import Metadata, metadata_text, parse_metadata
-from pinav.trajectories.tables import split_headings
 from pinav.trajectories.trajectories import Trajectories
-from pinav.trajectories.trajectory import check_increasing
+from pinav.trajectories.trajectory import check_increasing, split_headings
 
 PREFIX = "# pinav:"
 
@@ -65,14 +64,16 @@ def read_csv(file: BinaryIO) -> Trajectories:
         groups.setdefault(row.cells.get("trajectory", ""), []).append(row)
     if not groups:
         raise InputError("no rows below the header; expected two or more samples")
-    tables = [_observations(group, metadata.channels) for group in groups.values()]
+    several = list(groups.values())
+    states = [_numbers(group, metadata.channels, lost=True) for group in several]
+    commands = [_numbers(group, metadata.commands) for group in several]
     return Trajectories.from_arrays(
-        [_times(group) for group in groups.values()],
-        [states for states, _ in tables],
-        observed=[observed for _, observed in tables],
+        list(map(_times, several)),
+        states,
+        observed=list(map(np.isfinite, states)),
         commands={
-            name: [_column(group, name) for group in groups.values()]
-            for name in metadata.commands
+            name: [values[:, column] for values in commands]
+            for column, name in enumerate(metadata.commands)
         },
         channels=metadata.channels,
         units=metadata.units,
@@ -144,40 +145,31 @@ def _check_header(
 
 
 def _times(rows: Sequence[_Row]) -> np.ndarray:
-    times = _column(rows, "t")
+    times = _numbers(rows, ("t",))[:, 0]
     check_increasing(times, lambda index: f"line {rows[index].line}, column t")
     return times
 
 
-def _column(rows: Sequence[_Row], name: str) -> np.ndarray:
-    numbers = [_number(row, name, "give its value") for row in rows]
-    return np.array(numbers, np.float64)
+def _numbers(
+    rows: Sequence[_Row], names: Sequence[str], *, lost: bool = False
+) -> np.ndarray:
+    """Columns of numbers; where they may be lost, an empty cell is one that is."""
+    cells = [[_number(row, name, lost=lost) for name in names] for row in rows]
+    return np.array(cells, np.float64)
 
 
-def _observations(
-    rows: Sequence[_Row], channels: Sequence[str]
-) -> tuple[np.ndarray, np.ndarray]:
-    """States and mask; an empty cell is a missing observation."""
-    observed = np.array(
-        [[bool(row.cells[c].strip()) for c in channels] for row in rows]
-    )
-    remedy = "leave the cell empty to mark a missing observation"
-    states = [
-        [_number(row, c, remedy) if row.cells[c].strip() else 0.0 for c in channels]
-        for row in rows
-    ]
-    return np.array(states, np.float64), observed
-
-
-def _number(row: _Row, column: str, remedy: str) -> float:
+def _number(row: _Row, column: str, *, lost: bool) -> float:
     text = row.cells[column].strip()
+    if lost and not text:
+        return math.nan
     try:
         number = math.nan if "_" in text else float(text)
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
+        remedy = "leave the cell empty to mark a missing observation"
         raise InputError(
             f"line {row.line}, column {column}: expected a finite number, "
-            f"got {text!r}; {remedy}"
+            f"got {text!r}; {remedy if lost else 'give its value'}"
         )
     return number

@@ -18,8 +18,8 @@ from pinav.errors import InputError
 from pinav.files import atomic_write, check_destination, check_regular
 from pinav.trajectories.csv_files import PREFIX, delimiter_of, read_csv, write_csv
 from pinav.trajectories.npz_files import is_foreign, read_npz, write_npz
-from pinav.trajectories.tables import split_headings
 from pinav.trajectories.trajectories import Trajectories
+from pinav.trajectories.trajectory import split_headings
 
 Function = TypeVar("Function", bound=Callable)
 

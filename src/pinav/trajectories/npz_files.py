@@ -132,17 +132,23 @@ def _check_sizes(file: BinaryIO) -> None:
             )
         for member in members:
             with archive.open(member) as stream:
-                version = np.lib.format.read_magic(stream)
-                read = np.lib.format.read_array_header_1_0
-                if version != (1, 0):
-                    read = np.lib.format.read_array_header_2_0
-                shape, _, dtype = read(stream)
+                shape, dtype = read_header(stream)
                 claimed = math.prod(shape) * dtype.itemsize
                 if claimed > member.file_size:
                     raise InputError(
                         f"array {member.filename!r} claims {claimed} bytes, but the "
                         f"file holds {member.file_size}; write it again"
                     )
+
+
+def read_header(stream: Any) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and type of an array, as NumPy's format states them before its values."""
+    version = np.lib.format.read_magic(stream)
+    read = np.lib.format.read_array_header_1_0
+    if version != (1, 0):
+        read = np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(stream)
+    return shape, dtype
 
 
 def _from_flat(arrays: dict[str, np.ndarray], metadata: Metadata) -> Trajectories:

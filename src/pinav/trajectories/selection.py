@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int, PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.settings import FRACTION, Range
+from pinav.settings import FRACTION
 from pinav.systems import System, velocity_unit
 from pinav.trajectories.trajectories import Trajectories, check_names
 from pinav.trajectories.trajectory import Trajectory
@@ -86,25 +86,6 @@ def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> 
     order = np.asarray(jax.random.permutation(key, count))
     train, held_out = np.sort(order[:num_train]), np.sort(order[num_train:])
     return Split(trajectories.select(train), trajectories.select(held_out))
-
-
-def bootstrap(
-    trajectories: Trajectories, count: int, *, key: PRNGKeyArray
-) -> list[Trajectories]:
-    """Resamples of at least two whole trajectories, with replacement, for intervals.
-
-    Raises:
-        InputError: there is one trajectory, or `count` is not positive.
-
-    References:
-        Efron and Tibshirani, An Introduction to the Bootstrap (1993).
-    """
-    if len(trajectories) < 2:
-        raise InputError("bootstrap: expected two or more trajectories, got 1")
-    Range(least=1).check("bootstrap count", count)
-    shape = (count, len(trajectories))
-    chosen = jax.random.randint(key, shape, 0, len(trajectories))
-    return [trajectories.select(np.asarray(indices)) for indices in chosen]
 
 
 def concatenate(several: Sequence[Trajectories]) -> Trajectories:

@@ -14,8 +14,17 @@ from pinav.trajectories.degradation import MotionBlur
 from pinav.trajectories.trajectories import Trajectories
 from pinav.trajectories.trajectory import Trajectory
 
-COMMAND_UNITS = {"frequency": "Hz", "heading": "rad"}
-"""Units of commands."""
+COMMAND_UNITS: dict[str, str] = {
+    "frequency": "Hz",
+    "heading": "rad",
+    "gamma": "rad",
+    "psi": "rad",
+    "field_x": "1",
+    "field_y": "1",
+    "field_z": "1",
+    "acoustic_frequency": "Hz",
+}
+"""The commands that recordings may have, and their units."""
 
 
 def simulate(system: System, *, key: PRNGKeyArray | None = None) -> Trajectories:

@@ -14,12 +14,13 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from pinav.errors import InputError
-from pinav.trajectories.tables import split_headings, table_columns
 from pinav.trajectories.trajectory import (
     Ragged,
     Trajectory,
     arrays_per_trajectory,
     check_trajectory,
+    split_headings,
+    table_columns,
 )
 
 UNKNOWN_UNIT = "?"

@@ -35,45 +35,33 @@ POSITIONS = np.random.default_rng(0).uniform(0.0, 8.0, (60, 2))
 BARRIER = np.array([5.25, 5.0, 4.0, 2.9])
 
 
-def sample_of(force, sd=1e-3, noise=None):
-    force = force if noise is None else force + noise
+def sample_of(force, sd=1e-3, noise=0.0):
     covariance = sd**2 * np.eye(force.size)
-    return ForceSample(POSITIONS, force, covariance, 40.0)
+    return ForceSample(POSITIONS, force + noise, covariance, 40.0)
 
 
 CASES = {
-    "Gaussian": (GAUSSIAN, BARRIER),
-    "trap": (HARMONIC, np.array([0.8, 3.0, 5.0])),
-    "Lorentzian": (
-        ProfileLaw(Lorentzian(), Center()),
-        np.array([-3.0, 4.0, 4.5, 1.5]),
-    ),
-    "compact hill": (
-        ProfileLaw(CompactHill(), Center()),
-        np.array([3.0, 4.0, 4.5, 3.5, 3.0]),
-    ),
-    "ring": (RING, np.array([2.0, 4.0, 4.5, 2.5, 0.8])),
-    "ellipse": (ELLIPTIC_GAUSSIAN, np.array([4.0, 5.0, 4.0, 0.4, 0.4, 1.9])),
-    "wall": (WALL, np.array([3.0, 0.4, 4.5, 0.8])),
-    "channel": (CHANNEL, np.array([3.0, 0.4, 4.5, 2.5, 0.8])),
-    "wave": (PLANE_WAVE, np.array([0.7, -0.4, 1.5, 0.6])),
-    "lattice": (
-        LATTICES[0],
-        np.array([0.7, -0.4, 0.2, 0.6, 1.5, 0.6, -0.6, 1.5]),
-    ),
-    "swirl": (GAUSSIAN_SWIRL, np.array([2.0, 4.0, 5.0, 2.0])),
+    GAUSSIAN: BARRIER,
+    HARMONIC: [0.8, 3.0, 5.0],
+    ProfileLaw(Lorentzian(), Center()): [-3.0, 4.0, 4.5, 1.5],
+    ProfileLaw(CompactHill(), Center()): [3.0, 4.0, 4.5, 3.5, 3.0],
+    RING: [2.0, 4.0, 4.5, 2.5, 0.8],
+    ELLIPTIC_GAUSSIAN: [4.0, 5.0, 4.0, 0.4, 0.4, 1.9],
+    WALL: [3.0, 0.4, 4.5, 0.8],
+    CHANNEL: [3.0, 0.4, 4.5, 2.5, 0.8],
+    PLANE_WAVE: [0.7, -0.4, 1.5, 0.6],
+    LATTICES[0]: [0.7, -0.4, 0.2, 0.6, 1.5, 0.6, -0.6, 1.5],
+    GAUSSIAN_SWIRL: [2.0, 4.0, 5.0, 2.0],
 }
 
 
-@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_exact_forces_give_back_their_law(case):
-    law, constants = case
-    fitted = fit_law(law, sample_of(law_force(law, constants, POSITIONS)))
-    np.testing.assert_allclose(
-        law_force(law, fitted.constants, POSITIONS),
-        law_force(law, constants, POSITIONS),
-        atol=1e-5,
-    )
+@pytest.mark.parametrize("law", CASES, ids=lambda law: law.name)
+def test_exact_forces_give_back_their_law(law):
+    constants = np.array(CASES[law])
+    force = law_force(law, constants, POSITIONS)
+    fitted = fit_law(law, sample_of(force))
+    again = law_force(law, fitted.constants, POSITIONS)
+    np.testing.assert_allclose(again, force, atol=1e-5)
     if law is GAUSSIAN:
         np.testing.assert_allclose(fitted.constants, constants, rtol=1e-6)
 
@@ -131,16 +119,14 @@ def test_swirl_is_not_central():
     assert found.ratio > 10 * found.noise_ratio
 
 
-def test_noise_hides_whether_a_force_is_central():
-    force = 0.01 * law_force(GAUSSIAN, BARRIER, POSITIONS)
-    noise = np.random.default_rng(2).normal(0.0, 0.05, force.shape)
-    found = central_test(sample_of(force, 0.05, noise))
-    assert found.verdict is Centrality.UNDECIDED
-
-
-def test_constant_force_has_no_centre():
-    force = law_force(CONSTANT_FORCE, np.array([1.0, 0.5]), POSITIONS)
-    noise = np.random.default_rng(4).normal(0.0, 0.05, force.shape)
+@pytest.mark.parametrize(
+    ("law", "constants", "seed"),
+    [(GAUSSIAN, [0.0525, *BARRIER[1:]], 2), (CONSTANT_FORCE, [1.0, 0.5], 4)],
+    ids=["noise hides it", "it has no centre"],
+)
+def test_whether_a_force_is_central_may_not_be_told(law, constants, seed):
+    force = law_force(law, np.array(constants), POSITIONS)
+    noise = np.random.default_rng(seed).normal(0.0, 0.05, force.shape)
     found = central_test(sample_of(force, 0.05, noise))
     assert np.all(np.isfinite(found.center))
     assert found.verdict is Centrality.UNDECIDED
@@ -150,14 +136,9 @@ def test_constant_force_has_no_centre():
 def test_p_value_is_uniform_for_central_forces():
     force = law_force(GAUSSIAN, BARRIER, POSITIONS)
     generator = np.random.default_rng(3)
-    small = [
-        central_test(
-            sample_of(force, 0.3, generator.normal(0.0, 0.3, force.shape))
-        ).p_value
-        < 0.1
-        for _ in range(60)
-    ]
-    assert 0 < np.mean(small) < 0.25
+    noises = generator.normal(0.0, 0.3, (60, *force.shape))
+    tests = [central_test(sample_of(force, 0.3, noise)) for noise in noises]
+    assert 0 < np.mean([test.p_value < 0.1 for test in tests]) < 0.25
 
 
 def test_spread_points_are_far_apart_and_distinct():

@@ -1,11 +1,10 @@
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from benchmarks.open_forms import sample_profile
+from tests.fitted_runs import crossing_system
 
 from pinav.analysis import Verdict, discover_law
 from pinav.analysis.discovery.force_sample import ForceSample, Sampling
@@ -37,7 +36,7 @@ from pinav.analysis.discovery.term_laws import (
     term_laws,
 )
 from pinav.errors import InputError
-from pinav.fitting.engine.constant_priors import known_model
+from pinav.fitting.engine.local_model import known_model
 from pinav.fitting.environments.summary import learned_part
 from pinav.forces import (
     CentralTerm,
@@ -53,7 +52,6 @@ from pinav.forces import (
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.profiles import SuperGaussian
 from pinav.forces.terms import HARMONICS
-from pinav.scenarios import barrier_crossings
 from pinav.systems import Observation
 from pinav.trajectories import simulate
 
@@ -152,13 +150,7 @@ def test_terms_of_a_sum_are_exchanged_for_simpler_ones():
 @pytest.fixture(scope="module")
 def structured():
     """The posterior of a hill that is known to be central, and its data."""
-    scenario = barrier_crossings()
-    scenario = dataclasses.replace(
-        scenario,
-        starts=scenario.starts[:4],
-        times=scenario.times[:61],
-        observation=Observation(0.01),
-    )
+    scenario = crossing_system(4, 61, observation=Observation(0.01))
     data = simulate(scenario, key=jax.random.key(1)).only(("x", "y"))
     rest = KernelPotential.with_zero_weights(POSITIONS[:4], 2.0)
     force = StructuredForce((hill(jnp.array([5.0, 5.0])),), rest)
@@ -191,8 +183,7 @@ def test_discovery_begins_with_the_structure(structured):
 
 @pytest.mark.slow
 def test_given_laws_are_tried_in_place_of_the_structure(structured):
-    found = discover_law(*structured, laws=LIBRARY[:3], refits=1)
-    assert found.structure == ()
+    assert discover_law(*structured, laws=LIBRARY[:3], refits=1).structure == ()
 
 
 def test_the_profile_of_a_term_is_known_along_its_coordinate(structured):

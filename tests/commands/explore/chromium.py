@@ -117,6 +117,11 @@ class Chromium:
         """Parameters of the events of this name since the page was opened."""
         return [e["params"] for e in self.events if e["method"] == method]
 
+    def check_quiet(self, *more: str) -> None:
+        """Nothing was thrown or logged since the page was opened, nor these events."""
+        for trouble in ("Runtime.exceptionThrown", "Log.entryAdded", *more):
+            assert not self.named(trouble)
+
     def press(self, key: str, modifiers: int = 0) -> None:
         """Press and let go a key; modifiers: 2 is Control, 8 is Shift."""
         codes = {"Tab": 9, "Enter": 13, " ": 32, "ArrowLeft": 37, "ArrowUp": 38}

@@ -17,7 +17,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pinav.commands.explore
-from pinav import cli
 from pinav.commands.explore import document, payload
 from pinav.commands.explore.job import explorer
 from pinav.commands.explore.payload import plan_of
@@ -94,21 +93,20 @@ class StrangeForce(AbstractForce):
         return jnp.sort(x) * jnp.exp(-0.02 * jnp.sum(x**2))
 
 
-def test_a_force_that_is_not_printed_is_shown_from_a_table(run):
+def payload_with(fitted, model):
+    """The payload of a fit with another model."""
+    models = {"model": model}
+    return payload.payload_of(dataclasses.replace(fitted, models=models, evidence=None))
+
+
+def test_a_force_that_is_not_printed_is_shown_from_a_table_a_propulsion_refused(run):
     fitted = Learned.open(run)
-    strange = fitted.model.with_environment(StrangeForce())
-    shown = dataclasses.replace(fitted, models={"model": strange}, evidence=None)
-    held = payload.payload_of(shown)
+    held = payload_with(fitted, fitted.model.with_environment(StrangeForce()))
     assert 0 < held["models"][0]["tableError"] < 0.1
     assert len(document.document(held)) < document.MAX_BYTES
-
-
-def test_a_propulsion_that_is_not_printed_is_refused(run):
-    fitted = Learned.open(run)
     strange = dataclasses.replace(fitted.model, propulsion=StrangeForce())
-    shown = dataclasses.replace(fitted, models={"model": strange}, evidence=None)
     with pytest.raises(InputError, match="has the operation 'sort' of JAX"):
-        payload.payload_of(shown)
+        payload_with(fitted, strange)
 
 
 def test_packed_numbers_are_those_of_the_array():
@@ -152,31 +150,21 @@ def test_a_run_that_is_no_plane_is_refused(run, monkeypatch):
         payload.payload_of(fit)
 
 
-def test_the_command_writes_the_page_and_links_to_it(fitted_run, capsys):
+def test_the_command_writes_the_page_and_links_to_it(fitted_run, printed):
     folder, _ = fitted_run("kernel")
-    assert cli.run(["explore", str(folder)]) == 0
-    assert "explorer: " in capsys.readouterr().out
+    assert "explorer: " in printed("explore", folder)
     assert (folder / "explore.html").stat().st_size < document.MAX_BYTES
     assert 'href="explore.html"' in (folder / "report.html").read_text()
     assert "explore.html" in json.loads((folder / "manifest.json").read_text())
 
 
-def planned(folder, fitted):
-    """The run of a navigation before it has a result."""
-    RunFolder.create(folder, {"run": {"fitted": fitted}}, overwrite=False)
-    return folder
-
-
-def test_a_plan_without_its_fit_is_refused(tmp_path, run, refused):
-    folder = planned(tmp_path / "there", "absent")
-    refused(["explore", str(folder)], "'absent' that it was planned with beside it")
-    refused(["explore", str(run), "--fit", str(run)], "--fit: ")
-
-
-def test_a_plan_that_was_not_kept_is_refused(tmp_path, run):
-    folder = planned(tmp_path / "there", "")
+def test_a_plan_without_its_fit_or_its_result_is_refused(tmp_path, run, refused):
+    planned = {"run": {"fitted": "absent"}}
+    folder = RunFolder.create(tmp_path / "there", planned, overwrite=False)
+    refused(["explore", folder.path], "'absent' that it was planned with beside it")
+    refused(["explore", run, "--fit", run], "--fit: ")
     with pytest.raises(InputError, match=r"metrics.json is missing"):
-        plan_of(RunFolder.open(folder))
+        plan_of(folder)
 
 
 def boxed(folder, shape, moments):
@@ -258,6 +246,5 @@ def test_the_map_holds_the_arena_of_a_plan(content):
 def test_without_an_environment_the_title_is_the_system_alone(run, content):
     fitted = Learned.open(run)
     assert content["title"] == f"{fitted.system.name}: kernel-potential"
-    bare = {"model": fitted.model.with_environment(ZeroForce())}
-    plain = dataclasses.replace(fitted, models=bare, evidence=None)
-    assert payload.payload_of(plain)["title"] == fitted.system.name
+    bare = payload_with(fitted, fitted.model.with_environment(ZeroForce()))
+    assert bare["title"] == fitted.system.name

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pinav.errors import FitError, InputError
+from pinav.evaluation.force_fields import exact_forces, force_error_at_samples
 from pinav.fitting import Outcome, fit_bayes, kernel_environment
 from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
 from pinav.forces.priors import WeightPrior
@@ -51,18 +52,8 @@ def observing(data, observed):
     )
 
 
-def forces(force, points):
-    return np.asarray(
-        jax.vmap(lambda x: force(0.0, x, jnp.zeros_like(x)))(jnp.asarray(points))
-    )
-
-
 def error(fit, scenario, data):
-    """Relative error of the force at the observed positions."""
-    points = data.states[..., :2].reshape(-1, 2)
-    true = forces(scenario.environment, points)
-    learned = forces(fit.model.environment, points)
-    return np.linalg.norm(learned - true) / np.linalg.norm(true)
+    return force_error_at_samples(fit.model.environment, scenario.environment, data)
 
 
 def test_a_kernel_potential_learns_the_force_from_noisy_crossings(
@@ -91,7 +82,7 @@ def fitted_rollout(fitted, data):
 
 def test_the_band_covers_the_true_force(fitted, scenario, data):
     points = data.states[..., :2].reshape(-1, 2)
-    miss = forces(fitted.model.environment, points) - forces(
+    miss = exact_forces(fitted.model.environment, points) - exact_forces(
         scenario.environment, points
     )
     inside = np.abs(miss) < 1.96 * fitted.posterior.force_sd(points)
@@ -117,10 +108,10 @@ def test_far_from_the_kernels_the_force_is_as_uncertain_as_its_prior(fitted):
 def test_samples_spread_as_the_posterior_says(fitted):
     points = np.array([[4.0, 5.0], [6.0, 7.0]])
     models = fitted.posterior.samples(400, key=jax.random.key(0))
-    draws = np.stack([forces(model.environment, points) for model in models])
+    draws = np.stack([exact_forces(model.environment, points) for model in models])
     sd = fitted.posterior.force_sd(points)
     np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.15)
-    mean = forces(fitted.model.environment, points)
+    mean = exact_forces(fitted.model.environment, points)
     assert np.all(np.abs(draws.mean(axis=0) - mean) < 0.25 * sd)
 
 
@@ -287,13 +278,7 @@ def test_an_environment_made_from_data_surrounds_them(data, kind):
     distance = np.linalg.norm(offsets, axis=-1)
     assert distance.min(axis=1).max() < made.width
     assert distance.min(axis=0).max() < 4 * made.width
-    assert not np.any(forces(made, positions))
-    prior = made.prior()
-    assert np.all(prior.bounds[:, 0] <= prior.start)
-    assert np.all(prior.start <= prior.bounds[:, 1])
-    covariance = prior.covariance(prior.start)
-    assert covariance.shape == (made.weights.size,) * 2
-    assert np.linalg.eigvalsh(covariance)[0] > -1e-10
+    assert not np.any(exact_forces(made, positions))
 
 
 def test_data_at_one_point_have_no_extent():

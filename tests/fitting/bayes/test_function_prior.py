@@ -7,9 +7,9 @@ import pytest
 
 from pinav.fitting.bayes.distillation import DistillationTargets, forces
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
-from pinav.fitting.engine.constant_priors import ConstantPriors
 from pinav.fitting.engine.local_model import (
     AbstractLocalModel,
+    ConstantPriors,
     PenalisedSquares,
     Prediction,
 )

@@ -121,9 +121,9 @@ def test_a_network_learns_what_it_is_taught(scenario, data, kind):
 def test_a_close_distillation_comes_nearer_to_its_teacher(scenario, data, kind):
     barrier = scenario.environment
     taught = distillation_targets(
-        barrier, data, data.states, dim=2, width=0.5, grid=OF_STRUCTURE
+        barrier, data, data.states, dim=2, width=0.5, how=OF_STRUCTURE
     )
-    network = distil(small(kind, data), taught, closely=True)
+    network = distil(small(kind, data), taught, OF_STRUCTURE)
     assert relative(forces(network, taught.positions), taught.forces) < 0.003
 
 

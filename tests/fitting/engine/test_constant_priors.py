@@ -10,8 +10,8 @@ import pytest
 import scipy.integrate
 
 from pinav.fitting import fit_bayes, kernel_environment, model_evidence
-from pinav.fitting.engine.constant_priors import ConstantPriors, wide_priors
-from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.evidence_fit import iterate
+from pinav.fitting.engine.local_model import ConstantPriors, wide_priors
 from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat
 from pinav.fitting.evidence.weights import NoWeights
 from pinav.fitting.least_squares import Regression

@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.evidence_fit import iterate
 from pinav.fitting.evidence.weights import NoWeights
 from pinav.fitting.least_squares import Regression
 from pinav.fitting.outcome import Outcome
@@ -40,3 +40,15 @@ def test_a_step_under_another_prior_is_judged_by_the_one_after_it(
     assert outcome is Outcome.CONVERGED
     assert len(asked) == 1
     assert len(steps) == steps_before.count(True) + more
+
+
+def test_an_iteration_that_goes_on_repeats_no_step():
+    outcome, whole = iterate(problem(), 20)
+    _, begun = iterate(problem(), 20, enough=lambda _: True)
+    assert len(begun) < len(whole)
+    seen = []
+    ended, steps = iterate(problem(), 20, seen.append, begun=begun)
+    assert ended is outcome
+    assert [one.done for one in seen] == [*range(len(begun) + 1, len(whole) + 1)]
+    for one, other in zip(steps, whole, strict=True):
+        np.testing.assert_array_equal(one.move.theta, other.move.theta)

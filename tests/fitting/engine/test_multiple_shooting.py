@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pinav.dynamics import RK4, FixedStep, Swimmer
-from pinav.fitting.engine.constant_priors import ravel_model
+from pinav.fitting.engine.local_model import ravel_model
 from pinav.fitting.engine.multiple_shooting import (
     advance,
     eliminate,

@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 
 from pinav.dynamics import Adaptive, Swimmer
-from pinav.fitting.environments.diagnosis import Cause, diagnose, largest_growth
+from pinav.fitting.environments.diagnosis import (
+    NOISES,
+    Cause,
+    diagnose,
+    largest_growth,
+    regression_evidence,
+)
 from pinav.forces import (
     ConstantForce,
     GaussianBarrier,
@@ -86,3 +92,22 @@ def test_too_few_samples_tell_no_cause():
         [data.times[0, :5]], [data.states[0, :5]], channels=data.channels
     )
     assert diagnose(TRUTH.with_environment(UNTRAINED), few) is None
+
+
+def test_the_evidence_of_a_regression_is_the_density_of_a_normal_distribution():
+    rng = np.random.default_rng(0)
+    columns, forces = rng.normal(size=(40, 2, 7)), rng.normal(size=(40, 2))
+    rows, y = columns.reshape(80, -1), forces.ravel() / np.sqrt(np.mean(forces**2))
+    top = np.sum(rows**2, axis=0).max()
+    densities = []
+    for noise in NOISES:
+        shape = rows @ rows.T + noise * top * np.eye(80)
+        scale = y @ np.linalg.solve(shape, y) / 80
+        logarithm = np.linalg.slogdet(2.0 * np.pi * scale * shape)[1]
+        squares = y @ np.linalg.solve(scale * shape, y)
+        densities.append(-0.5 * (logarithm + squares) / 80)
+    plain = regression_evidence(columns, forces)
+    assert plain == pytest.approx(max(densities))
+    assert plain == pytest.approx(-1.4, abs=0.2)
+    assert regression_evidence(columns, 100.0 * forces) == pytest.approx(plain)
+    assert regression_evidence(columns, columns @ rng.normal(size=7)) > 5.0

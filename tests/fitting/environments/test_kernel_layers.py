@@ -1,11 +1,12 @@
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.fitting.environments.force_regression import lay_layers
-from pinav.fitting.environments.kernels import MOST_MATCHED
-from pinav.forces import GaussianBarrier, PowerHill
+from pinav.evaluation import exact_forces
+from pinav.fitting.environments.force_prior import AS_FINE_AS_FORCES
+from pinav.fitting.environments.kernel_layers import lay_layers, layers_root
+from pinav.fitting.environments.kernels import num_weights
+from pinav.forces import GaussianBarrier, KernelPotential, LayeredPotential, PowerHill
 
 CENTER = np.array([1.0, 2.0])
 ANGLES = np.linspace(0.0, 2.0, 4)[:, None, None]
@@ -14,35 +15,51 @@ LINES = CENTER + ALONG * np.concatenate([np.cos(ANGLES), np.sin(ANGLES)], axis=2
 POSITIONS = LINES.reshape(-1, 2) + [0.1, 0.0]
 
 
-def forces_of(hill):
-    at = jax.vmap(lambda x: hill(0.0, x, jnp.zeros(2)))
-    return np.asarray(at(jnp.asarray(POSITIONS)))
-
-
 @pytest.fixture(scope="module")
 def layers():
-    return lay_layers(POSITIONS, forces_of(PowerHill(3.0, CENTER, 0.8, 2.0)))
+    return lay_layers(
+        POSITIONS, POSITIONS, exact_forces(PowerHill(3.0, CENTER, 0.8, 2.0), POSITIONS)
+    ).layers
 
 
-def test_each_layer_is_half_as_wide_as_the_one_before(layers):
-    widths = np.array([width for _, width in layers])
+def test_layers_are_half_as_wide_each_and_the_finest_where_the_hill_is_steep(layers):
+    widths = np.array([layer.width for layer in layers])
     assert len(layers) > 2
     np.testing.assert_allclose(widths[1:], 0.5 * widths[:-1])
-    assert sum(len(centers) for centers, _ in layers) <= MOST_MATCHED
-
-
-def test_the_finest_kernels_are_where_a_long_tailed_hill_is_steep(layers):
-    reach = [np.linalg.norm(c - CENTER, axis=1).max() for c, _ in layers]
+    reach = [
+        np.linalg.norm(np.asarray(one.centers) - CENTER, axis=1).max() for one in layers
+    ]
     assert reach[0] > 14.0
     assert reach[-1] < 4.0
 
 
 def test_a_smooth_force_needs_few_layers(layers):
-    smooth = lay_layers(POSITIONS, forces_of(GaussianBarrier(3.0, CENTER, 8.0)))
-    assert len(smooth) < len(layers)
+    smooth = lay_layers(
+        POSITIONS, POSITIONS, exact_forces(GaussianBarrier(3.0, CENTER, 8.0), POSITIONS)
+    )
+    assert len(smooth.layers) < len(layers)
 
 
-def test_a_force_that_no_kernels_explain_ends():
+def test_a_force_that_no_kernels_explain_ends(layers):
     noise = np.random.default_rng(0).normal(size=POSITIONS.shape)
-    finest = lay_layers(POSITIONS, noise)
-    assert sum(len(centers) for centers, _ in finest) <= MOST_MATCHED
+    for laid in (lay_layers(POSITIONS, POSITIONS, noise), LayeredPotential(layers)):
+        assert num_weights(laid) <= AS_FINE_AS_FORCES.max_weights
+
+
+def test_weights_of_a_layer_are_as_large_as_the_forces_ask_for():
+    rng = np.random.default_rng(2)
+    places = rng.uniform(-2.0, 2.0, size=(200, 2))
+    layers = [
+        KernelPotential.with_zero_weights(centers, width)
+        for centers, width in ((places[:40], 0.8), (places[40:60], 0.3))
+    ]
+    weights = jnp.asarray(2.0 * rng.normal(size=40))
+    truth = KernelPotential(weights, jnp.asarray(places[:40]), 0.8)
+    root = layers_root(
+        LayeredPotential(tuple(layers)), places, exact_forces(truth, places)
+    )
+    sizes = root.diagonal()
+    np.testing.assert_array_equal(root, np.diag(sizes))
+    np.testing.assert_allclose(sizes[:40], sizes[0])
+    assert 1.5 < sizes[0] < 2.7
+    assert sizes[40:].max() < 0.05

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import AbstractDynamics, FixedStep, rollout
 from pinav.errors import InputError
+from pinav.evaluation.force_fields import force_error_at_samples
 from pinav.fitting import (
     KernelGrid,
     Outcome,
@@ -18,7 +19,7 @@ from pinav.fitting import (
     kernel_environment,
     neural_environment,
 )
-from pinav.fitting.environments.kernels import MOST_IN_SPACE
+from pinav.fitting.environments.kernels import MOST_WEIGHTS, OFTEN
 from pinav.fitting.environments.refinement import WORTH
 from pinav.forces import (
     AbstractForce,
@@ -74,15 +75,8 @@ def untrained(truth, data, grid=FEW):
     return eqx.tree_at(lambda m: m.environment, truth, environment)
 
 
-def error(found, truth, data):
-    """Relative error of the force at the observed positions."""
-    points = jnp.asarray(data.states.reshape(-1, 1))
-
-    def forces(force):
-        return np.asarray(jax.vmap(lambda x: force(0.0, x, jnp.zeros_like(x)))(points))
-
-    true = forces(truth.environment)
-    return np.linalg.norm(forces(found.model.environment) - true) / np.linalg.norm(true)
+def error(fit, truth, data):
+    return force_error_at_samples(fit.model.environment, truth.environment, data)
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +192,7 @@ def test_in_space_a_finer_grid_has_at_most_so_many_kernels():
     made = kernel_environment(KernelPotential, crowd, dim=3)
     finer = Refinement().finer(made, crowd)
     assert finer is not None
-    assert len(made.centers) < len(finer.centers) <= MOST_IN_SPACE
+    assert len(made.centers) < len(finer.centers) <= OFTEN * MOST_WEIGHTS
     assert finer.width < made.width / WORTH
     assert Refinement().finer(finer, crowd) is None
 

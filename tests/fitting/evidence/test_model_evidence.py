@@ -12,7 +12,7 @@ from pinav.fitting import (
     model_evidence,
     timed_kernel_environment,
 )
-from pinav.fitting.engine.constant_priors import ConstantPriors
+from pinav.fitting.engine.local_model import ConstantPriors
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
     LinearisedObservations,

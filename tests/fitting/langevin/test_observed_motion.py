@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 import pytest
 
@@ -18,7 +17,6 @@ from pinav.fitting import (
     fit_langevin,
     profile_environment,
 )
-from pinav.fitting.environments.kernels import ProfileSummary
 from pinav.forces import KernelAxis, KernelBasis, KernelProfile, Warp, ZeroForce
 from pinav.trajectories import Trajectories
 
@@ -179,22 +177,3 @@ def test_a_force_along_a_warped_coordinate_is_even_or_that_of_a_potential_in_it(
     assert in_potential[0] == pytest.approx(even[0], rel=1e-6)
     with pytest.raises(InputError, match="KernelProfile.weights: expected 66 rows"):
         KernelProfile(ones, basis, (0,), 1)
-
-
-def test_a_force_that_an_earlier_version_wrote_along_a_warp_is_refused():
-    heights = np.geomspace(0.2, 3.0, 40)[:, None]
-    straight, warped = (
-        ProfileSummary.of(
-            KernelProfile.with_zero_weights(
-                KernelBasis.around((KernelAxis(0, warp=warp),), heights), (0,), 1
-            )
-        )
-        for warp in (None, Warp(0.2, 0.05))
-    )
-    assert warped.profile(1).space == 1
-    old = msgspec.to_builtins(warped) | {"edition": 1}
-    with pytest.raises(InputError, match="by an earlier version.*fit the data again"):
-        msgspec.convert(old, ProfileSummary).profile(1)
-    before = msgspec.to_builtins(straight)
-    del before["edition"]
-    assert msgspec.convert(before, ProfileSummary).profile(1).space == 1

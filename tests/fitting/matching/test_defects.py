@@ -15,7 +15,11 @@ from pinav.fitting import (
     defect_recipe,
     fit,
 )
-from pinav.fitting.matching.damped_steps import DAMPINGS, full_step
+from pinav.fitting.matching.damped_steps import (
+    DAMPINGS,
+    LinearisedResiduals,
+    full_step,
+)
 from pinav.fitting.matching.gauss_newton import DampedState
 from pinav.fitting.matching.state import split_trainable
 from pinav.fitting.matching.windows import Windows
@@ -56,17 +60,22 @@ def test_a_step_of_a_linear_problem_is_that_of_the_ridge(shape):
     rng = np.random.default_rng(1)
     matrix, wanted = jnp.asarray(rng.normal(size=shape)), rng.normal(size=shape[0])
     theta = jnp.asarray(rng.normal(size=shape[1]))
-    step = full_step(
+    problem = LinearisedResiduals(
         lambda theta: matrix @ theta - wanted,
         theta,
-        (matrix @ theta - wanted, matrix),
+        matrix @ theta - wanted,
+        matrix,
         jnp.asarray(0.5),
     )
+    step = full_step(problem)
     least = 0.5 * DAMPINGS[0]
     normal = matrix.T @ matrix + least * np.eye(shape[1])
     ridge = np.linalg.solve(normal, matrix.T @ (matrix @ theta - wanted))
     assert step.damping == pytest.approx(least)
     np.testing.assert_allclose(step.theta, theta - ridge, atol=1e-9)
+    turned = np.linalg.qr(rng.normal(size=(shape[1], shape[1])))[0]
+    same = full_step(problem, directions=jnp.asarray(turned))
+    np.testing.assert_allclose(same.theta, step.theta, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -88,12 +97,14 @@ def test_what_the_data_leave_open_stays_where_the_prior_has_no_variance(data):
 
 def test_a_step_that_lowers_nothing_stays(data):
     theta = jnp.ones(3)
-    step = full_step(
+    problem = LinearisedResiduals(
         lambda theta: jnp.full(3, jnp.nan),
         theta,
-        (jnp.ones(3), jnp.eye(3)),
+        jnp.ones(3),
+        jnp.eye(3),
         jnp.asarray(0.5),
     )
+    step = full_step(problem)
     assert step.theta.tolist() == [1.0, 1.0, 1.0]
     assert step.damping == pytest.approx(50.0)
     assert step.left == 1.0

@@ -32,7 +32,7 @@ from pinav.forces import (
     PositionFeatures,
     tanh_network,
 )
-from pinav.trajectories import Trajectories, bootstrap
+from pinav.trajectories import Trajectories
 
 pytestmark = pytest.mark.slow
 
@@ -198,7 +198,7 @@ def test_many_fits_are_the_single_fits_each_with_data_of_its_own(data, at_once):
 
 def test_gauss_newton_runs_in_float32_and_on_resamples(data):
     models = [network_swimmer(seed) for seed in range(2)]
-    draws = bootstrap(data, 2, key=jax.random.key(0))
+    draws = [data.select([0, 0]), data.select([1, 0])]
     options = {"trainable": environment, "objective": OBJECTIVE}
     recipe = curriculum(data, max_steps=6)
     single = fit_many(models, draws, recipe, dtype=jnp.float32, **options)

@@ -14,8 +14,8 @@ from pinav.dynamics import (
 )
 from pinav.errors import InputError
 from pinav.fitting import (
-    WITHOUT_PRIOR,
     GaussNewton,
+    KernelGrid,
     Observations,
     Outcome,
     Problem,
@@ -172,7 +172,7 @@ def test_the_projection_holds_a_matrix_of_low_rank():
 
 
 def kernel_swimmer(data: Trajectories) -> Swimmer:
-    force = kernel_environment(KernelPotential, data, WITHOUT_PRIOR)
+    force = kernel_environment(KernelPotential, data, KernelGrid(10, 1.5, 2.0))
     return TRUTH.with_environment(force)
 
 

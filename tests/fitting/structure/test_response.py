@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from tests.fitting.structure.observed_forces import observed_forces
 
-from pinav.fitting.engine.constant_priors import ravel_model
+from pinav.fitting.engine.local_model import ravel_model
 from pinav.fitting.structure.kinds import lattice_of
 from pinav.fitting.structure.response import columns, force_quadratic
 from pinav.fitting.structure.starts import (

@@ -1,31 +1,24 @@
 import dataclasses
 
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 import pytest
 from tests.fitting.structure.observed_forces import observed_forces
 
-from pinav.errors import InputError
-from pinav.fitting.environments.terms import TermSummary, summarise_terms, with_terms
 from pinav.fitting.structure.kinds import with_one_less
 from pinav.fitting.structure.starts import (
     Region,
     central_term,
-    linear_term,
     obstacles_at,
     wall_term,
 )
 from pinav.fitting.structure.trials import Proposal, polish, with_places
 from pinav.forces import (
     GaussianBarrier,
-    KernelPotential,
     LinearForce,
     SoftWall,
-    StructuredForce,
 )
 from pinav.forces.fitted_laws import FittedLaw
-from pinav.scenarios import scenario
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
 REGION = Region.of(POINTS[0])
@@ -83,32 +76,6 @@ def test_a_term_that_left_the_data_is_no_proposal():
 
 
 RING = FittedLaw("ring", (3.0, 0.1, 0.2))
-
-
-def test_terms_are_built_again_from_what_a_file_keeps():
-    model = scenario("barrier-crossings").swimmer
-    free = KernelPotential.with_zero_weights(POINTS[0, :3], 1.0)
-    center, law = central_term(REGION, np.array([4.0, 6.0])), RING
-    lawful = with_places(center, np.asarray(center.places), center.width, law)
-    terms = (
-        center,
-        lawful,
-        wall_term(REGION, 0.7),
-        linear_term(REGION),
-    )
-    force = StructuredForce(terms, free)
-    kept = summarise_terms(force)
-    built = with_terms(model.with_environment(free), kept).environment
-    shapes = [jnp.shape(leaf) for leaf in (*built.parameters, *built.geometry)]
-    expected = [jnp.shape(leaf) for leaf in (*force.parameters, *force.geometry)]
-    assert shapes == expected
-    assert summarise_terms(built) == kept
-    assert summarise_terms(free) == ()
-    with pytest.raises(InputError, match="term 'Spiral' is unknown; choose one of"):
-        with_terms(model, (TermSummary("Spiral", {}),))
-    unknown = msgspec.structs.replace(kept[1], law="HookeLaw")
-    with pytest.raises(InputError, match="law 'HookeLaw' is unknown; choose one of"):
-        with_terms(model, (unknown,))
 
 
 def test_finer_kernels_and_single_centres_keep_the_law():

@@ -115,7 +115,6 @@ def changed(line, text):
 
 
 BAD = [
-    ("", r"the file is empty"),
     ("\n".join(LINES[:3]), r"line \d: the header is all there is"),
     (changed(1, None), r"line 1: expected the header row 'scorer', got 'b"),
     (changed(2, None), r"line 2: .* 'bodyparts', got 'coords'; export"),
@@ -132,20 +131,13 @@ BAD = [
         r"'nose', line 6, column 'likelihood': expected from 0 to 1, got 90; are the",
     ),
     (changed(6, "2,2.0,3.0,-1"), r"line 6, .* to 1, got -1"),
-    (changed(6, "2,2.0,3.0,high"), r"line 6, .* got 'high'"),
-    (changed(5, ",1.5,2.5,0.9"), r"line 5, column 'frame': .* empty cell"),
     (changed(5, "img1,1,2,0.9"), r"line 5, column 'frame': .* 'img1'"),
-    (changed(5, "-1,1,2,0.9"), r"line 5, column 'frame': .*>= 0, got"),
-    (changed(5, "0.5,1,2,0.9"), r"line 5, column 'frame': .* got 0.5"),
     (
         changed(6, "1,1,2,0.9"),
         r"'nose', line 6, column 'frame': frame 1 of 'nose' stands in 'nose', line 5",
     ),
     (changed(6, "2,2.0"), r"line 6: expected 4 cells, .* got 2"),
-    (changed(6, "2,2.0,3.0,0.9,1"), r"line 6: expected 4 cells, .* got 5"),
     ("\n".join(LINES).replace(",", "|"), r"line 1: .* 'scorer'"),
-    (changed(5, "1,\udcff,2,0.9"), r"line 5: .* 0xff"),
-    ("\n".join(LINES[:4]), r"the longest of 1 segments has a single"),
 ]
 
 

@@ -72,7 +72,6 @@ def bad_cell(column, value):
 SOUND = saved(tr=matrix(EXAMPLE))
 BAD = [
     (b"", r"the file is empty"),
-    (SOUND[:60], r"damaged MATLAB file: .*; save it again"),
     (SOUND[:300], r"damaged MATLAB file: .*; save it again"),
     (SOUND[:128], r"expected one matrix .* got no variables"),
     (saved(), r"expected one matrix \[x y frame id\] .* no variables"),
@@ -89,18 +88,14 @@ BAD = [
     ),
     (saved(tr=np.ones((0, 4))), r"variable 'tr': no rows|expected one"),
     (put(1, 0, np.inf), r"'tr', row 2, column 'x': .* got 'inf'"),
-    (put(2, 1, -np.inf), r"'tr', row 3, column 'y': .* got '-inf'"),
     (put(1, 2, np.nan), r"'tr', row 2, column 'frame': .* got 'nan'"),
-    (put(1, 2, 1.5), r"'tr', row 2, column 'frame': .* got 1.5"),
     (put(0, 2, -1), r"'tr', row 1, column 'frame': .* got -1"),
     (
         put(1, 2, 2.0),
         r"'tr', row 3, column 'frame': frame 2 of '0' stands in variable 'tr', row 2",
     ),
     (put(1, 3, 0.5), r"'tr', row 2, column 'id': .* number, got 0.5"),
-    (put(1, 3, np.nan), r"'tr', row 2, column 'id': .* got 'nan'"),
     (put(slice(None), 0, np.nan), r"the longest of 0 segments"),
-    (saved(tr=matrix(EXAMPLE)[:1]), r"the longest of 1 segments"),
     (bad_cell(0, np.nan), r"'tracks', cell 1, row 2, column 't'"),
     (
         bad_cell(0, -1.0),

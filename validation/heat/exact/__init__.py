@@ -1,6 +1,5 @@
 """Exact solutions of the bioheat equation, as functions of their parameters."""
 
-from validation.heat.exact.gaussians import gaussian_decay as gaussian_decay
 from validation.heat.exact.gaussians import gaussian_source as gaussian_source
 from validation.heat.exact.gaussians import periodic_box as periodic_box
 from validation.heat.exact.lumped import lumped_forced as lumped_forced

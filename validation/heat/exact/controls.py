@@ -1,16 +1,7 @@
 """Exact solutions that only tests compare with."""
 
 import numpy as np
-import scipy.integrate
 from validation.heat.exact import Medium
-from validation.heat.exact.spheres import kernel
-
-
-def lumped_by_perfusion(t: float, medium: Medium, source: float) -> float:
-    r"""$\partial\theta/\partial W$ of the lumped rise [K² m³ W⁻¹]."""
-    p, W = medium.rate, medium.perfusion
-    fading = np.exp(-p * t)
-    return float(source / W**2 * (p * t * fading - (1 - fading)))
 
 
 def on_off_cycle(
@@ -69,56 +60,9 @@ def saturate_and_ride(
     return float(-np.log1p(-hold / power) / decay), float(hold)
 
 
-def perfused_slab_flux(medium: Medium, source: float, length: float) -> float:
-    r"""Heat that leaves the steady slab at $L$, $(Q/m) \tanh mL$ [W m⁻²]."""
-    m = medium.inverse_length
-    return float(source / m * np.tanh(m * length))
-
-
-def perfused_slab_sensitivities(
-    medium: Medium, source: float, length: float
-) -> dict[str, float]:
-    r"""Derivatives of the steady rise at 0, $\frac{Q}{W}(1 - \mathrm{sech}\, mL)$.
-
-    Returns:
-        By `conductivity`, `perfusion` ($W$), `length` and `source`.
-    """
-    m, W = medium.inverse_length, medium.perfusion
-    reach = m * length
-    sech = 1 / np.cosh(reach)
-    value = source / W * (1 - sech)
-    by_reach = source / W * sech * np.tanh(reach)
-    return {
-        "conductivity": float(-by_reach * reach / (2 * medium.conductivity)),
-        "perfusion": float(-value / W + by_reach * reach / (2 * W)),
-        "length": float(by_reach * m),
-        "source": float(value / source),
-    }
-
-
-def eigenmode_rate(medium: Medium, mode: int, length: float) -> float:
-    r"""Decay of $\cos(n \pi x/L)$ between insulated ends, $\alpha (n\pi/L)^2 + p$."""
-    return medium.diffusivity * (mode * np.pi / length) ** 2 + medium.rate
-
-
 def discrete_eigenmode_rate(
     medium: Medium, mode: int, length: float, num_cells: int
 ) -> float:
-    r"""The same of second differences, $\alpha (2 - 2\cos(n\pi/N))/h^2 + p$."""
+    r"""Decay of $\cos(n\pi x/L)$ by differences, $\alpha(2-2\cos(n\pi/N))/h^2 + p$."""
     curvature = (2 - 2 * np.cos(mode * np.pi / num_cells)) * (num_cells / length) ** 2
     return float(medium.diffusivity * curvature + medium.rate)
-
-
-def heated_sphere_by_rate(
-    r: float, t: float, medium: Medium, source: float, radius: float
-) -> float:
-    r"""Derivative by $p$ [K s], $-\frac{Q}{\rho c}\int_0^t s\,e^{-ps}\,b\,ds$."""
-
-    def integrand(root):  # in the square root of time, where the kernel is smooth
-        s = root**2
-        return 2 * root * s * np.exp(-medium.rate * s) * kernel(r, s, medium, radius)
-
-    value, _ = scipy.integrate.quad(
-        integrand, 0.0, np.sqrt(t), epsabs=1e-13, epsrel=1e-13, limit=400
-    )
-    return -source / medium.capacity * value

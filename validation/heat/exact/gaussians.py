@@ -10,33 +10,14 @@ from jaxtyping import Float
 from validation.heat.exact.media import Medium, Number
 
 
-def gaussian_decay(
-    r: Number, t: Number, medium: Medium, rise: Number, width: Number, dim: int
-) -> float:
-    r"""Decay of $\theta_0 e^{-r^2/2\sigma^2}$ in an infinite space of `dim` dimensions.
-
-    $\theta_0 v(t)^{d/2} e^{-r^2/2(\sigma^2+2\alpha t) - pt}$,
-    $v(t) = \sigma^2/(\sigma^2+2\alpha t)$.
-
-    Args:
-        r: distance from the centre [m].
-        t: time [s].
-        medium: with or without perfusion.
-        rise: $\theta_0$ [K].
-        width: $\sigma$ [m].
-        dim: 1, 2 or 3.
-    """
-    spread = width**2 + 2 * medium.diffusivity * t
-    fading = np.exp(-(r**2) / (2 * spread) - medium.rate * t)
-    return float(rise * (width**2 / spread) ** (dim / 2) * fading)
-
-
 def gaussian_source(
     r: Number, t: Number, medium: Medium, source: Number, width: Number, dim: int
 ) -> float:
     r"""Rise from zero under a constant source $Q e^{-r^2/2\sigma^2}$.
 
-    The integral over time of the decay of $Q/\rho c$.
+    The integral over time of the decay of $\theta_0 = Q/\rho c$ in an infinite space,
+    $\theta_0 v(t)^{d/2} e^{-r^2/2(\sigma^2+2\alpha t) - pt}$,
+    $v(t) = \sigma^2/(\sigma^2+2\alpha t)$.
 
     Args:
         r: distance from the centre [m].
@@ -47,8 +28,14 @@ def gaussian_source(
         dim: 1, 2 or 3.
     """
     rate = source / medium.capacity
+
+    def decay(s: float) -> float:
+        spread = width**2 + 2 * medium.diffusivity * s
+        fading = np.exp(-(r**2) / (2 * spread) - medium.rate * s)
+        return float(rate * (width**2 / spread) ** (dim / 2) * fading)
+
     value, _ = scipy.integrate.quad(
-        lambda s: gaussian_decay(r, s, medium, rate, width, dim),
+        decay,
         0.0,
         t,
         epsabs=1e-13,

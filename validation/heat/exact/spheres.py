@@ -49,14 +49,10 @@ def heated_sphere(
     medium: Medium,
     source: Number,
     radius: Number,
-    *,
-    edges: Sequence[Number] = (0.0, np.inf),
-    powers: Sequence[Number] = (1.0,),
 ) -> float:
     r"""Uniform source in a sphere of an infinite medium, from the rise zero.
 
-    $\theta = \sum_j u_j \frac{Q}{\rho c} \int e^{-ps}\, b(r, s)\, ds$ over $s$ from
-    $\max(0, t - b_j)$ to $t - a_j$.
+    $\theta = \frac{Q}{\rho c} \int_0^t e^{-ps}\, b(r, s)\, ds$.
 
     Args:
         r: distance from the centre [m].
@@ -64,13 +60,10 @@ def heated_sphere(
         medium: with or without perfusion.
         source: $Q$ [W m⁻³].
         radius: $R$ [m].
-        edges: at which the power changes [s], $a_1, b_1 = a_2, \dots$
-        powers: $u_j$, factors of the source between them.
     """
     if np.isinf(t):
         return _heated_sphere_steady(r, medium, source, radius)
-    kernels = heated_sphere_kernels(r, t, medium, radius, edges)
-    return source * float(np.dot(powers, kernels))
+    return source * heated_sphere_kernels(r, t, medium, radius, (0.0, np.inf))[0]
 
 
 def heated_sphere_kernels(

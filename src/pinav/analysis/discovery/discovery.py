@@ -39,9 +39,9 @@ from pinav.analysis.discovery.refit import (
     laplace_posterior,
     refit,
 )
-from pinav.analysis.discovery.term_laws import TermLaws, term_laws
+from pinav.analysis.discovery.term_laws import term_laws
 from pinav.arguments import on_device
-from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
 from pinav.fitting import AbstractLearned, Outcome, Posterior
@@ -206,7 +206,6 @@ def discover_law(
     *,
     laws: Sequence[AbstractLaw] | None = None,
     refits: int = 5,
-    solver: FixedStep | None = None,
 ) -> Discovery:
     """Rank candidate laws of a learned force, with intervals for their constants.
 
@@ -218,7 +217,6 @@ def discover_law(
     Args:
         laws: candidates for the whole force in place of those of the library.
         refits: number of laws refitted through the equations of motion.
-        solver: steps between samples; `FixedStep()` unless given.
 
     Raises:
         InputError: there are no candidates, `refits` is not positive, or the
@@ -231,7 +229,6 @@ def discover_law(
             "discover_law: expected one or more candidates and refits, got "
             f"{len(library)} and {refits}"
         )
-    solver = FixedStep() if solver is None else solver
     model = posterior.model
     if not isinstance(model, Swimmer | OverdampedSwimmer):
         raise InputError(
@@ -240,10 +237,11 @@ def discover_law(
         )
     if isinstance(model, Swimmer):
         trajectories = with_velocities(trajectories)
-    learned = LearnedOnPaths.of(posterior, trajectories, solver)
+    learned = LearnedOnPaths.of(posterior, trajectories)
     sampling = Sampling.of(posterior, trajectories, learned.num_effective)
     sample = sampling.of_force()
-    terms = None if laws is not None else _terms_of(sampling)
+    structure, _ = split_structure(model.environment)
+    terms = None if laws is not None else term_laws(structure, sampling)
     screened = screen(sample, library) if terms is None else screen_terms(terms, sample)
     refitted = _refit_best(screened, model, learned, refits)
     candidates = _rank(refitted, learned, inertia=isinstance(model, Swimmer))
@@ -260,11 +258,6 @@ def discover_law(
         units=dict(trajectories.units),
         structure=() if terms is None else tuple(term.kind for term in terms),
     )
-
-
-def _terms_of(sampling: Sampling) -> tuple[TermLaws, ...] | None:
-    terms, _ = split_structure(sampling.posterior.model.environment)
-    return term_laws(terms, sampling)
 
 
 def _refit_best(
@@ -341,10 +334,6 @@ FORCES = {"L² T⁻²": "F L", "L T⁻²": "F", "T⁻²": "F L⁻¹"}
 """Dimensions of a force, with F, for those of an acceleration."""
 
 
-def _force_unit(unit: str) -> str:
-    return FORCES.get(unit, unit)
-
-
 def estimates(
     result: Refit, extent: float, *, inertia: bool = True
 ) -> tuple[EstimatedConstant, ...]:
@@ -358,6 +347,7 @@ def estimates(
         inertia: the law is an acceleration; else it is a force, of dimension F.
     """
     sd = np.sqrt(np.diag(result.covariance))
+    units = {} if inertia else FORCES
     estimated = []
     for constant, value, spread in zip(
         result.law.constants, result.constants, sd, strict=True
@@ -368,7 +358,7 @@ def estimates(
             EstimatedConstant(
                 name=constant.name,
                 symbol=constant.symbol,
-                unit=constant.unit if inertia else _force_unit(constant.unit),
+                unit=units.get(constant.unit, constant.unit),
                 value=float(value),
                 sd=float(spread),
                 low=float(value) - half,

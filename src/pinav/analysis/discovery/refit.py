@@ -18,7 +18,7 @@ from pinav.analysis.discovery.laws import AbstractLaw, LawForce
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer, with_dtype
 from pinav.errors import FitError
 from pinav.fitting import Outcome, Posterior
-from pinav.fitting.engine.constant_priors import ParametricModel, ravel_model
+from pinav.fitting.engine.local_model import ParametricModel, ravel_model
 from pinav.fitting.engine.multiple_shooting import Linearisation, advance, linearise
 from pinav.fitting.matching.state import Observations, Trainable
 from pinav.forces.formulas import Role
@@ -78,7 +78,7 @@ class LinearisedModel(eqx.Module):
     ) -> "LinearisedModel":
         """Linearise about constants and states."""
         inputs = jnp.asarray(theta), jnp.asarray(states)
-        linear = linearise(parametric, *inputs, problem.observations, problem.solver)
+        linear = linearise(parametric, *inputs, problem.observations, FixedStep())
         hessian = np.asarray(linear.hessian)
         return cls(parametric, np.asarray(theta), inputs[1], linear, hessian)
 
@@ -110,14 +110,12 @@ class RefitProblem(eqx.Module):
     scale: Float[np.ndarray, " state"]
     extent: float
     num_residuals: int
-    solver: FixedStep
 
     @classmethod
     def of(
         cls,
         trajectories: Trajectories,
         states: Float[np.ndarray, "trajectory time state"],
-        solver: FixedStep,
     ) -> "RefitProblem":
         """The problem of `trajectories`, linearised first about `states`."""
         spread = states.reshape(-1, states.shape[-1]).std(axis=0)
@@ -128,22 +126,11 @@ class RefitProblem(eqx.Module):
             np.where(spread > 0, spread, 1.0),
             float(np.ptp(positions, axis=0).max()),
             trajectories.num_observed - states[:, 0].size,
-            solver,
         )
 
     def defect(self, local: LinearisedModel) -> float:
         """The largest defect, relative to the spread of its channel."""
         return float(np.max(np.asarray(local.linear.defects) / self.scale))
-
-    def close_defects(
-        self, local: LinearisedModel, iterations: int = 6
-    ) -> LinearisedModel:
-        """States that fulfil the dynamics, for the same constants."""
-        for _ in range(iterations):
-            if not local.is_finite or self.defect(local) < 1e-9:
-                break
-            local = local.after(np.zeros(len(local.theta)), self)
-        return local
 
 
 def refit(
@@ -260,13 +247,9 @@ class LearnedOnPaths(eqx.Module):
     num_effective: float
 
     @classmethod
-    def of(
-        cls, posterior: Posterior, trajectories: Trajectories, solver: FixedStep
-    ) -> "LearnedOnPaths":
+    def of(cls, posterior: Posterior, trajectories: Trajectories) -> "LearnedOnPaths":
         """States that fulfil the dynamics of the mean model; FitError without any."""
-        problem, local = _linearise(
-            posterior.free, posterior.mean, trajectories, solver
-        )
+        problem, local = _linearise(posterior.free, posterior.mean, trajectories)
         hessian = local.hessian
         squares, count = local.squares, problem.num_residuals
         # the noise and the number of parameters depend on each other
@@ -289,11 +272,7 @@ class LearnedOnPaths(eqx.Module):
 
 
 def laplace_posterior(
-    model: Swimmer | OverdampedSwimmer,
-    trajectories: Trajectories,
-    trainable: Trainable,
-    *,
-    solver: FixedStep | None = None,
+    model: Swimmer | OverdampedSwimmer, trajectories: Trajectories, trainable: Trainable
 ) -> Posterior:
     """The Laplace posterior of a fit that has none, such as a least-squares fit.
 
@@ -303,12 +282,11 @@ def laplace_posterior(
     Raises:
         FitError: the learned force does not explain the trajectories.
     """
-    solver = FixedStep() if solver is None else solver
     if isinstance(model, Swimmer):
         trajectories = with_velocities(trajectories)
     with jax.enable_x64(new_val=True):
         free, theta = ravel_model(with_dtype(model, jnp.float64), trainable)
-    problem, local = _linearise(free, np.asarray(theta), trajectories, solver)
+    problem, local = _linearise(free, np.asarray(theta), trajectories)
     values, vectors = np.linalg.eigh(local.hessian)
     values = np.maximum(values, 0.0)
     width = float(np.sqrt(np.mean(local.theta**2))) or 1.0
@@ -325,13 +303,16 @@ def _linearise(
     free: ParametricModel,
     theta: Float[np.ndarray, " parameter"],
     trajectories: Trajectories,
-    solver: FixedStep,
 ) -> tuple[RefitProblem, LinearisedModel]:
+    """The model about states that fulfil its dynamics; FitError without any."""
     with jax.enable_x64(new_val=True):
         states = smooth_states(trajectories, trajectories.dim)
-        problem = RefitProblem.of(trajectories, states, solver)
-        start = LinearisedModel.at(free, theta, problem.states, problem)
-        local = problem.close_defects(start)
+        problem = RefitProblem.of(trajectories, states)
+        local = LinearisedModel.at(free, theta, problem.states, problem)
+        for _ in range(6):
+            if not local.is_finite or problem.defect(local) < 1e-9:
+                break
+            local = local.after(np.zeros(len(local.theta)), problem)
         if not local.is_finite or problem.defect(local) > 1e-3:
             raise FitError(
                 "law discovery: the learned force does not explain the "

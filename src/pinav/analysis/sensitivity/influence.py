@@ -25,14 +25,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
-from pinav.arguments import Scalar
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError, InputError
 from pinav.fitting import Hyperparameters, ParametricModel, ravel_model
 from pinav.fitting.bayes.neural import FitSpecification, function_prior
 from pinav.fitting.bayes.parameters import learned_environment
 from pinav.fitting.bayes.problem import BayesProblem
-from pinav.fitting.engine.constant_priors import selected_entries
+from pinav.fitting.engine.local_model import selected_entries
 from pinav.fitting.engine.multiple_shooting import linearise
 from pinav.fitting.engine.posterior import linear_rollout
 from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat, joint_posterior
@@ -53,7 +52,6 @@ class Influence(eqx.Module):
 
     Attributes:
         removals: change of them where one trajectory is left out.
-        first_order: the same by the infinitesimal jackknife.
         constants: change of them per unit of each constant, the data fitted anew.
         leverages: $\mathrm{tr}\,h_i$, how many parameters a trajectory determines.
         distances: Cook's $\Delta_i^\top C^{-1} \Delta_i$ over the sum of all leverages.
@@ -62,7 +60,6 @@ class Influence(eqx.Module):
     free: ParametricModel
     theta: Float[np.ndarray, " parameter"]
     removals: Float[np.ndarray, "trajectory parameter"]
-    first_order: Float[np.ndarray, "trajectory parameter"]
     constants: dict[str, Float[np.ndarray, " parameter"]]
     leverages: Float[np.ndarray, " trajectory"]
     distances: Float[np.ndarray, " trajectory"]
@@ -71,7 +68,6 @@ class Influence(eqx.Module):
         self,
         points: ArrayLike,
         changes: Float[np.ndarray, "change parameter"],
-        time: float = 0.0,
     ) -> Float[np.ndarray, "change point dim"]:
         """First-order change of the force [L T⁻²] on a swimmer at rest at points [L].
 
@@ -85,7 +81,6 @@ class Influence(eqx.Module):
                     jnp.asarray(self.theta),
                     jnp.asarray(points, jnp.float64),
                     jnp.asarray(changes),
-                    jnp.asarray(time, jnp.float64),
                 )
             )
 
@@ -94,22 +89,19 @@ class Influence(eqx.Module):
         y0: ArrayLike,
         ts: ArrayLike,
         changes: Float[np.ndarray, "change parameter"],
-        *,
-        solver: FixedStep | None = None,
     ) -> Float[np.ndarray, "change state"]:
         """First-order change of the last state of a rollout.
 
         Args:
             changes: of the parameters, such as `removals`.
         """
-        solver = FixedStep() if solver is None else solver
         with jax.enable_x64(new_val=True):
             _, columns = linear_rollout(
                 self.free,
                 jnp.asarray(self.theta),
                 jnp.asarray(y0, jnp.float64),
                 jnp.asarray(ts, jnp.float64),
-                solver,
+                FixedStep(),
             )
         return changes @ np.asarray(columns)[-1, :, : len(self.theta)].T
 
@@ -123,7 +115,6 @@ def influence(
     learn: Pick = lambda _: (),
     constants: Mapping[str, Pick] | None = None,
     kernels: AbstractLearnedForce | None = None,
-    solver: FixedStep | None = None,
 ) -> Influence:
     """Effect of each trajectory, and each constant, on a fit of `fit_bayes`.
 
@@ -145,8 +136,7 @@ def influence(
             "leave out"
         )
     with jax.enable_x64(new_val=True):
-        solver = FixedStep() if solver is None else solver
-        request = FitSpecification(model, trajectories, learn, None, solver)
+        request = FitSpecification(model, trajectories, learn, None, FixedStep())
         weights, environment = None, learned_environment(model)
         linear = environment is None or environment.is_linear
         if not linear and len(hyperparameters.shape):
@@ -178,7 +168,7 @@ def _influence(
         _removal(normal, gradient, covariance, chosen.noise, index)
         for index, (normal, gradient) in enumerate(each)
     ]
-    leverages = np.array([one.leverage for one in removed])
+    removals, leverages, distances = map(np.array, zip(*removed, strict=True))
     slopes = {
         name: _slope(covariance, hessian, place, chosen.noise, known=not learned[place])
         for name, place in places.items()
@@ -186,11 +176,10 @@ def _influence(
     return Influence(
         free=free,
         theta=np.asarray(theta),
-        removals=np.stack([one.change for one in removed]),
-        first_order=np.stack([one.first_order for one in removed]),
+        removals=removals,
         constants=slopes,
         leverages=leverages,
-        distances=np.array([one.distance for one in removed]) / leverages.sum(),
+        distances=distances / leverages.sum(),
     )
 
 
@@ -236,20 +225,14 @@ def _covariance(
     return joint_posterior(block, mean, covariance, chosen.noise)[1]
 
 
-class _Removal(eqx.Module):
-    change: Float[np.ndarray, " parameter"]
-    first_order: Float[np.ndarray, " parameter"]
-    leverage: float
-    distance: float
-
-
 def _removal(
     hessian: Hessian,
     gradient: Float[np.ndarray, " parameter"],
     covariance: Hessian,
     noise: float,
     index: int,
-) -> _Removal:
+) -> tuple[Float[np.ndarray, " parameter"], float, float]:
+    """Change of the parameters, leverage, and distance."""
     values, vectors = np.linalg.eigh(hessian)
     kept = values > 1e-14 * values[-1]
     roots, vectors = np.sqrt(values[kept]), vectors[:, kept]
@@ -264,12 +247,8 @@ def _removal(
             "parameters; learn fewer constants"
         )
     pulled = np.linalg.solve(left, residuals)
-    return _Removal(
-        change=gain @ pulled,
-        first_order=gain @ residuals,
-        leverage=float(np.trace(leverage)),
-        distance=float(pulled @ leverage @ pulled),
-    )
+    distance = float(pulled @ leverage @ pulled)
+    return gain @ pulled, float(np.trace(leverage)), distance
 
 
 def _slope(
@@ -289,11 +268,10 @@ def _force_changes(
     theta: Float[Array, " parameter"],
     points: Float[Array, "point dim"],
     changes: Float[Array, "change parameter"],
-    time: Scalar,
 ) -> Float[Array, "change point dim"]:
     def forces(theta: Float[Array, " parameter"]) -> Float[Array, "point dim"]:
         force = free(theta).environment
-        return jax.vmap(lambda x: force(time, x, jnp.zeros_like(x)))(points)
+        return jax.vmap(lambda x: force(0.0, x, jnp.zeros_like(x)))(points)
 
     _, slope = jax.linearize(forces, theta)
     return jax.vmap(slope)(changes)

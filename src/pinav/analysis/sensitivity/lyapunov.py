@@ -24,36 +24,14 @@ from pinav.dynamics import AbstractDynamics, FixedStep, with_dtype
 from pinav.errors import InputError
 
 
-def _start_slopes(
-    dynamics: AbstractDynamics,
-    starts: Float[np.ndarray, "start state"],
-    ts: ArrayLike,
-    directions: Float[np.ndarray, "direction state"],
-    solver: FixedStep | None,
-) -> tuple[
-    Float[np.ndarray, "start state"], Float[np.ndarray, "start state direction"]
-]:
-    """Last states, and their derivatives along directions of the starts."""
-    ts = np.asarray(ts, float)
-    if ts.ndim != 1 or len(ts) < 2:
-        raise InputError(
-            f"lyapunov_map ts: expected two or more times, got shape {ts.shape}"
-        )
-    solver = FixedStep() if solver is None else solver
-    with jax.enable_x64(new_val=True):
-        exact = with_dtype(dynamics, jnp.float64)
-        ends, slopes = _slopes(exact, starts, ts, directions, solver)
-    return np.asarray(ends), np.asarray(slopes)
-
-
 @eqx.filter_jit
 def _slopes(
     dynamics: AbstractDynamics,
     starts: Float[ArrayLike, "start state"],
     ts: Float[ArrayLike, " time"],
     directions: Float[ArrayLike, "direction state"],
-    solver: FixedStep,
 ) -> tuple[Float[Array, "start state"], Float[Array, "start state direction"]]:
+    """Last states, and their derivatives along directions of the starts."""
     intervals = jnp.stack([jnp.asarray(ts)[:-1], jnp.asarray(ts)[1:]], axis=1)
 
     def advance(
@@ -62,7 +40,7 @@ def _slopes(
         y, tangents = now
 
         def step(y: State) -> State:
-            return solver.looped_step(dynamics, y, interval[0], interval[1])
+            return FixedStep().looped_step(dynamics, y, interval[0], interval[1])
 
         def push(tangent: State) -> tuple[State, State]:
             return jax.jvp(step, (y,), (tangent,))
@@ -98,26 +76,30 @@ class LyapunovMap(eqx.Module):
     @property
     def median(self) -> float:
         """Median growth of separations; NaN where none is finite."""
-        known = self.separation[np.isfinite(self.separation)]
-        return float(np.median(known)) if known.size else float("nan")
+        return _of_finite(np.median, self.separation)
 
     @property
     def greatest(self) -> float:
         """Greatest growth of separations; NaN where none is finite."""
-        known = self.separation[np.isfinite(self.separation)]
-        return float(known.max()) if known.size else float("nan")
+        return _of_finite(np.max, self.separation)
 
     @property
     def median_exponent(self) -> float:
         """Median finite-time Lyapunov exponent [T⁻¹]; NaN where none is finite."""
-        known = self.exponent[np.isfinite(self.separation)]
-        return float(np.median(known)) if known.size else float("nan")
+        return _of_finite(np.median, self.exponent[np.isfinite(self.separation)])
 
     @property
     def exponent(self) -> Float[np.ndarray, "rows columns"]:
         """Finite-time Lyapunov exponent [T⁻¹]."""
         with np.errstate(divide="ignore"):
             return np.log(self.separation) / self.horizon
+
+
+def _of_finite(
+    summary: Callable[[np.ndarray], np.floating], values: np.ndarray
+) -> float:
+    known = values[~np.isnan(values)]
+    return float(summary(known)) if known.size else float("nan")
 
 
 def lyapunov_map(
@@ -127,14 +109,21 @@ def lyapunov_map(
     ts: ArrayLike,
     *,
     velocity: Callable[[Float[np.ndarray, " dim"]], ArrayLike] | None = None,
-    solver: FixedStep | None = None,
 ) -> LyapunovMap:
     """Finite-time Lyapunov exponents of a planar system for starts on a grid.
 
     Args:
         velocity: initial velocity [L T⁻¹] as a function of the starting position. None
             means that the position is the whole state.
+
+    Raises:
+        InputError: there are fewer than two times.
     """
+    times = np.asarray(ts, float)
+    if times.ndim != 1 or len(times) < 2:
+        raise InputError(
+            f"lyapunov_map ts: expected two or more times, got shape {times.shape}"
+        )
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     starts = points
     if velocity is not None:
@@ -142,13 +131,13 @@ def lyapunov_map(
         starts = np.concatenate([points, np.stack(velocities)], axis=1)
     # Starts differ in position alone: no derivative by the velocity is needed.
     positions = np.eye(starts.shape[1])[:2]
-    ends, slopes = _start_slopes(dynamics, starts, ts, positions, solver)
-    finite = np.asarray(
-        np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(ends).all(axis=1)
-    )
+    with jax.enable_x64(new_val=True):
+        exact = with_dtype(dynamics, jnp.float64)
+        ends, slopes = map(np.asarray, _slopes(exact, starts, times, positions))
+    finite = np.isfinite(np.concatenate([ends[..., None], slopes], axis=2))
+    finite = np.asarray(finite.all(axis=(1, 2)))
     block = np.where(finite[:, None, None], slopes[:, :2], 0.0)
     separation = np.linalg.svd(block, compute_uv=False)[:, 0]
-    times = np.asarray(ts, float)
     return LyapunovMap(
         x=np.asarray(x),
         y=np.asarray(y),

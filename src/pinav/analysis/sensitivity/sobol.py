@@ -33,6 +33,9 @@ Model = Callable[[Samples], Float[np.ndarray, "sample outcome"]]
 Indices = Float[np.ndarray, "outcome factor"]
 """An index for each outcome and factor."""
 
+RESAMPLES = 200
+"""Samples of the bootstrap."""
+
 
 class Factor(eqx.Module):
     """A parameter that varies uniformly and independently of the others.
@@ -78,7 +81,6 @@ def sobol_indices(
     *,
     samples: int = 256,
     confidence: float = 0.95,
-    resamples: int = 200,
     seed: int = 0,
 ) -> SobolIndices:
     """Sobol' indices of every outcome with respect to every factor.
@@ -108,18 +110,20 @@ def sobol_indices(
     varies = values.std(axis=0) > 1e-12 * np.abs(values).max(axis=0)
     stacked = values.reshape(-1, samples, len(outcomes))
     blank = np.where(varies, 0.0, np.nan)[:, None]
-    intervals = [
-        np.quantile(draws, [0.5 - confidence / 2, 0.5 + confidence / 2], axis=0)
-        for draws in _resample(stacked, resamples, generator)
+    draws = [
+        _indices(stacked[:, generator.integers(0, samples, samples)])
+        for _ in range(RESAMPLES)
     ]
+    ends = [0.5 - confidence / 2, 0.5 + confidence / 2]
+    intervals = np.quantile(np.array(draws), ends, axis=0)
     first_order, total = (blank + index for index in _indices(stacked))
     return SobolIndices(
         factors=tuple(factor.name for factor in factors),
         outcomes=tuple(outcomes),
         first=first_order,
-        first_interval=blank[..., None] + np.moveaxis(intervals[0], 0, -1),
+        first_interval=blank[..., None] + np.moveaxis(intervals[:, 0], 0, -1),
         total=total,
-        total_interval=blank[..., None] + np.moveaxis(intervals[1], 0, -1),
+        total_interval=blank[..., None] + np.moveaxis(intervals[:, 1], 0, -1),
         confidence=confidence,
         variance=values[: 2 * samples].var(axis=0),
     )
@@ -141,23 +145,6 @@ def _evaluate(
             "of the factors; make them narrower"
         )
     return values
-
-
-def _resample(
-    stacked: Float[np.ndarray, "matrix sample outcome"],
-    resamples: int,
-    generator: np.random.Generator,
-) -> tuple[
-    Float[np.ndarray, "resample outcome factor"],
-    Float[np.ndarray, "resample outcome factor"],
-]:
-    samples = stacked.shape[1]
-    draws = [
-        _indices(stacked[:, generator.integers(0, samples, samples)])
-        for _ in range(resamples)
-    ]
-    first, total = zip(*draws, strict=True)
-    return np.stack(first), np.stack(total)
 
 
 def _indices(

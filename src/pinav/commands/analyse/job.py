@@ -40,10 +40,10 @@ from pinav.report import (
 
 def run(options: AnalyseOptions) -> CommandResult:
     """Analyse as the command line does."""
-    options.settings.check()
-    fit = Learned.open(options.run)
-    analysis = analyse(fit, **msgspec.structs.asdict(options.settings))
-    return keep(ANALYSE, fit.folder, analysis)
+    settings = msgspec.structs.asdict(options)
+    fit = Learned.open(settings.pop("run"))
+    del settings["json"]
+    return keep(ANALYSE, fit.folder, analyse(fit, **settings))
 
 
 Blocks = list[AbstractBlock]
@@ -52,11 +52,16 @@ Blocks = list[AbstractBlock]
 def sections(analysis: Analysis) -> list[Section]:
     """Maps of what was learned, and what it depends on."""
     entropy = [] if analysis.entropy is None else [analysis.entropy]
+    growth, units, index = analysis.lyapunov, analysis.units, analysis.reference
+    ends = lyapunov_figure(
+        growth, trajectory=index, path=analysis.paths[index], units=units
+    )
+    rollout = [Paragraph(growth_sentence(growth, units.get("t", ""))), ends]
     blocks_by_title = {
         "What was learned": _learned(analysis),
         "Out of equilibrium": [Paragraph(entropy_sentence(e)) for e in entropy],
         "What the field depends on": _influence(analysis) + _constants(analysis),
-        "What a rollout depends on": _lyapunov(analysis) + _sobol(analysis),
+        "What a rollout depends on": rollout + _sobol(analysis),
         "Left out of the analysis": list(map(Paragraph, analysis.left_out)),
     }
     return [
@@ -180,15 +185,6 @@ def _constants(analysis: Analysis) -> Blocks:
 
 def _final(analysis: Analysis) -> str:
     return heading("change of the final position", analysis.units.get("x", ""))
-
-
-def _lyapunov(analysis: Analysis) -> Blocks:
-    growth, units = analysis.lyapunov, analysis.units
-    index = analysis.reference
-    drawn = lyapunov_figure(
-        growth, trajectory=index, path=analysis.paths[index], units=units
-    )
-    return [Paragraph(growth_sentence(growth, units.get("t", ""))), drawn]
 
 
 def growth_sentence(growth: LyapunovMap, time: str) -> str:

@@ -4,11 +4,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector
 from pinav.forces import AbstractForce, forces_at
+from pinav.navigation.tables import FieldTable, Grid
 
 SIDE = 97
 """Places along each side; half as many err eight times as much."""
@@ -38,49 +37,17 @@ class TableBox(NamedTuple):
 
 
 class TabulatedForce(AbstractForce):
-    """A force that is read from a table: cubic in space, linear in time.
-
-    Beyond the table its last values hold. The error of Keys' cubic convolution falls
-    with the third power of the spacing.
+    """A force that is read from a table, cubic in space and linear in time [F].
 
     Attributes:
-        values: the force at each moment and place [F].
-        lower: the first place [L].
-        spacing: between places [L].
-        first: the first moment [T].
-        step: between moments [T].
-
-    References:
-        Keys, IEEE Trans. Acoust. Speech Signal Process. 29, 1153 (1981).
+        first: the time at which the table begins [T].
     """
 
-    values: Float[Array, "moment x y 2"]
-    lower: Float[Array, "2"]
-    spacing: Float[Array, "2"]
-    first: float
-    step: float
+    table: FieldTable
+    first: Scalar
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        moments, *sides = self.values.shape[:3]
-        place = jnp.clip((x - self.lower) / self.spacing, 1.0, jnp.array(sides) - 2.0)
-        cell = jnp.clip(jnp.floor(place), 1, jnp.array(sides) - 3)
-        along, across = (cubic_weights(share) for share in place - cell)
-        moment = jnp.clip((t - self.first) / self.step, 0.0, max(moments - 1, 0))
-        before = jnp.clip(jnp.floor(moment), 0, max(moments - 2, 0))
-        i, j = (cell - 1).astype(int)
-        depth = min(moments, 2)
-        start, window = (before.astype(int), i, j, 0), (depth, 4, 4, 2)
-        near = lax.dynamic_slice(self.values, start, window)
-        forces = jnp.einsum("a,b,tabd->td", along, across, near)
-        return forces[0] + (moment - before) * (forces[-1] - forces[0])
-
-
-def cubic_weights(share: Scalar) -> Float[Array, "4"]:
-    """Weights of four neighbours at a share of the way from the second to the third."""
-    s = jnp.asarray(share)
-    second = 1 + s**2 * (1.5 * s - 2.5)
-    third = s * (0.5 + s * (2 - 1.5 * s))
-    return jnp.stack([-0.5 * s * (1 - s) ** 2, second, third, -0.5 * s**2 * (1 - s)])
+        return self.table(t - self.first, x)
 
 
 def tabulate(force: AbstractForce, box: TableBox) -> tuple[TabulatedForce, float]:
@@ -104,15 +71,10 @@ def tabulate(force: AbstractForce, box: TableBox) -> tuple[TabulatedForce, float
     exact = np.asarray(forces_at(force, times, points))
     is_static = np.array_equal(exact, forces_at(force, np.full(CHECKED, first), points))
     moments = np.linspace(first, last, 1 if is_static else MOMENTS)
-    axes = np.linspace(lower, upper, SIDE).T
-    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    values = [forces_at(force, np.full(places.shape[:2], t), places) for t in moments]
-    table = TabulatedForce(
-        jnp.stack(values),
-        jnp.asarray(lower),
-        jnp.asarray((upper - lower) / (SIDE - 1)),
-        first,
-        (last - first) / max(len(moments) - 1, 1) or 1.0,
-    )
+    spacing = jnp.asarray((upper - lower) / (SIDE - 1))
+    grid = Grid(jnp.asarray(lower), spacing, (SIDE, SIDE))
+    values = [forces_at(force, np.full(grid.shape, t), grid.points) for t in moments]
+    interval = (last - first) / max(len(moments) - 1, 1) or 1.0
+    table = TabulatedForce(FieldTable(grid, jnp.stack(values), interval), first)
     missed = np.abs(np.asarray(forces_at(table, times, points)) - exact).max()
     return table, float(missed / max(np.abs(exact).max(), np.finfo(float).tiny))

@@ -86,7 +86,8 @@ def section_payload(run: HeatedRun) -> Tree:
     moments = run.moments
     assert moments is not None
     cells = sum(thin(plane.temperatures[0]).size for plane in run.planes)
-    kept = _kept(len(moments), max(NUMBERS // cells, 2))
+    count = min(max(NUMBERS // cells, 2), len(moments))
+    kept = np.unique(np.linspace(0, len(moments) - 1, count).round().astype(int))
     fields = {one.axis: thin(one.temperatures[kept]) for one in run.planes}
     limits = _limits(*fields.values())
     doses = {f"dose/{name}": curve for name, curve in run.doses.items()}
@@ -115,11 +116,6 @@ def thin(plane: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     """Sections with at most `SIDE` cells along each side, the last two axes."""
     every = math.ceil(max(plane.shape[-2:]) / SIDE)
     return plane[..., ::every, ::every]
-
-
-def _kept(count: int, most: int) -> np.ndarray:
-    """Indices of at most so many of `count` moments, evenly, both ends among them."""
-    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
 
 
 def _place(plane: Plane, run: HeatedRun) -> Tree:

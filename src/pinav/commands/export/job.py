@@ -4,7 +4,7 @@ import csv
 import importlib.util
 import io
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -16,7 +16,7 @@ from pinav.errors import InputError
 from pinav.evaluation import exact_forces, extent, require_x64
 from pinav.files import atomic_write, check_destination
 from pinav.fitting import Posterior
-from pinav.fitting.engine.constant_priors import parameter_names
+from pinav.fitting.engine.local_model import parameter_names
 from pinav.forces import AbstractForce, as_learned_force
 from pinav.learning.learned import Learned
 from pinav.trajectories import POSITION_CHANNELS
@@ -284,11 +284,7 @@ def run(options: ExportOptions) -> CommandResult:
     fit = Learned.open(options.run)
     table = spot_table(fit)
     content = _content(fit, table, options)
-
-    def write(file: BinaryIO) -> None:
-        file.write(content)
-
-    atomic_write(options.out, write, overwrite=options.overwrite)
+    atomic_write(options.out, lambda f: f.write(content), overwrite=options.overwrite)
     spots = len(table.time)
     written = {"file": str(options.out), "format": options.to, "spots": spots}
     return CommandResult(written, f"{options.out}: {spots} spots, {options.to}")

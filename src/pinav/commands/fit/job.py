@@ -12,7 +12,6 @@ from pinav.commands.fit import FitOptions
 from pinav.commands.progress import Reporter
 from pinav.commands.results import fingerprint, keep, start_run
 from pinav.commands.sweep import run_files
-from pinav.evaluation import RestartErrors
 from pinav.figures.fits import (
     fit_figure,
     force_line_figures,
@@ -25,11 +24,11 @@ from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.structure.policy import POLICY
 from pinav.forces import HillsTerm
 from pinav.learning.account import account
-from pinav.learning.findings import Findings, FoundLaw, FoundStructure, FoundTerm
+from pinav.learning.findings import Findings, FoundStructure, FoundTerm
 from pinav.learning.learn import infer
 from pinav.learning.learned import Learned, is_written
 from pinav.learning.plan import FitPlan, choose_system, plan_fit
-from pinav.learning.thermal import ObservedDiffusion, ThermalFindings
+from pinav.learning.thermal import ThermalFindings
 from pinav.report import (
     NO_UNIT,
     AbstractBlock,
@@ -101,11 +100,12 @@ def _tables(fit: Findings) -> list[Table]:
     """Errors, choices of the evidence, loss and constants, as far as there are any."""
     tables = [_errors(fit)]
     if fit.hyperparameters is not None:
-        name = "noise of a position"
+        name, unit = "noise of a position", fit.units.get("x", "")
         if fit.recipe == "langevin":
-            name = "thermal noise, √(2D)"
+            name, time = "thermal noise, √(2D)", fit.units.get("t", "")
+            unit = unit if {unit, time} & set(NO_UNIT) else f"{unit}/√{time}"
         chosen = {
-            heading(name, unit_of_noise(fit)): fit.hyperparameters.noise,
+            heading(name, unit): fit.hyperparameters.noise,
             "log evidence": fit.hyperparameters.log_evidence,
             "iterations": fit.iterations,
             "outcome": fit.outcome,
@@ -118,14 +118,6 @@ def _tables(fit: Findings) -> list[Table]:
     if fit.constants:
         tables.append(constants_table(fit.constants))
     return tables
-
-
-def unit_of_noise(fit: Findings) -> str:
-    """The unit of the noise that the evidence chose."""
-    length, time = (fit.units.get(name, "") for name in ("x", "t"))
-    if fit.recipe != "langevin" or {length, time} & set(NO_UNIT):
-        return length
-    return f"{length}/√{time}"
 
 
 def constants_table(constants: Mapping[str, Estimate]) -> Table:
@@ -143,29 +135,23 @@ def constants_table(constants: Mapping[str, Estimate]) -> Table:
 
 def _errors(fit: Findings) -> Table:
     """Errors by the length of rollouts for a recording, else those of whole ones."""
-    units = fit.units
-    length = units.get("x", "1")
-    if fit.restarts is not None:
-        return _restarts(fit.restarts, length, units.get("t", "1"))
-    whole = {"position": length, **units}
-    rmse = {
-        heading(name, whole.get(name, "1")): error for name, error in fit.rmse.items()
-    }
-    return _one_row(rmse, "Root-mean-square errors of rollouts.")
-
-
-def _restarts(restarts: RestartErrors, length: str, time: str) -> Table:
-    note = (
-        f"Median end-point error of {restarts.rollouts} rollouts from observed "
-        "positions, by their length. A rollout of the whole film adds up all that "
-        "wanders; its error is in metrics.json."
-    )
+    length, time = (fit.units.get(name, "1") for name in ("x", "t"))
+    restarts = fit.restarts
+    if restarts is None:
+        units = {"position": length, **fit.units}
+        rmse = {heading(n, units.get(n, "1")): error for n, error in fit.rmse.items()}
+        return _one_row(rmse, "Root-mean-square errors of rollouts.")
     pairs = zip(restarts.lengths, restarts.errors, strict=True)
     errors = {
         heading(f"after {quantity(float(after), time)}", length): float(error)
         for after, error in pairs
     }
-    return _one_row(errors, note)
+    return _one_row(
+        errors,
+        f"Median end-point error of {restarts.rollouts} rollouts from observed "
+        "positions, by their length. A rollout of the whole film adds up all that "
+        "wanders; its error is in metrics.json.",
+    )
 
 
 def support_sentence(gain: float) -> str:
@@ -189,12 +175,9 @@ def support_sentence(gain: float) -> str:
 def _structure(fit: Findings) -> list[AbstractBlock]:
     """Result of the search, and each profile with its band."""
     assert fit.structure is not None
-    figures = [
-        profile_figure(index, term, fit)
-        for index, term in enumerate(fit.structure.terms)
-    ]
-    sentences = structure_sentences(fit.structure)
-    return [*map(Paragraph, sentences), *(one for one in figures if one is not None)]
+    terms = enumerate(fit.structure.terms)
+    figures = filter(None, (profile_figure(index, term, fit) for index, term in terms))
+    return [*map(Paragraph, structure_sentences(fit.structure)), *figures]
 
 
 def structure_sentences(structure: FoundStructure) -> list[str]:
@@ -242,16 +225,14 @@ def _structure_sentence(structure: FoundStructure) -> str:
 
 def term_words(term: FoundTerm) -> str:
     """A term in words and numbers."""
-    place = _place(term)
-    return place if term.law is None else f"{place} ({_law_words(term.law)})"
-
-
-def _law_words(law: FoundLaw) -> str:
+    place, law = _place(term), term.law
+    if law is None:
+        return place
     constants = [
         f"{name} {number(one.value, 4)} ± {number(one.sd, 2)}"
         for name, one in law.constants.items()
     ]
-    return f"potential: {law.name} of {', '.join(constants)}"
+    return f"{place} (potential: {law.name} of {', '.join(constants)})"
 
 
 def _place(term: FoundTerm) -> str:
@@ -316,13 +297,15 @@ def _thermal(thermal: ThermalFindings) -> list[AbstractBlock]:
 
 def thermal_sentences(thermal: ThermalFindings) -> list[str]:
     """Whether the increments are explained, where diffusion varies, what drifts."""
-    several = len(thermal.observed) > 1
     lines = [thermal.statement]
-    lines += [
-        _range_sentence(one, several=several)
-        for one in thermal.observed
-        if one.high > one.low
-    ]
+    for one in thermal.observed:
+        along = f" along {', '.join(one.channels)}" if len(thermal.observed) > 1 else ""
+        mean = f"{number(one.diffusion.value, 3)} ± {number(one.diffusion.sd, 2)} (sd)"
+        if one.high > one.low:
+            lines.append(
+                f"diffusion{along}: {number(one.low, 3)} to {number(one.high, 3)} for "
+                f"nine tenths of the data, mean {mean}"
+            )
     path = thermal.reference
     if path is not None:
         lines.append(
@@ -333,33 +316,17 @@ def thermal_sentences(thermal: ThermalFindings) -> list[str]:
     return lines
 
 
-def _range_sentence(one: ObservedDiffusion, *, several: bool) -> str:
-    along = f" along {', '.join(one.channels)}" if several else ""
-    mean = f"{number(one.diffusion.value, 3)} ± {number(one.diffusion.sd, 2)} (sd)"
-    return (
-        f"diffusion{along}: {number(one.low, 3)} to {number(one.high, 3)} for nine "
-        f"tenths of the data, mean {mean}"
-    )
-
-
 def _force(fit: Findings) -> list[AbstractBlock]:
     """Maps or lines of the force, and its errors where the truth is known."""
     maps = learned_force_figure(fit)
     blocks: list[AbstractBlock] = [] if maps is None else [maps]
     blocks += force_line_figures(fit)
     if fit.force_error is not None:
-        errors = {
-            f"{region} (%)": 100 * error for region, error in fit.force_error.items()
-        }
-        blocks.append(
-            _one_row(
-                errors,
-                "Relative L2 error of the force against the system's truth, on visited "
-                "and near grid points, and on the whole grid."
-                if maps is not None
-                else "Relative L2 error of the force against the system's truth.",
-            )
-        )
+        errors = {f"{region} (%)": 100 * one for region, one in fit.force_error.items()}
+        caption = "Relative L2 error of the force against the system's truth"
+        if maps is not None:
+            caption += ", on visited and near grid points, and on the whole grid"
+        blocks.append(_one_row(errors, f"{caption}."))
     return blocks
 
 

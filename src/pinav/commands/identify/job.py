@@ -20,7 +20,6 @@ from pinav.identification import (
 )
 from pinav.identification.identify import is_pooled
 from pinav.identification.rollouts import HORIZONS
-from pinav.learning.evidence import Evidence
 from pinav.learning.learned import DATA_FILE, ModelHeader, of_evidence
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
@@ -98,8 +97,7 @@ def _write_system(
     fit = dataclasses.replace(fit, constants=constants, hyperparameters=chosen)
     choice = ModelChoice(name="physics-only", learn=tuple(paths))
     header = ModelHeader(choice, summarise_data(data))
-    evidence = Evidence.of(fit, choice, data)
-    of_evidence(header, fit, system, data, evidence).write(folder)
+    of_evidence(header, fit, system, data).write(folder)
 
 
 def _fit_again(

@@ -85,7 +85,9 @@ def _tracks(result: Identification) -> Table:
 
     columns: dict[str, Callable[[IdentifiedTrack], Cell]] = {
         "track": lambda track: track.name,
-        "model": lambda track: chosen_row(track).label,
+        "model": lambda track: next(
+            row.label for row in track.rows if row.name == track.chosen
+        ),
         f"gain ({result.units['x']} per turn)": gain_text,
         "10 s": lambda track: error(track, track.chosen),
         "least squares": lambda track: error(track, LEAST_SQUARES),
@@ -99,11 +101,6 @@ def _tracks(result: Identification) -> Table:
     pooled = pooled_coverage(result.fitted)
     note += "." if pooled != pooled else f"; pooled {100 * pooled:.0f} %."
     return Table.of(result.fitted, columns, note)
-
-
-def chosen_row(track: IdentifiedTrack) -> Row:
-    """The line of the chosen candidate."""
-    return next(row for row in track.rows if row.name == track.chosen)
 
 
 def gain_text(track: IdentifiedTrack) -> str:
@@ -130,14 +127,13 @@ def _track(
         )
     if track.paths is None:
         return blocks
-    blocks += [_estimates(track, units), *_gain(track, units), _rows(track)]
+    estimates = Table(
+        ("quantity", "unit", "value", "from", "to", "meaning"),
+        [estimate_row(name, one, units) for name, one in track.estimates.items()],
+        "The chosen candidate on the whole track, with intervals of 95 %.",
+    )
+    blocks += [estimates, *_gain(track, units), _rows(track)]
     return blocks + track_figures(index, track, units)
-
-
-def _estimates(track: IdentifiedTrack, units: dict[str, str]) -> Table:
-    rows = [estimate_row(name, one, units) for name, one in track.estimates.items()]
-    note = "The chosen candidate on the whole track, with intervals of 95 %."
-    return Table(("quantity", "unit", "value", "from", "to", "meaning"), rows, note)
 
 
 def estimate_row(

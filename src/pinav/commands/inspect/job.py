@@ -16,7 +16,7 @@ from pinav.commands.data_file import read_data
 from pinav.commands.inspect import InspectOptions
 from pinav.errors import InputError
 from pinav.figures import overlay_figure, recording_figure
-from pinav.figures.images import Figures
+from pinav.figures.images import save_pictures
 from pinav.files import write_text
 from pinav.fitting import judge_increments
 from pinav.reading import Reading
@@ -63,17 +63,13 @@ def inspect(
     if out is not None:
         text = json.dumps(encode(report).document, indent=2, allow_nan=False)
         html = page(recording, report, out, image)  # makes the folder
-        content = tomli_w.dumps(_elsewhere(settings).content())
+        log = settings.commands  # as it is called in every folder
+        settings = msgspec.structs.replace(settings, commands=log and log.absolute())
+        content = tomli_w.dumps(settings.content())
         write_text(out / READING_FILE, content, overwrite=True)
         write_text(out / JSON_FILE, text, overwrite=True)
         write_text(out / PAGE_FILE, html, overwrite=True)
     return report
-
-
-def _elsewhere(settings: Reading) -> Reading:
-    """The settings as they hold in every folder."""
-    log = settings.commands
-    return msgspec.structs.replace(settings, commands=log and log.absolute())
 
 
 def _with_verdict(report: Quality, recording: Trajectories) -> Quality:
@@ -187,23 +183,16 @@ def _of_drive(cell: Callable[[Drive], Cell]) -> Callable[[Run], Cell]:
     return lambda run: None if run.drive is None else cell(run.drive)
 
 
-def _frequencies(drive: Drive) -> str:
-    low, high = (number(value, 3) for value in drive.frequency)
-    return f"{low}–{high}"
+def _or_infinite(condition: float) -> Cell:
+    return "∞" if condition == float("inf") else condition
 
 
 _DRIVE_COLUMNS = {
-    "f [Hz]": _of_drive(_frequencies),
+    "f [Hz]": _of_drive(lambda d: "–".join(number(f, 3) for f in d.frequency)),
     "off [%]": _of_drive(lambda drive: 100 * drive.off),
     "headings": _of_drive(lambda drive: drive.sectors),
-    "condition": _of_drive(
-        lambda drive: "∞" if drive.condition == float("inf") else drive.condition
-    ),
-    "raw": _of_drive(
-        lambda drive: (
-            "∞" if drive.raw_condition == float("inf") else drive.raw_condition
-        )
-    ),
+    "condition": _of_drive(lambda drive: _or_infinite(drive.condition)),
+    "raw": _of_drive(lambda drive: _or_infinite(drive.raw_condition)),
     "axis [%]": _of_drive(lambda drive: 100 * drive.aligned),
     "delay [%]": _of_drive(lambda drive: 100 * drive.delay),
 }
@@ -222,7 +211,7 @@ def page(
         Section("Particles", [_tracks_table(report)]),
         Section("How it was read", [Code(provenance)]),
     ]
-    saved = [Figures(out).saved(section) for section in sections]
+    saved = [save_pictures(section, out) for section in sections]
     return render(f"Recording {report.source}", f"pinav {__version__}", saved)
 
 

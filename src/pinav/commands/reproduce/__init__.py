@@ -1,11 +1,10 @@
 """Settings of `pinav reproduce`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pinav.commands.settings import (
     Range,
-    RecipeName,
     ResumableOptions,
     Settings,
     Several,
@@ -24,7 +23,7 @@ class ReproduceSettings(Settings, frozen=True):
         lbfgs_steps: Paper's recipe: steps of L-BFGS (500 in the paper).
     """
 
-    recipe: RecipeName = "default"
+    recipe: Literal["default", "paper"] = "default"
     seeds: Annotated[tuple[int, ...], Several()] = (42,)
     max_steps: Annotated[int, Range(1)] = 20
     adam_steps: Annotated[int, Range(1)] = 7500

@@ -85,18 +85,14 @@ def reproduce(settings: ReproduceSettings, folder: RunFolder) -> Reproduction:
     """
     benchmark = scenario("paper")
     write_system_of(folder, benchmark)
-    data = _data(benchmark, folder)
+    if not folder.has("data.npz"):
+        save(simulate(benchmark), folder.path / "data.npz")
+    data = load(folder.path / "data.npz")
     chosen = entries(settings)
     for entry in chosen:
         if not all(folder.has(model_file(label)) for label in entry.labels()):
             _write_fits(entry, settings, data, folder)
     return _evaluate(settings, benchmark, data, folder)
-
-
-def _data(benchmark: System, folder: RunFolder) -> Trajectories:
-    if not folder.has("data.npz"):
-        save(simulate(benchmark), folder.path / "data.npz")
-    return load(folder.path / "data.npz")
 
 
 def model_file(label: str) -> str:

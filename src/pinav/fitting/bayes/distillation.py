@@ -15,9 +15,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector
-from pinav.fitting.engine.constant_priors import ParametricModel, ravel_model
+from pinav.fitting.engine.local_model import ParametricModel, ravel_model
 from pinav.fitting.matching.damped_steps import (
     NETWORK_DAMPING,
+    LinearisedResiduals,
     damped_step,
     full_step,
     pointwise,
@@ -26,37 +27,50 @@ from pinav.fitting.matching.damped_steps import (
 from pinav.forces import AbstractForce, kernel_centers
 from pinav.trajectories import Trajectories
 
-STEPS, RANK, CHORD_STEPS, NUM_DAMPINGS = 16, 256, 5, 5
-"""Gauss-Newton steps, and the size of each."""
 
-FULL_RANK, FULL_STEPS, FULL_CHORD_STEPS, FULL_DAMPINGS = 1536, 100, 4, (0.1, 1.0, 10.0)
-"""The same of a close distillation, which takes all directions of a network that has no
-more of them; the dampings are relative to the last one."""
-
-CLOSE, SLOW, PATIENCE = 2e-3, 0.85, 10
-"""Root mean square of what a network is off, relative to that of the forces, that is
-close; and by how much it must fall, in how many steps, for others to be worth them."""
-
-MARGIN, NUM_SAMPLES = 4.0, 400
-"""Reach of the grid of targets beyond the samples, in widths; samples at most."""
-
-
-class DistillationGrid(eqx.Module):
-    """Places of targets beside the samples.
+class Distillation(eqx.Module):
+    """Settings of the distillation of a force into a network.
 
     Attributes:
-        spacing: in widths.
-        num_points: at most.
+        spacing: of places of targets beside the samples, in widths.
+        num_points: places beside the samples, at most.
+        margin: reach of these beyond the samples, in widths.
+        num_samples: samples at most.
+        closely: until the network is close to the targets, or can come no closer, with
+            all directions of its weights; targets that can be reached the other way
+            leaves up to a hundred times as far away.
+        steps: Gauss-Newton steps at most.
+        rank: directions of the weights of each step at most.
+        chord_steps: iterations of a step with the Jacobian held.
+        dampings: dampings that are tried, relative to the last one; of steps in few
+            directions there are `num_dampings`, a factor of ten apart.
+        close: root mean square of what a network is off, relative to that of the
+            forces, that is close.
+        slow: factor by which it must fall in `patience` steps for others to be worth
+            their time.
     """
 
-    spacing: float
-    num_points: int
+    spacing: float = 0.7
+    num_points: int = 1200
+    margin: float = 4.0
+    num_samples: int = 400
+    closely: bool = False
+    steps: int = 16
+    rank: int = 256
+    chord_steps: int = 5
+    num_dampings: int = 5
+    dampings: tuple[float, ...] = (0.1, 1.0, 10.0)
+    close: float = 2e-3
+    slow: float = 0.85
+    patience: int = 10
 
 
-OF_KERNELS = DistillationGrid(spacing=0.7, num_points=1200)
+OF_KERNELS = Distillation()
 """As fine as free kernels vary."""
 
-OF_STRUCTURE = DistillationGrid(spacing=0.45, num_points=1500)
+OF_STRUCTURE = Distillation(
+    spacing=0.45, num_points=1500, closely=True, steps=100, rank=1536, chord_steps=4
+)
 """As fine as a network that may turn asks for: on the coarser grid it misses a ring ten
 times as much between the places as at them."""
 
@@ -82,45 +96,39 @@ def distillation_targets(
     *,
     dim: int,
     width: float,
-    grid: DistillationGrid = OF_KERNELS,
+    how: Distillation = OF_KERNELS,
 ) -> DistillationTargets:
     """Values of a force at the samples, and on a grid around them.
 
     Args:
         dim: how many of the states are positions.
-        width: over which the force varies [L]; the grid is finer, and reaches
-            `MARGIN` of them beyond the samples.
+        width: over which the force varies [L].
     """
     real = np.arange(states.shape[1]) < trajectories.lengths[:, None]
     times, samples = trajectories.times[real], states[real][:, :dim]
-    spacing, margin = grid.spacing * width, MARGIN * width
+    spacing, margin = how.spacing * width, how.margin * width
     points = kernel_centers(samples, spacing=spacing, margin=margin)
     rng = np.random.default_rng(0)
-    if len(points) > grid.num_points:
-        points = points[rng.choice(len(points), grid.num_points, replace=False)]
-    stride = -(-len(times) // NUM_SAMPLES)
+    if len(points) > how.num_points:
+        points = points[rng.choice(len(points), how.num_points, replace=False)]
+    stride = -(-len(times) // how.num_samples)
     when = np.concatenate([times[::stride], rng.choice(times, len(points))])
     where = np.concatenate([samples[::stride], points])
     when, where = jnp.asarray(when), jnp.asarray(where)
     return DistillationTargets(when, where, forces(force, when, where))
 
 
-def distil(network: Any, targets: DistillationTargets, *, closely: bool = False) -> Any:
-    """The neural force after a regression on targets.
-
-    Args:
-        network: untrained.
-        targets: what it is to learn.
-        closely: until it is close to them, or can come no closer. Where targets can be
-            reached the other way leaves up to a hundred times as much.
-    """
+def distil(
+    network: Any, targets: DistillationTargets, how: Distillation = OF_KERNELS
+) -> Any:
+    """The neural force after a regression on targets, from untrained weights."""
     free, theta = ravel_model(network, lambda force: force.parameters)
     damping, left = jnp.asarray(NETWORK_DAMPING), [np.inf]
-    while len(left) <= (FULL_STEPS if closely else STEPS):
-        theta, damping, off = _step(free, theta, damping, targets, closely=closely)
+    while len(left) <= how.steps:
+        theta, damping, off = _step(free, theta, damping, targets, how)
         left.append(float(off))
-        is_slow = len(left) > PATIENCE and left[-1] > SLOW * left[-PATIENCE]
-        if closely and (left[-1] <= CLOSE or is_slow):
+        is_slow = len(left) > how.patience and left[-1] > how.slow * left[-how.patience]
+        if how.closely and (left[-1] <= how.close or is_slow):
             break
     return free(theta)
 
@@ -139,8 +147,7 @@ def _step(
     theta: Float[Array, " parameter"],
     damping: Float[Array, ""],
     targets: DistillationTargets,
-    *,
-    closely: bool,
+    how: Distillation,
 ) -> tuple[Float[Array, " parameter"], Float[Array, ""], Float[Array, ""]]:
     """The best of several damped steps, its damping, and what it leaves.
 
@@ -157,31 +164,21 @@ def _step(
         targets.forces,
         jnp.sqrt(jnp.mean(targets.forces**2)),
     )
-    residual = residuals(theta)
-    if not closely:
-        step = damped_step(
-            residuals,
-            theta,
-            (residual, jacobian),
-            damping,
-            rank=RANK,
-            num_dampings=NUM_DAMPINGS,
-            chord_steps=CHORD_STEPS,
-        )
-        after = step.theta
-    else:
-        slopes, along = jacobian, lambda z: z
-        if len(theta) > FULL_RANK:
-            basis = row_space(jacobian, FULL_RANK)
-            slopes, along = jacobian @ basis, lambda z: basis @ z
+    problem = LinearisedResiduals(residuals, theta, residuals(theta), jacobian, damping)
+    if how.closely:
+        large = len(theta) > how.rank
         step = full_step(
-            lambda z: residuals(theta + along(z)),
-            jnp.zeros(slopes.shape[1]),
-            (residual, slopes),
-            damping,
-            dampings=FULL_DAMPINGS,
-            chord_steps=FULL_CHORD_STEPS,
+            problem,
+            directions=row_space(jacobian, how.rank) if large else None,
+            dampings=how.dampings,
+            chord_steps=how.chord_steps,
         )
-        after = theta + along(step.theta)
-    off = jnp.sqrt(step.left * jnp.mean(residual**2))
-    return after, step.damping, off
+    else:
+        step = damped_step(
+            problem,
+            rank=how.rank,
+            num_dampings=how.num_dampings,
+            chord_steps=how.chord_steps,
+        )
+    off = jnp.sqrt(step.left * jnp.mean(problem.residual**2))
+    return step.theta, step.damping, off

@@ -15,8 +15,12 @@ from pinav.errors import InputError
 from pinav.fitting.bayes.neural import FitSpecification, Teacher
 from pinav.fitting.bayes.parameters import Learn, learned_environment
 from pinav.fitting.bayes.problem import BayesProblem
-from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
-from pinav.fitting.engine.iterate import EvidenceProgress, iterate
+from pinav.fitting.engine.evidence_fit import (
+    EvidenceFit,
+    EvidenceProgress,
+    evidence_fit,
+    iterate,
+)
 from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.environments.kernels import check_size
 from pinav.fitting.environments.refinement import (

@@ -29,7 +29,7 @@ from jaxtyping import Array, Float, Int
 
 from pinav.arguments import Scalar, Vector
 from pinav.fitting.bayes.distillation import DistillationTargets, forces
-from pinav.fitting.engine.constant_priors import (
+from pinav.fitting.engine.local_model import (
     ParametricModel,
     ravel_model,
     selected_entries,

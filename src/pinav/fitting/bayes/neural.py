@@ -18,7 +18,7 @@ from pinav.dynamics import FixedStep
 from pinav.fitting.bayes.distillation import (
     OF_KERNELS,
     OF_STRUCTURE,
-    DistillationGrid,
+    Distillation,
     DistillationTargets,
     distil,
     distillation_targets,
@@ -28,7 +28,7 @@ from pinav.fitting.bayes.parameters import Learn, num_positions
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.engine.problem import AbstractProblem, Step
-from pinav.fitting.environments.kernels import lay_kernels
+from pinav.fitting.environments.kernels import first_kernels, observed_positions
 from pinav.fitting.evidence.evidence import Hyperparameters, LinearisedObservations
 from pinav.fitting.evidence.hyperparameter_uncertainty import shape_changes
 from pinav.fitting.evidence.model_evidence import LinearFit
@@ -56,8 +56,8 @@ class FitSpecification(eqx.Module):
 
     def kernels(self) -> Any:
         """Untrained kernels of the same kind as the network."""
-        places = lay_kernels(self.trajectories, None, self.dim)
-        return self.model.environment.kernels_on(*places)
+        positions = observed_positions(self.trajectories, self.dim)
+        return first_kernels(self.model.environment.kernels_on, positions)
 
     def problem(self, model: Any, **options: Any) -> BayesProblem:
         """The fit of another model to the same data."""
@@ -79,10 +79,10 @@ class FitSpecification(eqx.Module):
             teacher.states,
             dim=self.dim,
             width=float(force.kernels.width),
-            grid=_grid_of(force),
+            how=_way_for(force),
         )
-        closely = bool(split_structure(force)[0])
-        return distil(self.model.environment, targets, closely=closely), targets
+        network = distil(self.model.environment, targets, _way_for(force))
+        return network, targets
 
     def by_process(
         self, teacher: "Teacher", network: Any, targets: DistillationTargets
@@ -109,8 +109,8 @@ class FitSpecification(eqx.Module):
         )
 
 
-def _grid_of(force: AbstractForce) -> DistillationGrid:
-    """Where a network is compared with a force."""
+def _way_for(force: AbstractForce) -> Distillation:
+    """The way in which a network learns a force."""
     return OF_STRUCTURE if split_structure(force)[0] else OF_KERNELS
 
 
@@ -165,7 +165,7 @@ def function_prior(
         states,
         dim=request.dim,
         width=float(made.kernels.width),
-        grid=_grid_of(made),
+        how=_way_for(made),
     )
     prior = made.prior()
     none = np.zeros((len(prior.covariance(chosen.shape)), 0))

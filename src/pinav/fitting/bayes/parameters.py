@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from pinav.dynamics import Swimmer, with_dtype
 from pinav.errors import InputError
-from pinav.fitting.engine.constant_priors import (
+from pinav.fitting.engine.local_model import (
     ConstantPriors,
     ParametricModel,
     known_model,

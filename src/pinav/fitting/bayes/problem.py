@@ -19,13 +19,14 @@ from pinav.fitting.bayes.parameters import (
     parametrise,
     weight_leaves,
 )
-from pinav.fitting.engine.constant_priors import (
+from pinav.fitting.engine.local_model import (
+    AbstractLocalModel,
     ConstantPriors,
     ParametricModel,
+    Prediction,
     parameter_names,
     selected_entries,
 )
-from pinav.fitting.engine.local_model import AbstractLocalModel, Prediction
 from pinav.fitting.engine.multiple_shooting import (
     Linearisation,
     advance,

@@ -1,15 +1,212 @@
-"""A fit near one point, and what is minimised there."""
+r"""A model as a function of one vector, its priors, and a fit near a point.
+
+A prior is written as $\exp(-z(\theta)^2/2)$ with a standardised value $z$. In a sum of
+squares whose residuals have the standard deviation $\sigma$ it is one more residual,
+$\sigma z$. While $\sigma$ is estimated, its last estimate stands there: at convergence
+the two agree. While the noise is estimated, a constant that the data pull $z$ standard
+deviations away from its prior counts as one residual of that size.
+"""
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, PyTree
 
-from pinav.fitting.engine.constant_priors import ConstantPriors
+from pinav.arguments import on_device
 from pinav.fitting.evidence.quadratic import Parameters, Quadratic
+from pinav.fitting.matching.state import Trainable, split_trainable
+from pinav.systems.priors import AbstractNumberPrior, Normal
+
+
+class ParametricModel(eqx.Module):
+    """A model as a function of the vector of its parameters.
+
+    Attributes:
+        static: the model without the leaves that are parameters.
+        unravel: from the vector to those leaves.
+    """
+
+    static: PyTree
+    unravel: Callable[[Float[Array, " parameter"]], PyTree] = eqx.field(static=True)
+
+    def __call__(self, theta: Float[Array, " parameter"]) -> Any:
+        """The model with these parameters."""
+        return eqx.combine(self.unravel(theta), self.static)
+
+    def at(self, theta: Float[np.ndarray, " parameter"]) -> Any:
+        """The same outside of compiled functions, without a program for each leaf."""
+        shapes, tree = jax.tree.flatten(jax.eval_shape(self.unravel, theta))
+        ends = np.cumsum([shape.size for shape in shapes])
+        parts = np.split(np.asarray(theta), ends[:-1])
+        leaves = [
+            on_device(part.reshape(shape.shape))
+            # of no parameters there is one empty part and no leaf
+            for part, shape in zip(parts, shapes, strict=False)
+        ]
+        return eqx.combine(jax.tree.unflatten(tree, leaves), self.static)
+
+
+def ravel_model(
+    model: Any, trainable: Trainable
+) -> tuple[ParametricModel, Float[Array, " parameter"]]:
+    """The model as a function of the selected leaves, and their values, in float64.
+
+    Raises:
+        InputError: the selection holds no number that could be a parameter.
+    """
+    free, static = split_trainable(model, trainable, jnp.float64)
+    _, unravel = eqx.filter_eval_shape(ravel_pytree, free)  # which compiles nothing
+    theta = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(free)])
+    return ParametricModel(static, unravel), on_device(theta)
+
+
+def known_model(model: Any) -> ParametricModel:
+    """A model without parameters."""
+    nothing, known = eqx.partition(model, lambda _: False)
+    return ParametricModel(known, ravel_pytree(nothing)[1])
+
+
+def selected_entries(
+    parametric: ParametricModel, count: int, select: Callable[[Any], PyTree]
+) -> Bool[np.ndarray, " parameter"]:
+    """True for the entries of the parameter vector of a selection of leaves."""
+    shapes = _shapes(parametric, count)
+    marks = jax.tree.map(lambda leaf: np.zeros(leaf.shape, bool), shapes)
+    leaves = jax.tree.leaves(select(marks))
+    if leaves:
+        ones = [np.ones_like(leaf) for leaf in leaves]
+        marks = eqx.tree_at(lambda m: jax.tree.leaves(select(m)), marks, ones)
+    flat = [np.ravel(leaf) for leaf in jax.tree.leaves(marks)]
+    return np.concatenate(flat) if flat else np.zeros(0, bool)
+
+
+def parameter_names(parametric: ParametricModel, count: int) -> tuple[str, ...]:
+    """A name for every entry of the parameter vector: the path of its leaf."""
+    names = []
+    leaves = jax.tree_util.tree_leaves_with_path(_shapes(parametric, count))
+    for path, leaf in leaves:
+        name = jax.tree_util.keystr(path).lstrip(".")
+        indices = np.ndindex(*leaf.shape) if leaf.shape else [None]
+        names += [name if i is None else f"{name}{list(i)}" for i in indices]
+    return tuple(names)
+
+
+def _shapes(parametric: ParametricModel, count: int) -> PyTree:
+    """Shapes of the leaves that are parameters; nothing is computed."""
+    return jax.eval_shape(parametric.unravel, jax.ShapeDtypeStruct((count,), float))
+
+
+ModelOfParameters = Callable[[Float[Array, " parameter"]], Any]
+"""A `ParametricModel`, or one that the commands of a trajectory drive besides."""
+
+
+class ConstantPriors(eqx.Module):
+    """Priors of some entries of the parameter vector."""
+
+    entries: tuple[int, ...] = eqx.field(static=True, default=())
+    priors: tuple[AbstractNumberPrior, ...] = ()
+
+    def add_to(self, quadratic: Quadratic, noise: float) -> Quadratic:
+        """The sum of squares with one more residual for each prior.
+
+        Args:
+            noise: last estimate of the standard deviation of the residuals.
+        """
+        if not self.entries:
+            return quadratic
+        index, (values, slopes) = (
+            list(self.entries),
+            self._standardise(quadratic.point),
+        )
+        hessian, gradient = quadratic.hessian.copy(), quadratic.gradient.copy()
+        hessian[index, index] += (noise * slopes) ** 2
+        gradient[index] += noise**2 * slopes * values
+        # The evidence takes every residual for one of the data, of density 1/sqrt(2 pi
+        # sigma^2) at its peak; that of a prior has the height of the prior instead.
+        volume = -2 * self.log_height - len(index) * np.log(2 * np.pi * noise**2)
+        return Quadratic(
+            point=quadratic.point,
+            hessian=hessian,
+            gradient=gradient,
+            squares=quadratic.squares + noise**2 * float(values @ values),
+            num_free=quadratic.num_free + len(index),
+            log_determinant=quadratic.log_determinant + float(volume),
+        )
+
+    @property
+    def log_height(self) -> float:
+        """Logarithm of the product of the densities at their peaks."""
+        return float(sum(prior.log_height for prior in self.priors))
+
+    def squares(self, theta: Parameters) -> float:
+        """Sum of the squared standardised values."""
+        return float(np.sum(self._standardise(theta)[0] ** 2)) if self.entries else 0.0
+
+    def half_gradient(self, theta: Parameters) -> Parameters:
+        """Half the gradient of `squares`."""
+        gradient = np.zeros(len(theta))
+        if self.entries:
+            values, slopes = self._standardise(theta)
+            gradient[list(self.entries)] = slopes * values
+        return gradient
+
+    def curvature(self, theta: Parameters) -> Parameters:
+        """Half the second derivative of `squares`, less that of the values."""
+        curvature = np.zeros(len(theta))
+        if self.entries:
+            curvature[list(self.entries)] = self._standardise(theta)[1] ** 2
+        return curvature
+
+    def _standardise(
+        self, theta: Parameters
+    ) -> tuple[Float[np.ndarray, " prior"], Float[np.ndarray, " prior"]]:
+        """Standardised values, and their derivatives."""
+        values, slopes = _scores(self.priors, on_device(theta[list(self.entries)]))
+        return np.asarray(values), np.asarray(slopes)
+
+
+def wide_priors(
+    parametric: ParametricModel,
+    theta: Parameters,
+    leaves: Callable[[Any], Sequence[PyTree]],
+    scales: Sequence[float],
+) -> ConstantPriors:
+    """Normal priors of some leaves about where a fit begins.
+
+    Args:
+        leaves: picks the leaves of a model.
+        scales: of each leaf, the deviation of all of its numbers.
+    """
+    entries: list[int] = []
+    priors: list[Normal] = []
+    for index, scale in enumerate(scales):
+        chosen = selected_entries(
+            parametric, len(theta), lambda model, index=index: leaves(model)[index]
+        )
+        for entry in np.flatnonzero(chosen).tolist():
+            entries.append(entry)
+            priors.append(Normal(float(theta[entry]), scale))
+    return ConstantPriors(tuple(entries), tuple(priors))
+
+
+@eqx.filter_jit
+def _scores(
+    priors: tuple[AbstractNumberPrior, ...], values: Float[Array, " prior"]
+) -> tuple[Float[Array, " prior"], Float[Array, " prior"]]:
+    """The standardised value of each number, and its derivative."""
+    pairs = [
+        jax.value_and_grad(prior.standard_score)(value)
+        for prior, value in zip(priors, values, strict=True)
+    ]
+    scores, slopes = zip(*pairs, strict=True)
+    return jnp.stack(scores), jnp.stack(slopes)
+
 
 States = Float[Array, "trajectory time state"] | None
 """States about which dynamics are linearised; None where there are no dynamics."""

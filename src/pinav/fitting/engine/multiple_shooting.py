@@ -21,8 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from pinav.arguments import Scalar, State
 from pinav.dynamics import FixedStep, linear_recursion
-from pinav.fitting.engine.constant_priors import ModelOfParameters
-from pinav.fitting.engine.local_model import Prediction
+from pinav.fitting.engine.local_model import ModelOfParameters, Prediction
 from pinav.fitting.matching.state import Observations
 
 

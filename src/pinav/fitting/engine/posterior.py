@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from pinav.arguments import Scalar, State, Vector, on_device
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
-from pinav.fitting.engine.constant_priors import ParametricModel
+from pinav.fitting.engine.local_model import ParametricModel
 from pinav.fitting.engine.multiple_shooting import sensitivities
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.quadratic import Parameters

@@ -12,9 +12,10 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Bool, Float
 
-from pinav.fitting.engine.constant_priors import ConstantPriors, ParametricModel
 from pinav.fitting.engine.local_model import (
     AbstractLocalModel,
+    ConstantPriors,
+    ParametricModel,
     PenalisedSquares,
     Prediction,
     States,

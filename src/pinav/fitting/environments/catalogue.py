@@ -23,33 +23,21 @@ from pinav.errors import InputError
 from pinav.fitting.environments.summary import (
     BLACK_BOX,
     CONSTANTS,
-    MIXTURE,
+    KERNELS,
     PROFILE,
-    TIMED,
     DataSummary,
-    KernelLayer,
     KnownSwimmer,
     ModelChoice,
 )
-from pinav.fitting.environments.terms import (
-    with_terms,
-)
 from pinav.forces import (
     AbstractForce,
-    ChangingPotential,
     CholeskyTensor,
-    KernelForce,
-    KernelMixture,
-    KernelPotential,
-    KernelProfile,
-    LayeredPotential,
     LinearDrag,
     NeuralForce,
     NeuralPotential,
     PositionFeatures,
     PositionTimeFeatures,
     TensorDrag,
-    TimedKernelPotential,
     ZeroForce,
     paper_force,
     spread_weights,
@@ -111,9 +99,8 @@ def build(
     if CONSTANTS["drag"] in choice.paths().values():
         swimmer = with_tensor_drag(swimmer, summary)
     if summary.mobility is not None:
-        swimmer = dataclasses.replace(swimmer, mobility=summary.mobility.mobility())
-    model = MODELS[choice.name](choice, swimmer, summary)
-    return with_terms(model, summary.terms)
+        swimmer = dataclasses.replace(swimmer, mobility=summary.mobility)
+    return MODELS[choice.name](choice, swimmer, summary)
 
 
 def _in_environment(
@@ -125,45 +112,11 @@ def _in_environment(
     )
 
 
-def _kernels(
-    kind: type[KernelForce] | type[KernelMixture],
-) -> Builder:
-    return _in_environment(
-        lambda choice, summary: kind.with_zero_weights(
-            np.asarray(summary.centers), summary.kernel_width
-        )
-    )
-
-
-def _potential(
-    choice: ModelChoice, summary: DataSummary
-) -> KernelPotential | LayeredPotential:
-    """Kernels of one width, or of several."""
-    first = KernelLayer(summary.centers, summary.kernel_width)
-    layers = tuple(
-        KernelPotential.with_zero_weights(np.asarray(layer.centers), layer.width)
-        for layer in (first, *summary.finer)
-    )
-    return LayeredPotential(layers) if summary.finer else layers[0]
-
-
-def _profile(choice: ModelChoice, summary: DataSummary) -> KernelProfile:
-    if summary.profile is None:
-        raise InputError(f"model {choice.name}: its summary has no coordinates")
-    return summary.profile.profile(summary.dim)
-
-
-def _changing_potential(choice: ModelChoice, summary: DataSummary) -> ChangingPotential:
-    change = summary.change
-    if change is None:
-        raise InputError(f"model {choice.name}: its summary of the data has no times")
-    centers = jnp.asarray(change.centers)
-    weights = jnp.zeros((len(centers), change.splines))
-    static = KernelPotential.with_zero_weights(
-        np.asarray(summary.centers), summary.kernel_width
-    )
-    timed = TimedKernelPotential(weights, centers, change.width, *change.times)
-    return ChangingPotential(static, timed)
+def _laid(choice: ModelChoice, summary: DataSummary) -> AbstractForce:
+    """The untrained kernels or profile around the data."""
+    if summary.environment is None:
+        raise InputError(f"model {choice.name}: its summary of the data has no kernels")
+    return summary.environment
 
 
 def _timed_network(choice: ModelChoice, summary: DataSummary) -> NeuralForce:
@@ -207,16 +160,13 @@ def _paper_black_box(
 
 
 MODELS: dict[str, Builder] = {
-    "kernel-potential": _in_environment(_potential),
-    "kernel-force": _kernels(KernelForce),
-    MIXTURE: _kernels(KernelMixture),
-    TIMED: _in_environment(_changing_potential),
+    **dict.fromkeys(KERNELS, _in_environment(_laid)),
     "neural-potential": _static_network(NeuralPotential),
     "neural-force": _static_network(NeuralForce),
     "ude": _in_environment(_timed_network),
     "physics-only": _in_environment(lambda choice, summary: ZeroForce()),
     BLACK_BOX: _black_box,
-    PROFILE: _in_environment(_profile),
+    PROFILE: _in_environment(_laid),
     "paper-ude": _in_environment(
         lambda choice, summary: paper_force(jax.random.key(choice.seed))
     ),

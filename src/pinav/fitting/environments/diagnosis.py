@@ -13,13 +13,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 from jaxtyping import Array, Bool, Float
 
 from pinav.dynamics import RK4, FixedStep, Swimmer
-from pinav.fitting.environments.force_regression import (
+from pinav.fitting.environments.force_prior import (
     KernelKind,
-    force_grids,
-    regression_evidence,
+    force_columns,
+    kernel_ladder,
 )
 from pinav.fitting.environments.gradient_matching import (
     RELIABLE,
@@ -73,6 +74,37 @@ class Cause(enum.Enum):
         return self.value
 
 
+class Limits(eqx.Module):
+    """Thresholds between the causes.
+
+    Attributes:
+        decisive: evidence for each number by which one field is better [nats].
+        explained: evidence of a field that leaves a thousandth of the forces [nats].
+        no_field: evidence below which there is no field [nats]; a force of pure noise
+            has -1.4.
+        doubtful: difference between the rates of two splines, relative to the largest
+            force, above which the samples are too far apart; below `RELIABLE` a rate is
+            not in doubt.
+        chaotic: growth of a small difference between two rollouts.
+        fewest: reliable samples that tell a field.
+        acts: force beside a uniform one and a drag that needs a field, in units of the
+            largest one.
+        broad: size of the force of a drag in the prior, in units of that of a kernel.
+    """
+
+    decisive: float = 0.5
+    explained: float = 5.5
+    no_field: float = -0.8
+    doubtful: float = 0.03
+    chaotic: float = 1e4
+    fewest: int = 50
+    acts: float = 1e-2
+    broad: float = 3.0
+
+
+LIMITS = Limits()
+
+
 def diagnose(model: Swimmer, trajectories: Trajectories) -> Cause | None:
     """Why a fit to exact data failed.
 
@@ -90,33 +122,20 @@ def diagnose(model: Swimmer, trajectories: Trajectories) -> Cause | None:
         return None
     fields = _explain(rates.states, forces, doubts < RELIABLE * largest)
     static = max(fields.potential, fields.free)
-    if fields.beside_drag > static + DECISIVE:
+    if fields.beside_drag > static + LIMITS.decisive:
         return Cause.PHYSICS
-    if doubts.max() > DOUBTFUL * largest:
+    if doubts.max() > LIMITS.doubtful * largest:
         return Cause.SAMPLES
     learned = as_learned_force(model.environment)
     if learned is not None and learned.is_conservative:
-        turns = fields.free > fields.potential + DECISIVE
-        if turns and fields.potential < EXPLAINED:
+        turns = fields.free > fields.potential + LIMITS.decisive
+        if turns and fields.potential < LIMITS.explained:
             return Cause.NO_POTENTIAL
-    if static < NO_FIELD:
+    if static < LIMITS.no_field:
         return Cause.PHYSICS
     teacher = model.with_environment(match_kernels(model, rates))
-    chaotic = largest_growth(teacher, trajectories) > CHAOTIC
+    chaotic = largest_growth(teacher, trajectories) > LIMITS.chaotic
     return Cause.CHAOS if chaotic else Cause.SEARCH
-
-
-DECISIVE, EXPLAINED, NO_FIELD = 0.5, 5.5, -0.8
-"""Evidence for each number [nats]: by which one explanation is better than another, of
-a field that leaves a thousandth of the forces, and from which on there is a field (a
-force of pure noise has -1.4)."""
-
-DOUBTFUL = 0.03
-"""Difference between the rates of two splines, relative to the largest force, above
-which the samples are too far apart; below `RELIABLE` a rate is not in doubt."""
-
-CHAOTIC = 1e4
-"""Growth of a small difference between two rollouts."""
 
 
 def largest_growth(model: Swimmer, trajectories: Trajectories) -> float:
@@ -168,18 +187,18 @@ def _explain(
     reliable: Bool[np.ndarray, " point"],
 ) -> _Fields:
     rows = np.flatnonzero(reliable)
-    if len(rows) < FEWEST or not forces[rows].any():
+    if len(rows) < LIMITS.fewest or not forces[rows].any():
         return _Fields(np.inf, np.inf, np.inf)
     dim = forces.shape[1]
     beside = forces_beside_drag(states[rows, dim:], forces[rows])
     left = np.linalg.norm(beside, axis=1)
-    places = states[rows[left >= ACTS * left.max()], :dim]
+    places = states[rows[left >= LIMITS.acts * left.max()], :dim]
     # Where a narrow force acts, forces change although states hardly do.
     told = np.hstack([states, forces])[rows]
     rows = rows[informative_rows(told, MOST_SAMPLES)]
     positions, velocities, forces = states[rows, :dim], states[rows, dim:], forces[rows]
     along = velocities[:, :, None]
-    if dim == PLANE:
+    if dim == 2:  # where a velocity can be turned
         along = np.stack([velocities, velocities[:, ::-1] * [-1.0, 1.0]], axis=2)
     nothing = along[:, :, :0]
     potential, free, with_drag, free_with_drag = (
@@ -188,13 +207,6 @@ def _explain(
         for kind in (KernelPotential, KernelForce)
     )
     return _Fields(potential, free, max(with_drag, free_with_drag))
-
-
-FEWEST, PLANE = 50, 2
-"""Reliable samples that tell a field, and the dimension in which a velocity turns."""
-
-ACTS = 1e-2
-"""Force beside a uniform one and a drag that needs a field, in units of the largest."""
 
 
 def _best_evidence(
@@ -206,13 +218,50 @@ def _best_evidence(
 ) -> float:
     """Evidence of the forces by the best grid of kernels around places."""
     evidence = [-np.inf]
-    for _, columns in force_grids(kind, places, positions):
-        size = BROAD * np.sqrt(np.sum(columns**2, axis=(0, 1)).max())
+    for laid in kernel_ladder(kind, places):
+        columns = force_columns(laid, positions).reshape(*positions.shape, -1)
+        size = LIMITS.broad * np.sqrt(np.sum(columns**2, axis=(0, 1)).max())
         beside = size * extra / np.sqrt(np.sum(extra**2, axis=(0, 1)))
         columns = np.concatenate([columns, beside], axis=2)
         evidence.append(regression_evidence(columns, forces))
     return max(evidence)
 
 
-BROAD = 3.0
-"""Size of the force of a drag in the prior, in units of that of a kernel."""
+def regression_evidence(
+    columns: Float[np.ndarray, "point dim weight"],
+    forces: Float[np.ndarray, "point dim"],
+) -> float:
+    r"""Evidence of a regression for each number that it explains [nats].
+
+    Weights and noise are normal, with variances $s^2$ and $\lambda s^2$. The forces
+    $y$, in units of their root mean square, have the covariance
+    $s^2 K = s^2 (X X^\top + \lambda I)$; the likeliest scale is
+    $s^2 = y^\top K^{-1} y / n$, with which the logarithm of the evidence is
+    $-\tfrac12 (n \ln 2\pi s^2 + \ln \det K + n)$. The likeliest of several $\lambda$
+    counts. A regression that explains the forces up to a relative error e has some
+    $-\ln e - 1.4$ less what its freedom costs.
+
+    Args:
+        forces: to be explained, not all zero.
+
+    References:
+        MacKay, Neural Computation 4, 415 (1992).
+    """
+    rows = columns.reshape(-1, columns.shape[-1])
+    targets = forces.reshape(-1) / np.sqrt(np.mean(forces**2))
+    values, vectors = scipy.linalg.eigh(rows.T @ rows)
+    values = np.maximum(values, 0.0)
+    along = (vectors.T @ (rows.T @ targets))[:, None] ** 2
+    noise = NOISES * np.sum(rows**2, axis=0).max()
+    count, spectrum = len(targets), values[:, None]
+    # In float64 nothing is explained beyond its rounding, and the difference may be 0.
+    # Rounding is that of the sum of squares of the forces.
+    left = count - np.sum(along / (noise + spectrum), axis=0)
+    scale = np.maximum(left / count, 1e-14) / noise
+    determinant = np.sum(np.log1p(spectrum / noise), axis=0) / count + np.log(noise)
+    return float(np.max(-0.5 * (np.log(2 * np.pi * scale) + determinant + 1.0)))
+
+
+NOISES = 10.0 ** -np.arange(2.0, 13.0)
+"""Variances of the noise that are tried, relative to the largest sum of squares of a
+column."""

@@ -2,15 +2,19 @@ r"""Kernels, and the prior of their weights, that forces along observed paths as
 
 Exact data leave the force beside the paths to the prior. The evidence of the forces at
 the samples, taken as known to a thousandth, chooses the length scale $\ell$, the
-envelope and the amplitude $a$ of the covariance $a^2 K$ of the weights. With less noise
-the errors of splines and of the kernels themselves would decide. What the mean of that
-process leaves unexplained along the paths is the size of a white part, with which
-trajectories can be followed to rounding: the covariance is $a^2 K + \tau^2 I$.
+envelope and the amplitude $a$ of the covariance $a^2 K$ of the weights, and how fine
+the kernels are. With less noise the errors of splines and of the kernels themselves
+would decide. What the mean of that process leaves unexplained along the paths is the
+size of a white part, with which trajectories can be followed to rounding: the
+covariance is $a^2 K + \tau^2 I$.
 
 References:
     MacKay, Neural Computation 4, 415 (1992); Rasmussen and Williams, Gaussian
     Processes for Machine Learning (2006), chapter 5.
 """
+
+from collections.abc import Iterator
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,12 +24,11 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
-from pinav.fitting.environments.force_regression import KernelKind, regress
 from pinav.fitting.environments.kernels import (
-    MOST_MATCHED,
+    MOST_WEIGHTS,
+    OFTEN,
     KernelGrid,
-    num_weights,
-    surround_with_kernels,
+    finest_kernels,
 )
 from pinav.fitting.environments.refinement import Refinement
 from pinav.fitting.evidence.evidence import (
@@ -35,17 +38,11 @@ from pinav.fitting.evidence.evidence import (
     best_hyperparameters,
     posterior_mean,
 )
-from pinav.forces import (
-    AbstractLearnedForce,
-    KernelForce,
-    KernelPotential,
-    LayeredPotential,
-)
+from pinav.forces import AbstractLearnedForce, KernelForce, KernelPotential
 from pinav.forces.priors import Matrix
 
-FIRST, FEWEST = 12, 4
-"""Intervals of the first grid along the extent of the data, and of the coarsest one,
-which is tried where finer ones have too many weights."""
+KernelKind = type[KernelPotential] | type[KernelForce]
+"""Kernels of which forces along exact paths are made."""
 
 NOISE = 1e-3
 """Of the forces, relative to their root mean square."""
@@ -56,17 +53,22 @@ WHITE = 3.0
 LEAST_SINGULAR = 1e-6
 """Relative size of what the forces say of the weights that is worth keeping."""
 
+AS_FINE_AS_FORCES = Refinement(max_weights=int(OFTEN * MOST_WEIGHTS), envelope=True)
+"""Asks for finer kernels where length scale or envelope end at a width."""
+
 
 class ForcePrior(eqx.Module):
     """The prior of an environment's weights by the forces at samples.
 
     Attributes:
+        mean: of the weights, given the forces.
         missed: error of the mean at the samples, relative to the forces.
         white: standard deviation of each weight beside the smooth process.
     """
 
     environment: AbstractLearnedForce
     chosen: Hyperparameters
+    mean: Float[np.ndarray, " weight"]
     missed: float
     white: float
 
@@ -83,19 +85,26 @@ class ForcePrior(eqx.Module):
             positions: at which the force is known [L].
             forces: there [L T⁻²].
         """
-        columns, targets = _regression(environment, positions, forces)
+        columns, targets = force_columns(environment, positions), forces.reshape(-1)
         size = _root_mean_square(targets) or 1.0
         data, prior = _independent(columns, targets), environment.prior()
         chosen = best_hyperparameters(data, prior, prior.start, NOISE * size)
         mean = posterior_mean(Whitened.of(data, prior.covariance(chosen.shape)), chosen)
         missed = _root_mean_square(columns @ mean - targets)
-        return cls(environment, chosen, missed / size, _white(columns, missed))
+        # Standard deviation of weights which together make up for a missed force.
+        white = WHITE * missed / float(np.sqrt(np.mean(np.sum(columns**2, axis=1))))
+        return cls(environment, chosen, mean, missed / size, white)
 
     @property
     def suits(self) -> bool:
         """Whether the kernels are fine enough, and explain the forces."""
         asks = AS_FINE_AS_FORCES.is_needed(self.environment, self.chosen.shape)
         return not asks and self.missed < NOISE
+
+    @property
+    def force(self) -> Any:
+        """The environment whose weights are the mean."""
+        return with_weights(self.environment, self.mean)
 
     def root(self) -> Matrix:
         r"""$C$ with $C C^\top = a^2 K + \tau^2 I$, its columns from large to small."""
@@ -106,69 +115,7 @@ class ForcePrior(eqx.Module):
         return (vectors * np.sqrt(variances))[:, ::-1]
 
 
-def layers_root(
-    environment: LayeredPotential,
-    positions: Float[np.ndarray, "point dim"],
-    forces: Float[np.ndarray, "point dim"],
-) -> Matrix:
-    r"""A root of the prior of layers: weights of one layer are alike in size.
-
-    A layer is as fine as its kernels, so that its weights need no length scale. Their
-    standard deviations $s_l$ follow from the evidence by
-    $s_l^2 \leftarrow \lVert m_l \rVert^2 / \gamma_l$, with the mean m of the weights
-    and the number $\gamma_l$ of those that the forces determine.
-
-    References:
-        MacKay, Neural Computation 4, 415 (1992), eq. (21).
-    """
-    columns, targets = _regression(environment, positions, forces)
-    noise = NOISE * _root_mean_square(targets) or 1.0
-    rows = columns / noise
-    normal, pull = rows.T @ rows, rows.T @ (targets / noise)
-    counts = [num_weights(layer) for layer in environment.layers]
-    layer = np.repeat(np.arange(len(counts)), counts)
-    variances = np.full(len(layer), 1.0 / normal.diagonal().mean())
-    mean = np.zeros_like(pull)
-    for _ in range(LAYER_ROUNDS):
-        covariance = np.linalg.inv(normal + np.diag(1.0 / variances))
-        mean = covariance @ pull
-        determined = 1.0 - covariance.diagonal() / variances
-        squares, known = (np.bincount(layer, w) for w in (mean**2, determined))
-        largest = squares.sum()
-        variances = np.maximum(squares / known, LEAST_LAYER * largest)[layer]
-    missed = _root_mean_square(columns @ mean - targets)
-    return np.diag(np.sqrt(variances + _white(columns, missed) ** 2))
-
-
-LAYER_ROUNDS, LEAST_LAYER = 12, 1e-20
-"""Iterations, and the least variance of a layer relative to all squares."""
-
-
-def _regression(
-    environment: AbstractLearnedForce,
-    positions: Float[np.ndarray, "point dim"],
-    forces: Float[np.ndarray, "point dim"],
-) -> tuple[Float[np.ndarray, "row weight"], Float[np.ndarray, " row"]]:
-    """Columns of each weight, and what they are to explain."""
-    with jax.enable_x64(new_val=True):
-        columns = np.asarray(_columns(environment, on_device(positions)))
-    return columns.reshape(-1, columns.shape[-1]), forces.reshape(-1)
-
-
-def _white(columns: Float[np.ndarray, "row weight"], missed: float) -> float:
-    """Standard deviation of weights which together make up for a missed force."""
-    return WHITE * missed / float(np.sqrt(np.mean(np.sum(columns**2, axis=1))))
-
-
-def _root_mean_square(values: Float[np.ndarray, "..."]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-AS_FINE_AS_FORCES = Refinement(max_weights=MOST_MATCHED, envelope=True)
-"""Asks for finer kernels where length scale or envelope end at a width."""
-
-
-def lay_smooth_kernels(
+def choose_kernels(
     kind: KernelKind,
     places: Float[np.ndarray, "place dim"],
     positions: Float[np.ndarray, "point dim"],
@@ -178,20 +125,50 @@ def lay_smooth_kernels(
 
     Args:
         places: which the kernels surround [L].
+        positions: at which the force is known [L].
+        forces: there [L T⁻²].
     """
-    rule, across = AS_FINE_AS_FORCES, float(FIRST)
-    laid = _lay(kind, places, across)
-    while num_weights(laid) > rule.max_weights and across > FEWEST:
-        across /= rule.factor
-        laid = _lay(kind, places, across)
-    while num_weights(laid) <= rule.max_weights:
+    for laid in kernel_ladder(kind, places):
+        # No prior makes it easier to explain forces that no weights do.
         if _explains(laid, positions, forces):
             prior = ForcePrior.of(laid, positions, forces)
             if prior.suits:
                 return prior
-        across *= rule.factor
-        laid = _lay(kind, places, across)
     return None
+
+
+def kernel_ladder(
+    kind: KernelKind, places: Float[np.ndarray, "place dim"]
+) -> Iterator[AbstractLearnedForce]:
+    """Untrained kernels around places, from coarse to fine until they are too many."""
+    rule, make = AS_FINE_AS_FORCES, kind.with_zero_weights
+    laid: Any = finest_kernels(make, places, rule.max_weights, KernelGrid())
+    while laid is not None:
+        yield laid
+        laid = rule.finer(laid, places)
+
+
+def force_columns(
+    environment: AbstractLearnedForce, positions: Float[np.ndarray, "point dim"]
+) -> Float[np.ndarray, "row weight"]:
+    """Force of each weight at each position, component after component."""
+    with jax.enable_x64(new_val=True):
+        columns = np.asarray(_columns(environment, on_device(positions)))
+    return columns.reshape(-1, columns.shape[-1])
+
+
+def with_weights(
+    environment: AbstractLearnedForce, weights: Float[np.ndarray, " weight"]
+) -> Any:
+    """An environment with other weights, one after the other."""
+    _, unravel = ravel_pytree(environment.parameters)
+    with jax.enable_x64(new_val=True):
+        parameters = unravel(on_device(weights))
+    return eqx.tree_at(lambda e: e.parameters, environment, parameters)
+
+
+def _root_mean_square(values: Float[np.ndarray, "..."]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _explains(
@@ -199,18 +176,16 @@ def _explains(
     positions: Float[np.ndarray, "point dim"],
     forces: Float[np.ndarray, "point dim"],
 ) -> bool:
-    """Whether any weights explain the forces, which no prior makes easier."""
-    columns, targets = _regression(environment, positions, forces)
-    weights = regress(columns.reshape(*forces.shape, -1), forces)
-    missed = _root_mean_square(columns @ weights - targets)
-    return missed <= NOISE * _root_mean_square(targets)
+    columns = force_columns(environment, positions)
+    missed = columns @ regress(columns, forces) - forces.reshape(-1)
+    return _root_mean_square(missed) <= NOISE * _root_mean_square(forces)
 
 
-def _lay(
-    kind: KernelKind, places: Float[np.ndarray, "place dim"], across: float
-) -> KernelPotential | KernelForce:
-    grid = KernelGrid(round(across))
-    return kind.with_zero_weights(*surround_with_kernels(places, grid))
+def regress(
+    columns: Float[np.ndarray, "row weight"], forces: Float[np.ndarray, "point dim"]
+) -> Float[np.ndarray, " weight"]:
+    """Weights of least squares, as small as they can be."""
+    return np.linalg.lstsq(columns, forces.reshape(-1))[0]
 
 
 @eqx.filter_jit

@@ -1,8 +1,8 @@
 r"""Gradient matching: the unknown along the observed paths, without a rollout.
 
 Complete states that are all but exact give their own rates of change, by splines, and
-with the known physics the unknown force at every sample. Kernels as fine as held-out
-samples ask for carry it to the places beside the paths. Networks learn the rates
+with the known physics the unknown force at every sample. Kernels as fine as the
+evidence asks for carry it to the places beside the paths. Networks learn the rates
 themselves before the errors of their rollouts (`RateMatching`).
 
 References:
@@ -11,30 +11,23 @@ References:
 """
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
 from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.fitting.environments.force_prior import (
     ForcePrior,
-    lay_smooth_kernels,
-    layers_root,
-)
-from pinav.fitting.environments.force_regression import (
     KernelKind,
-    Layer,
+    choose_kernels,
     force_columns,
-    force_grids,
-    lay_layers,
-    match_grid,
+    kernel_ladder,
     regress,
+    with_weights,
 )
-from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
+from pinav.fitting.environments.kernel_layers import lay_layers, layers_root
 from pinav.fitting.environments.rates import (
     DEGREE,
     MOST_SAMPLES,
@@ -42,8 +35,11 @@ from pinav.fitting.environments.rates import (
     residual_forces,
     thin_rates,
 )
+from pinav.fitting.matching import recipes
 from pinav.fitting.matching.gauss_newton import Rates
 from pinav.forces import (
+    AbstractForce,
+    AbstractLearnedForce,
     KernelForce,
     KernelPotential,
     LayeredPotential,
@@ -52,38 +48,43 @@ from pinav.forces import (
 )
 from pinav.trajectories import Trajectories, informative_rows
 
-MOST_RATES = 300
-"""Samples whose rates a network learns, at most."""
 
-GOOD_ENOUGH = 1e-6
-"""Relative error of held-out samples that needs no finer kernels."""
-
-
-def match_kernels(swimmer: Swimmer, rates: Rates) -> KernelPotential | KernelForce:
+def match_kernels(swimmer: Swimmer, rates: Rates) -> AbstractForce:
     """The force that the known physics leave unexplained.
 
-    Its kernels surround the samples at which it acts. They are a little finer than
-    those whose error at held-out samples is the smallest; a potential, unless a force
-    without one explains them far better.
+    Its kernels surround the samples at which it acts. It is a potential, in layers
+    where it must be, unless a force without one alone suits the samples.
 
     Args:
         swimmer: the known physics; its environment is left out.
     """
     samples = _ForceSamples.of(swimmer, rates)
-    best = _choose(_try_grids((KernelPotential, KernelForce), samples))
-    return _fit_grid(best, samples)
+    kinds: tuple[KernelKind, ...] = (KernelPotential, KernelForce)
+    for kind in kinds:
+        prior = choose_kernels(kind, *samples)
+        if prior is not None:
+            return prior.force
+    layers = lay_layers(*samples)
+    columns = force_columns(layers, samples.positions)
+    return with_weights(layers, regress(columns, samples.forces))
 
 
-def lay_kernels_of(
+def kernels_of(
     kind: KernelKind, swimmer: Swimmer, rates: Rates
-) -> KernelPotential | KernelForce | None:
-    """Untrained kernels with a prior that suits what the known physics leave.
+) -> AbstractLearnedForce:
+    """Untrained kernels for the force that the known physics leave unexplained.
 
-    Returns:
-        The kernels; None where no grid of one width suits the force.
+    Where no grid of one width suits a potential it gets layers; a force without one has
+    the finest kernels that there is room for.
     """
-    prior = lay_smooth_kernels(kind, *_ForceSamples.of(swimmer, rates))
-    return None if prior is None else prior.environment  # pyright: ignore
+    samples = _ForceSamples.of(swimmer, rates)
+    prior = choose_kernels(kind, *samples)
+    if prior is not None:
+        return prior.environment
+    if kind is KernelPotential:
+        return lay_layers(*samples)
+    *_, finest = kernel_ladder(kind, samples.places)
+    return finest
 
 
 def prior_root(
@@ -108,23 +109,6 @@ def prior_root(
     if isinstance(environment, LayeredPotential):
         return layers_root(environment, positions, forces)
     return ForcePrior.of(environment, positions, forces).root()
-
-
-def match_potential(swimmer: Swimmer, rates: Rates) -> tuple[Layer, ...]:
-    """Kernels of a potential for the force that the known physics leave unexplained.
-
-    A grid of one width where one explains the force; a hill with a long tail asks for
-    layers (`lay_layers`).
-    """
-    samples = _ForceSamples.of(swimmer, rates)
-    prior = lay_smooth_kernels(KernelPotential, *samples)
-    laid = None if prior is None else prior.environment.kernels
-    if laid is not None:
-        return ((np.asarray(laid.centers), float(laid.width)),)
-    best = _choose(_try_grids((KernelPotential,), samples))
-    if best.within > ONE_WIDTH:
-        return lay_layers(samples.positions, samples.forces)
-    return (surround_with_kernels(samples.places, _finer(best.grid)),)
 
 
 class _ForceSamples(NamedTuple):
@@ -153,37 +137,6 @@ class _ForceSamples(NamedTuple):
         return cls(positions[acting], positions[kept], forces[kept])
 
 
-def _try_grids(kinds: Sequence[KernelKind], samples: _ForceSamples) -> "list[_Trial]":
-    """Errors of grids from coarse to fine, until one needs no finer kernels."""
-    places, positions, forces = samples
-    # Every fourth sample, so that held-out places lie among the others.
-    held_out = np.arange(len(positions)) % 4 == 2
-    size = float(np.sqrt(np.mean(forces[held_out] ** 2))) or 1.0
-    trials: list[_Trial] = []
-    for kind in kinds:
-        for grid, columns in force_grids(kind, places, positions):
-            weights = regress(columns[~held_out], forces[~held_out])
-            missed = np.square(columns @ weights - forces)
-            held, within = (
-                float(np.sqrt(missed[part].mean())) / size
-                for part in (held_out, ~held_out)
-            )
-            trials.append(_Trial(held, within, kind, grid))
-            if held < GOOD_ENOUGH:
-                return trials
-    return trials
-
-
-def _fit_grid(best: "_Trial", samples: _ForceSamples) -> KernelPotential | KernelForce:
-    """Kernels of a trial, a little finer, fitted to all samples."""
-    kind = best.kind
-    centers, width = surround_with_kernels(samples.places, _finer(best.grid))
-    columns = force_columns(kind, samples.positions, centers, width)
-    weights = regress(columns, samples.forces)
-    shape = centers.shape if kind is KernelForce else centers.shape[:1]
-    return kind(jnp.asarray(weights.reshape(shape)), jnp.asarray(centers), width)
-
-
 def _where_a_force_acts(
     forces: Float[np.ndarray, "point dim"],
 ) -> Bool[np.ndarray, " point"]:
@@ -209,70 +162,6 @@ points above which the others are left out."""
 
 LEAST_FORCE = 1e-7
 """Relative to the largest force: what acts less is left without kernels."""
-
-
-class _Trial(NamedTuple):
-    """A grid and its relative errors.
-
-    Attributes:
-        held_out: error at samples that were left out.
-        within: error at the others.
-    """
-
-    held_out: float
-    within: float
-    kind: KernelKind
-    grid: KernelGrid
-
-
-def _choose(trials: list[_Trial]) -> _Trial:
-    """The coarsest of the best trials; a potential unless others are `FAR_BETTER`.
-
-    Held-out errors near those of the splines hardly tell grids from each other, and a
-    finer one leaves more of the force undecided beside the path.
-
-    Where samples are too far apart to predict each other, the ones that are left out
-    tell nothing; then the coarsest potential is taken that explains the samples
-    themselves.
-    """
-    potentials = [trial for trial in trials if trial.kind is KernelPotential]
-    if min(trial.held_out for trial in trials) >= TELLING:
-        enough = max(EXPLAINED, min(trial.within for trial in potentials))
-        return next(trial for trial in potentials if trial.within <= enough)
-    best, potential = (
-        min(several, key=lambda trial: trial.held_out)
-        for several in (trials, potentials)
-    )
-    # A force can only look better by chance where it has more weights than a potential:
-    # it must be far better.
-    far_better = FAR_BETTER * best.held_out < potential.held_out
-    chosen = best if far_better else potential
-    return next(
-        trial
-        for trial in trials
-        if trial.kind is chosen.kind and trial.held_out <= AS_GOOD * chosen.held_out
-    )
-
-
-FAR_BETTER, AS_GOOD = 10.0, 2.0
-"""Factors in the error of held-out samples."""
-
-
-def _finer(grid: KernelGrid) -> KernelGrid:
-    return match_grid(round(FINER * grid.across))
-
-
-FINER = 4 / 3
-"""Rates by splines are less exact than trajectories, which ask for finer kernels."""
-
-TELLING, EXPLAINED = 0.05, 1e-5
-"""Relative error of held-out samples above which they cannot judge a grid, and that of
-the others at which they are explained."""
-
-
-ONE_WIDTH = 2e-5
-"""Relative error of the samples that enter a regression above which kernels of one
-width do not explain them; the errors of splines are mostly below."""
 
 
 def simpler_models(
@@ -309,7 +198,7 @@ def rates_to_match(model: Any, trajectories: Trajectories) -> Rates | None:
         offsets = BESIDE * spread * rng.normal(size=rates.states.shape)
         beside = dataclasses.replace(rates, states=rates.states + offsets)
         return jax.tree.map(lambda *a: np.concatenate(a), rates, beside)
-    rates = thin_rates(rates, MOST_RATES)
+    rates = thin_rates(rates, recipes.MOST_SAMPLES)
     return dataclasses.replace(rates, rates=rates.rates[:, dim:])
 
 

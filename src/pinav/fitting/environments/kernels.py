@@ -5,19 +5,17 @@ covariance, is a Gaussian process: the basis filters the weights.
 """
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractLearnedForce,
-    AbstractTensorField,
     ChangingPotential,
     KernelAxis,
     KernelBasis,
@@ -26,7 +24,6 @@ from pinav.forces import (
     KernelPotential,
     KernelProfile,
     KernelStream,
-    KernelTensor,
     TimedKernelPotential,
     Warp,
     kernel_centers,
@@ -60,9 +57,6 @@ class KernelGrid(eqx.Module):
                 )
 
 
-WITHOUT_PRIOR = KernelGrid(across=10, width=1.5, margin=2.0)
-"""Wide kernels close to the data: where no prior makes the field smooth."""
-
 IN_TIME = KernelGrid(across=9, margin=2.0)
 """Fewer kernels: each of them has a weight for every spline in time."""
 
@@ -70,25 +64,26 @@ IN_SPACE = KernelGrid(across=23, margin=2.0)
 """The finest grid in space that is tried: that of a long, thin region has few kernels.
 """
 
-MOST_WEIGHTS = 700
-"""Weights with which a fit begins at most, unless a grid is given. A plane never has as
-many; in space a twelfth of the extent makes thousands, and the search for the shape of
-their prior costs the cube of their number."""
+MOST_WEIGHTS = 2000
+"""Weights of kernels at most. A step costs the square of their number, the search for
+the shape of their prior the cube. All other limits are shares of it."""
 
-MOST_REFINED = 2000
-"""Weights at most of kernels that the evidence asks for."""
+AT_FIRST = 0.35
+"""Share of the weights with which a fit begins at most, unless a grid is given. A plane
+never has as many; in space a twelfth of the extent makes thousands."""
 
-MOST_IN_SPACE = 1000
-"""Weights at most of a refined grid in space that is less fine than was asked."""
+OFTEN = 0.5
+"""Share of them where many grids are tried, or the search would take hours: in
+regressions on forces along exact paths, and of refined grids in space."""
 
-MOST_IN_TIME = 1200
-"""Weights of the part that changes, beside some 300 of the static one."""
+CHANGING = 0.75
+"""Share of them of a potential that changes with time, what stays included."""
 
-MOST_MATCHED = 900
-"""Weights at most of a regression on forces along exact paths."""
+POSSIBLE = 2.0
+"""Share of them beyond which a fit is refused: one step would take hours."""
 
-MOST_POSSIBLE = 4000
-"""Weights beyond which a fit is refused: one step would take hours."""
+Make = Callable[[Float[np.ndarray, "kernel dim"], float], AbstractLearnedForce]
+"""The environment of centres and width of kernels [L]."""
 
 
 def kernel_environment(
@@ -103,8 +98,9 @@ def kernel_environment(
     Unless given, the grid is as fine as a twelfth of the longer side of the data, the
     kernels are as wide as the grid is fine, and they reach four intervals beyond the
     samples: a prior must not end within its own length scale. In space the grid is the
-    finest whose weights are at most `MOST_WEIGHTS`. That is where `fit_bayes`
-    begins; it lays finer ones where the evidence asks for them (`Refinement`).
+    finest whose weights are at most the share `AT_FIRST` of `MOST_WEIGHTS`. That is
+    where `fit_bayes` begins; it lays finer ones where the evidence asks for them
+    (`Refinement`).
 
     Args:
         trajectories: their channels are positions, then as many velocities.
@@ -116,34 +112,41 @@ def kernel_environment(
         InputError: the observed positions are fewer than two, or all the same, or
             there are no `dim` channels.
     """
-    made = kind.with_zero_weights(*lay_kernels(trajectories, grid, dim))
-    if grid is None and num_weights(made) > MOST_WEIGHTS:
-        make = kind.with_zero_weights
-        made = make(*finest_kernels(make, trajectories, MOST_WEIGHTS, dim))
+    positions = observed_positions(trajectories, dim)
+    if grid is not None:
+        return kind.with_zero_weights(*surround_with_kernels(positions, grid))
+    made: Any = first_kernels(kind.with_zero_weights, positions)
     return made
 
 
+def first_kernels(
+    make: Make, positions: Float[np.ndarray, "position dim"]
+) -> AbstractLearnedForce:
+    """Kernels with which every fit begins, by data alone; see `kernel_environment`."""
+    made, most = make(*surround_with_kernels(positions, KernelGrid())), AT_FIRST
+    if num_weights(made) <= most * MOST_WEIGHTS:
+        return made
+    return finest_kernels(make, positions, int(most * MOST_WEIGHTS), IN_SPACE)
+
+
 def finest_kernels(
-    make: Callable[[Float[np.ndarray, "kernel dim"], float], AbstractLearnedForce],
-    trajectories: Trajectories,
+    make: Make,
+    positions: Float[np.ndarray, "position dim"],
     most: int,
-    dim: int | None = None,
-    grid: KernelGrid = IN_SPACE,
-) -> tuple[Float[np.ndarray, "kernel dim"], float]:
-    """Centres and width of kernels on the finest grid near the data with few weights.
+    grid: KernelGrid,
+) -> AbstractLearnedForce:
+    """Kernels on the finest grid that has few weights, from a given one downwards.
 
     Args:
-        make: the environment of centres and width of kernels.
-        trajectories: around which they are laid.
+        positions: which the kernels surround [L].
         most: weights; there may be more on a grid of one interval.
-        dim: see `kernel_environment`.
         grid: the finest that is tried.
     """
-    centers, width = lay_kernels(trajectories, grid, dim)
-    if grid.across == 1 or num_weights(make(centers, width)) <= most:
-        return centers, width
-    coarser = KernelGrid(grid.across - 1, grid.width, grid.margin)
-    return finest_kernels(make, trajectories, most, dim, coarser)
+    made = make(*surround_with_kernels(positions, grid))
+    while num_weights(made) > most and grid.across > 1:
+        grid = KernelGrid(grid.across - 1, grid.width, grid.margin)
+        made = make(*surround_with_kernels(positions, grid))
+    return made
 
 
 def num_weights(environment: AbstractLearnedForce) -> int:
@@ -156,12 +159,13 @@ def check_size(environment: AbstractLearnedForce | None) -> None:
     """Refuse an environment with more weights than can be fitted.
 
     Raises:
-        InputError: it has more than `MOST_POSSIBLE`.
+        InputError: it has more than `POSSIBLE` allows.
     """
     count = 0 if environment is None else num_weights(environment)
-    if count > MOST_POSSIBLE:
+    most = int(POSSIBLE * MOST_WEIGHTS)
+    if count > most:
         raise InputError(
-            f"environment: expected at most {MOST_POSSIBLE} weights, got {count}; lay "
+            f"environment: expected at most {most} weights, got {count}; lay "
             "fewer kernels, such as kernel_environment(..., KernelGrid(across=6)), or "
             "choose a potential, which has one weight for each kernel"
         )
@@ -172,13 +176,13 @@ def timed_kernel_environment(
     *,
     grid: KernelGrid | None = None,
     intervals: int = 6,
-    max_weights: int = 1500,
+    max_weights: int = int(CHANGING * MOST_WEIGHTS),
     dim: int | None = None,
 ) -> TimedKernelPotential:
     """An untrained potential that may change with time, on a grid around the data.
 
     The splines reach from the first time to the last. Where the weights would be too
-    many, the grid in space is made coarser: a step costs the square of their number.
+    many, the grid in space is made coarser.
 
     Args:
         grid: its fineness at most; `IN_TIME` unless given.
@@ -203,7 +207,9 @@ def timed_kernel_environment(
         weights = jnp.zeros((len(centers), splines))
         return TimedKernelPotential(weights, jnp.asarray(centers), width, first, last)
 
-    return make(*finest_kernels(make, trajectories, max_weights, dim, grid))
+    positions = observed_positions(trajectories, dim)
+    made: Any = finest_kernels(make, positions, max_weights, grid)
+    return made
 
 
 def changing_environment(
@@ -218,8 +224,9 @@ def changing_environment(
         InputError: see `timed_kernel_environment`.
     """
     static = kernel_environment(KernelPotential, trajectories, dim=dim)
+    left = int(CHANGING * MOST_WEIGHTS) - num_weights(static)
     change = timed_kernel_environment(
-        trajectories, intervals=intervals, max_weights=MOST_IN_TIME, dim=dim
+        trajectories, intervals=intervals, max_weights=left, dim=dim
     )
     return ChangingPotential(static, change)
 
@@ -283,11 +290,10 @@ END, TAIL, FEWEST = 1e-3, 0.05, 100
 least."""
 
 
-def lay_kernels(
-    trajectories: Trajectories, grid: KernelGrid | None, dim: int | None
-) -> tuple[Float[np.ndarray, "kernel dim"], float]:
-    """Centres and width of kernels on a grid around the data."""
-    grid = KernelGrid() if grid is None else grid
+def observed_positions(
+    trajectories: Trajectories, dim: int | None
+) -> Float[np.ndarray, "position dim"]:
+    """All positions that were observed [L]; see `kernel_environment`."""
     count = len(trajectories.channels)
     dim = dim or trajectories.dim or count // 2
     if not 0 < dim <= count:
@@ -296,8 +302,7 @@ def lay_kernels(
             f"channels, got {dim}"
         )
     is_observed = trajectories.observed[..., :dim].all(axis=-1)
-    positions = trajectories.states[..., :dim][is_observed]
-    return surround_with_kernels(positions, grid)
+    return trajectories.states[..., :dim][is_observed]
 
 
 def surround_with_kernels(
@@ -316,116 +321,3 @@ def surround_with_kernels(
     spacing = extent / grid.across
     centers = kernel_centers(positions, spacing=spacing, margin=grid.margin * spacing)
     return centers, grid.width * spacing
-
-
-class AxisSummary(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One coordinate of a basis.
-
-    Attributes:
-        index: which component of the position.
-        period: after which a field repeats [L].
-        warp: origin and scale of a warp [L].
-    """
-
-    index: int
-    period: float | None = None
-    warp: tuple[float, float] | None = None
-
-    @classmethod
-    def of(cls, axis: KernelAxis) -> "AxisSummary":
-        """The summary of an axis."""
-        warp = axis.warp
-        pair = None if warp is None else (float(warp.origin), float(warp.scale))
-        return cls(axis.index, axis.period, pair)
-
-    def axis(self) -> KernelAxis:
-        """The axis."""
-        warp = None if self.warp is None else Warp(*self.warp)
-        return KernelAxis(self.index, self.period, warp)
-
-
-class BasisSummary(msgspec.Struct, frozen=True):
-    """A basis of kernels.
-
-    Attributes:
-        centers: of the kernels, in spacings.
-    """
-
-    axes: tuple[AxisSummary, ...]
-    spacings: tuple[float, ...]
-    centers: list[list[float]]
-
-    @classmethod
-    def of(cls, basis: KernelBasis) -> "BasisSummary":
-        """The summary of a basis."""
-        axes = tuple(map(AxisSummary.of, basis.axes))
-        return cls(axes, basis.spacings, np.asarray(basis.centers).tolist())
-
-    def basis(self) -> KernelBasis:
-        """The basis."""
-        if not self.axes:
-            return KernelBasis.constant()
-        axes = tuple(axis.axis() for axis in self.axes)
-        return KernelBasis(axes, self.spacings, jnp.asarray(self.centers))
-
-
-EDITION = 2
-"""Of the force that weights mean: until 1 the slope of a warp was no part of it."""
-
-
-class ProfileSummary(msgspec.Struct, frozen=True):
-    """A force along some axes.
-
-    Attributes:
-        edition: what its weights mean, see `EDITION`.
-    """
-
-    basis: BasisSummary
-    along: tuple[int, ...]
-    edition: int = 1
-
-    @classmethod
-    def of(cls, profile: KernelProfile) -> "ProfileSummary":
-        """The summary of a profile."""
-        return cls(BasisSummary.of(profile.basis), profile.along, EDITION)
-
-    def profile(self, dim: int) -> KernelProfile:
-        """No force yet, in a space of that dimension.
-
-        Raises:
-            InputError: an earlier version wrote it, along a warped coordinate.
-        """
-        basis = self.basis.basis()
-        if basis.is_warped and self.edition < EDITION:
-            raise InputError(
-                "the force of this run was fitted by an earlier version, in which "
-                "weights along a warped coordinate meant another force; fit the data "
-                "again"
-            )
-        return KernelProfile.with_zero_weights(basis, self.along, dim)
-
-
-class MobilitySummary(msgspec.Struct, frozen=True):
-    """A learned mobility.
-
-    Attributes:
-        groups: axes that share a process.
-    """
-
-    basis: BasisSummary
-    groups: tuple[tuple[int, ...], ...]
-
-    @classmethod
-    def of(cls, mobility: AbstractTensorField) -> "MobilitySummary | None":
-        """The summary of a mobility that was learned; None where it is known."""
-        if not isinstance(mobility, KernelTensor):
-            return None
-        return cls(BasisSummary.of(mobility.basis), mobility.groups)
-
-    def mobility(self) -> KernelTensor:
-        """A mobility of one."""
-        basis = self.basis.basis()
-        shape = len(self.groups), len(basis.centers)
-        return KernelTensor(
-            jnp.zeros(len(self.groups)), jnp.zeros(shape), basis, self.groups
-        )

@@ -120,7 +120,7 @@ def quadrature_error(path: PathSpline) -> float:
     """
     interval = np.diff(path.times)
     parts = np.stack(
-        [path.rates(path.times[:-1] + part * interval) for part in QUARTERS]
+        [path.rates(path.times[:-1] + part * interval) for part in np.linspace(0, 1, 5)]
     )
     one, two = np.tensordot(SIMPSON, parts, axes=1)
     missed = interval[:, None] * np.abs(one - two)
@@ -128,7 +128,6 @@ def quadrature_error(path: PathSpline) -> float:
     return float(np.max(missed / np.where(size > 0, size, np.inf)))
 
 
-QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
 SIMPSON = np.array([[2, 0, 8, 0, 2], [1, 4, 2, 4, 1]]) / 12.0
 """Weights of Simpson's rule on one interval and on two."""
 
@@ -225,7 +224,11 @@ def force_region(
 
 
 def forces_beside_drag(
-    velocities: Float[np.ndarray, "point dim"], forces: Float[np.ndarray, "point dim"]
+    velocities: Float[np.ndarray, "point dim"],
+    forces: Float[np.ndarray, "point dim"],
+    *,
+    rounds: int = 20,
+    small: float = 1e-3,
 ) -> Float[np.ndarray, "point dim"]:
     """What a uniform force and a linear drag leave of forces.
 
@@ -234,22 +237,20 @@ def forces_beside_drag(
 
     Args:
         forces: all of them, or those that known physics leave [L T⁻²].
+        rounds: iterations of the weights.
+        small: misfit below which weights no longer grow, as a share of the largest.
     """
     columns = np.insert(velocities, 0, 1.0, axis=1)
     left, weights = forces, np.ones((len(columns), 1))
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         law, *_ = np.linalg.lstsq(weights * columns, weights * forces)
         left = forces - columns @ law
         sizes = np.linalg.norm(left, axis=1, keepdims=True)
         if not sizes.any():
             break
-        weights = 1.0 / np.sqrt(sizes + SMALL * sizes.max())
+        weights = 1.0 / np.sqrt(sizes + small * sizes.max())
     return left
 
-
-ROUNDS, SMALL = 20, 1e-3
-"""Iterations of the weights; misfit below which they no longer grow, as a share of the
-largest."""
 
 ROUNDING = 1e-12
 """Relative to the largest rate: no force that is told from rounding."""
@@ -258,12 +259,15 @@ LEAST_RADIUS = 0.02
 """Of a region where a force acts, in standard deviations of the positions."""
 
 
-def substeps_for(trajectories: Trajectories) -> int:
-    """Steps between two samples whose derivatives a fit can trust, a power of two."""
+def substeps_for(
+    trajectories: Trajectories, *, error: float = 1e-4, most: int = 8
+) -> int:
+    """Steps between two samples whose derivatives a fit can trust, a power of two.
+
+    Args:
+        error: relative, of a step of fourth order that is linearised.
+        most: steps at most.
+    """
     errors = [quadrature_error(path) for path in path_splines(trajectories)]
-    finer = np.log2(max([*errors, STEP_ERROR]) / STEP_ERROR) / ORDER
-    return min(2 ** int(np.ceil(finer)), MOST_SUBSTEPS)
-
-
-STEP_ERROR, ORDER, MOST_SUBSTEPS = 1e-4, 4, 8
-"""Relative error of a step that is linearised; order of its solver; steps at most."""
+    finer = np.log2(max([*errors, error]) / error) / 4
+    return min(2 ** int(np.ceil(finer)), most)

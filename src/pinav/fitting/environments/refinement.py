@@ -6,22 +6,26 @@ kernel, and no weights repair the misfit: the kernels are then too coarse. With
 $\ell \ge b$ the prior, not the grid, limits the field, and finer kernels change little.
 """
 
+import functools
 from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from pinav.errors import InputError
-from pinav.fitting.engine.iterate import EvidenceProgress, iterate
+from pinav.fitting.engine.evidence_fit import EvidenceProgress, iterate
 from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.environments.kernels import (
-    MOST_IN_SPACE,
-    MOST_REFINED,
+    IN_SPACE,
+    MOST_WEIGHTS,
+    OFTEN,
     KernelGrid,
     finest_kernels,
-    lay_kernels,
     num_weights,
+    observed_positions,
+    surround_with_kernels,
 )
 from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined
 from pinav.fitting.outcome import Outcome
@@ -48,7 +52,7 @@ class Refinement(eqx.Module):
 
     factor: float = 1.5
     shortest: float = 1.0
-    max_weights: int = MOST_REFINED
+    max_weights: int = MOST_WEIGHTS
     envelope: bool = False
 
     def __check_init__(self) -> None:
@@ -74,31 +78,40 @@ class Refinement(eqx.Module):
         return min(scales, default=np.inf) < self.shortest
 
     def finer(
-        self, environment: AbstractLearnedForce, trajectories: Trajectories
+        self,
+        environment: AbstractLearnedForce,
+        around: Trajectories | Float[np.ndarray, "place dim"],
     ) -> AbstractLearnedForce | None:
         """The untrained environment on a finer grid; None where it has no room.
 
         Its kernels are as far apart as they are wide, and reach as far beyond the data
         as those of `KernelGrid()`; where these are too many in space, less far, and
-        there are `MOST_IN_SPACE` at most. The part that changes with time stays as it
-        is.
+        there are a share `OFTEN` of all at most. The part that changes with time stays
+        as it is.
+
+        Args:
+            around: data, or places that the kernels surround [L].
         """
         dim, kernels = environment.dim, environment.kernels
         if kernels is None:
             return None
-        is_observed = trajectories.observed[..., :dim].all(axis=-1)
-        extent = np.ptp(trajectories.states[..., :dim][is_observed], axis=0).max()
+        places = (
+            observed_positions(around, dim)
+            if isinstance(around, Trajectories)
+            else around
+        )
+        extent = np.ptp(places, axis=0).max()
         grid = KernelGrid(across=round(self.factor * extent / float(kernels.width)))
-        made = environment.kernels_on(*lay_kernels(trajectories, grid, dim))
+        made = environment.kernels_on(*surround_with_kernels(places, grid))
         if num_weights(made) <= self.max_weights:
             return made
         if dim < 3:  # in a plane kernels keep how far they reach
             return None
-        most = min(self.max_weights, MOST_IN_SPACE)
-        make = environment.kernels_on
-        centers, width = finest_kernels(make, trajectories, most, dim)
-        is_finer = WORTH * width < float(kernels.width)
-        return make(centers, width) if is_finer else None
+        most = min(self.max_weights, int(OFTEN * MOST_WEIGHTS))
+        made = finest_kernels(environment.kernels_on, places, most, IN_SPACE)
+        laid = made.kernels
+        is_finer = laid and WORTH * float(laid.width) < float(kernels.width)
+        return made if is_finer else None
 
 
 WORTH = 1.1
@@ -125,7 +138,7 @@ def iterate_refined(
     """Iterate on kernels as fine as the evidence asks for.
 
     Each grid begins anew, so that the result is that of its own fit. Where finer
-    kernels diverge the coarser ones are fitted to their end.
+    kernels diverge the fit of the coarser ones goes on from where it was left.
 
     Args:
         begin: the problem of another model, linearised about given `states`.
@@ -133,31 +146,29 @@ def iterate_refined(
     """
     environment = problem.parametric.static.environment
 
+    @functools.cache
+    def finer() -> AbstractLearnedForce | None:
+        return None if refine is None else refine.finer(environment, trajectories)
+
     def is_coarse(step: Step) -> bool:
         shape = step.hyperparameters.shape
         return refine is not None and refine.is_needed(environment, shape)
 
-    def finer(step: Step) -> AbstractLearnedForce | None:
-        if refine is None or not is_coarse(step):
-            return None
-        return refine.finer(environment, trajectories)
+    def asks(step: Step) -> bool:
+        return is_coarse(step) and finer() is not None
 
-    def enough(step: Step) -> bool:
-        return finer(step) is not None
-
-    outcome, steps = iterate(problem, max_iterations, on_step, enough)
-    better = finer(steps[-1]) if steps else None
-    if better is not None:
+    outcome, steps = iterate(problem, max_iterations, on_step, asks)
+    if steps and asks(steps[-1]):
         model = problem.parametric(jnp.asarray(problem.theta))
-        model = eqx.tree_at(lambda m: m.environment, model, better)
+        model = eqx.tree_at(lambda m: m.environment, model, finer())
         again = begin(model, states=problem.states)
         finest = iterate_refined(
             again, begin, refine, trajectories, max_iterations, on_step
         )
         if finest[1] is not Outcome.DIVERGED:
             return finest
-        # better too smooth than lost
-        outcome, steps = iterate(problem, max_iterations, on_step)
+        if outcome is Outcome.STALLED:  # better too smooth than lost
+            outcome, steps = iterate(problem, max_iterations, on_step, begun=steps)
     if outcome is Outcome.CONVERGED and is_coarse(steps[-1]):
         outcome = Outcome.UNDER_RESOLVED
     return problem, outcome, steps

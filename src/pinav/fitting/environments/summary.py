@@ -1,5 +1,7 @@
 """The choice of a model, and the numbers that an untrained one takes from data."""
 
+import dataclasses
+from collections.abc import Callable
 from operator import attrgetter
 from typing import Any
 
@@ -7,17 +9,8 @@ import msgspec
 import numpy as np
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
-from pinav.fitting.environments.force_regression import Layer
-from pinav.fitting.environments.gradient_matching import (
-    lay_kernels_of,
-    match_kernels,
-    match_potential,
-)
+from pinav.fitting.environments.gradient_matching import kernels_of
 from pinav.fitting.environments.kernels import (
-    WITHOUT_PRIOR,
-    KernelGrid,
-    MobilitySummary,
-    ProfileSummary,
     changing_environment,
     kernel_environment,
 )
@@ -29,8 +22,14 @@ from pinav.fitting.environments.rates import (
     residual_forces,
     thin_rates,
 )
-from pinav.fitting.environments.terms import TermSummary, summarise_terms
-from pinav.forces import AbstractForce, KernelForce, KernelPotential, as_learned_force
+from pinav.forces import (
+    AbstractLearnedForce,
+    KernelForce,
+    KernelMixture,
+    KernelPotential,
+    KernelTensor,
+    as_learned_force,
+)
 from pinav.trajectories import Trajectories
 
 KnownSwimmer = Swimmer | OverdampedSwimmer
@@ -97,87 +96,46 @@ def learned_part(model: Any) -> Any:
     return () if learned is None else learned.trainable
 
 
-class Change(msgspec.Struct, frozen=True):
-    """Kernels and splines of a potential that changes with time.
+@dataclasses.dataclass(frozen=True)
+class DataSummary:
+    """The part of the data that an untrained model is built from.
 
     Attributes:
-        splines: number of functions of time.
-        times: first and last time [T].
-    """
-
-    centers: list[list[float]]
-    width: float
-    splines: int
-    times: tuple[float, float]
-
-
-class KernelLayer(msgspec.Struct, frozen=True):
-    """Kernels of one width."""
-
-    centers: list[list[float]]
-    width: float
-
-
-class DataSummary(msgspec.Struct, frozen=True):
-    """The numbers that an untrained model takes from the data.
-
-    Attributes:
+        dim: number of coordinates.
         mean: of each observed state, then of time.
         std: standard deviation of each of them; 1 where it is zero.
-        centers: of the kernels around the data [L].
-        change: the part that changes with time, where the model has one.
-        finer: further layers of kernels, each finer than the one before.
-        terms: with a structure, beside the kernels.
-        profile: a force in coordinates of its own, where the model is one.
+        environment: what is learned of the force, around the data; None of a network.
         mobility: where it is learned.
     """
 
     dim: int
     mean: tuple[float, ...]
     std: tuple[float, ...]
-    centers: list[list[float]]
-    kernel_width: float
-    change: Change | None = None
-    finer: tuple[KernelLayer, ...] = ()
-    terms: tuple[TermSummary, ...] = ()
-    profile: ProfileSummary | None = None
-    mobility: MobilitySummary | None = None
+    environment: AbstractLearnedForce | None = None
+    mobility: KernelTensor | None = None
 
-    def with_kernels_of(self, environment: AbstractForce) -> "DataSummary":
+    def of_fit(self, model: Any) -> "DataSummary":
         """The summary of a fitted model, whose kernels may be finer than at first."""
-        learned = as_learned_force(environment)
-        if learned is None or learned.kernels is None:
-            return self
-        kernels = learned.kernels
-        return msgspec.structs.replace(
-            self,
-            centers=np.asarray(kernels.centers).tolist(),
-            kernel_width=float(kernels.width),
-            terms=summarise_terms(learned),
-        )
+        mobility = getattr(model, "mobility", None)
+        mobility = mobility if isinstance(mobility, KernelTensor) else None
+        learned = as_learned_force(model.environment)
+        if learned is not None and not learned.is_linear:
+            learned = None  # a network
+        return dataclasses.replace(self, environment=learned, mobility=mobility)
 
 
-def summarise_data(
-    data: Trajectories, grid: KernelGrid | None = WITHOUT_PRIOR
-) -> DataSummary:
-    """The summary of trajectories for a model without a prior.
-
-    Args:
-        grid: how kernels are laid around them; that of `kernel_environment` where None.
-    """
+def summarise_data(data: Trajectories) -> DataSummary:
+    """The summary of trajectories for a model that is a network."""
     is_observed = data.observed
     columns = [
         data.states[..., i][is_observed[..., i]] for i in range(is_observed.shape[2])
     ]
     columns.append(data.times[is_observed.any(axis=-1)])
     deviations = [float(column.std()) if column.size else 0.0 for column in columns]
-    kernels = kernel_environment(KernelPotential, data, grid, dim=data.dim)
     return DataSummary(
         dim=data.dim,
         mean=tuple(float(column.mean()) if column.size else 0.0 for column in columns),
         std=tuple(value if value > 0 else 1.0 for value in deviations),
-        centers=np.asarray(kernels.centers).tolist(),
-        kernel_width=float(kernels.width),
     )
 
 
@@ -189,15 +147,19 @@ def summarise_for_matching(
     Kernels are as fine as the data ask for, and the positions that a network sees are
     standardised where the force acts.
     """
-    summary = summarise_data(data)
+    summary = summarise_for(choice, data)
     rates = observed_rates(data) if isinstance(swimmer, Swimmer) else None
     if rates is None:
         return summary
     if choice.name == "kernel-potential":
-        return _with_layers(summary, match_potential(swimmer, rates))
-    if choice.name.startswith("kernel-"):
-        laid = lay_kernels_of(KernelForce, swimmer, rates)
-        return summary.with_kernels_of(laid or match_kernels(swimmer, rates))
+        laid = kernels_of(KernelPotential, swimmer, rates)
+        return dataclasses.replace(summary, environment=laid)
+    if summary.environment is not None:
+        laid = kernels_of(KernelForce, swimmer, rates).kernels
+        assert laid is not None  # kernels are laid on places
+        places = np.asarray(laid.centers), float(laid.width)
+        made = summary.environment.kernels_on(*places)
+        return dataclasses.replace(summary, environment=made)
     few, dim = thin_rates(rates, MOST_SAMPLES), summary.dim
     if choice.name in POSITION_NETWORKS:
         region = force_region(few, residual_forces(swimmer, few))
@@ -209,30 +171,27 @@ def summarise_for_matching(
         return summary
     if region is None:
         return summary
-    return msgspec.structs.replace(
+    return dataclasses.replace(
         summary,
         mean=(*map(float, region.center), *summary.mean[dim:]),
         std=(*[region.radius] * dim, *summary.std[dim:]),
     )
 
 
-def _with_layers(summary: DataSummary, layers: tuple[Layer, ...]) -> DataSummary:
-    first, *finer = (KernelLayer(centers.tolist(), width) for centers, width in layers)
-    return msgspec.structs.replace(
-        summary, centers=first.centers, kernel_width=first.width, finer=tuple(finer)
-    )
-
-
 def summarise_for(choice: ModelChoice, data: Trajectories) -> DataSummary:
-    """The summary of trajectories for a model with a prior, and its kernels."""
-    summary = summarise_data(data, None)
-    if choice.name != TIMED:
+    """The summary of trajectories for a model, and its kernels if it has any."""
+    summary = summarise_data(data)
+    if choice.name not in KERNELS:
         return summary
-    change = changing_environment(data, dim=summary.dim).change
-    timed = Change(
-        centers=np.asarray(change.centers).tolist(),
-        width=float(change.width),
-        splines=change.weights.shape[1],
-        times=(float(change.first), float(change.last)),
-    )
-    return msgspec.structs.replace(summary, change=timed)
+    return dataclasses.replace(summary, environment=KERNELS[choice.name](data))
+
+
+KERNELS: dict[str, Callable[[Trajectories], AbstractLearnedForce]] = {
+    "kernel-potential": lambda data: kernel_environment(
+        KernelPotential, data, dim=data.dim
+    ),
+    "kernel-force": lambda data: kernel_environment(KernelForce, data, dim=data.dim),
+    MIXTURE: lambda data: kernel_environment(KernelMixture, data, dim=data.dim),
+    TIMED: lambda data: changing_environment(data, dim=data.dim),
+}
+"""Untrained environments of kernels around data, by the names of models."""

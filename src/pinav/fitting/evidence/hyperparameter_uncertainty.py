@@ -117,16 +117,28 @@ def is_confined(prior: AbstractPrior, shape: Shape) -> bool:
     return bool(np.any(shape[:2] <= prior.bounds[:2, 0] + STEP))
 
 
-DRAWS = (64, 64, 64)
-"""Shapes drawn in each of the stages, of which each draws where the ones before found
-the evidence."""
+class ShapeSampling(eqx.Module):
+    """How shapes of a prior are drawn.
 
-WIDER, LATER_WIDER = 1.5, 1.2
-"""Factors in the standard deviations of what the first stage draws from, and the later
-ones: the evidence has longer tails than a normal distribution."""
+    Attributes:
+        draws: shapes of each stage, which draws where the ones before found the
+            evidence.
+        wider: factor in the standard deviations of what the first stage draws from:
+            the evidence has longer tails than a normal distribution.
+        later_wider: that of the later stages.
+        few: effective number of draws below which the next stage trusts their weights
+            less.
+        least_share: share of a draw that counts.
+    """
 
-FEW = 10.0
-"""Effective number of draws below which the next stage trusts their weights less."""
+    draws: tuple[int, ...] = (64, 64, 64)
+    wider: float = 1.5
+    later_wider: float = 1.2
+    few: float = 10.0
+    least_share: float = 1e-4
+
+
+IN_STAGES = ShapeSampling()
 
 
 class ShapeMixture(eqx.Module):
@@ -169,9 +181,9 @@ def mix_shapes(
         return ShapeMixture(*only, num_effective=1.0)
     rng = np.random.default_rng(0)
     low, high = prior.bounds.T
-    first = WIDER * shape_spread(data, prior, chosen, noise)
+    first = IN_STAGES.wider * shape_spread(data, prior, chosen, noise)
     stages, fits, shares = [(chosen.shape, first)], [chosen], np.ones(1)
-    for count in DRAWS:
+    for count in IN_STAGES.draws:
         middle, spread = stages[-1]
         drawn = middle + rng.standard_normal((count, len(middle))) @ spread.T
         for shape in drawn[np.all((drawn >= low) & (drawn <= high), axis=1)]:
@@ -179,7 +191,7 @@ def mix_shapes(
         shapes = np.array([fit.shape for fit in fits])
         shares = _shares(np.array([fit.log_evidence for fit in fits]), shapes, stages)
         stages.append(_next_stage(shapes, shares))
-    kept = np.flatnonzero(shares > LEAST_SHARE)
+    kept = np.flatnonzero(shares > IN_STAGES.least_share)
     shares = shares[kept] / shares[kept].sum()
     means, within = [], np.zeros(2 * (data.rows.shape[1],))
     for share, index in zip(shares, kept, strict=True):
@@ -193,9 +205,6 @@ def mix_shapes(
     return ShapeMixture(mean, covariance, float(1 / (shares**2).sum()))
 
 
-LEAST_SHARE = 1e-4
-"""Of a draw that counts."""
-
 Stage = tuple[Shape, Float[np.ndarray, "shape shape"]]
 """Mean of a normal distribution, and a root of its covariance."""
 
@@ -207,7 +216,7 @@ def _shares(
 ) -> Float[np.ndarray, " draw"]:
     """How likely each draw is, from what it was drawn from and its evidence."""
     densities = []
-    for (middle, spread), count in zip(stages, DRAWS, strict=False):
+    for (middle, spread), count in zip(stages, IN_STAGES.draws, strict=False):
         scaled = np.linalg.solve(spread, (shapes - middle).T)
         size = np.linalg.slogdet(spread)[1]
         # Each draw is weighed by the density of all stages together, which bounds the
@@ -224,11 +233,11 @@ def _next_stage(
 ) -> Stage:
     """A normal distribution like the draws, flattened where few of them count."""
     least = 1e-3
-    if 1 / (shares**2).sum() < FEW:
+    if 1 / (shares**2).sum() < IN_STAGES.few:
         # A few draws outweigh all others: tempered, they do not collapse the next
         # stage.
         shares, least = np.sqrt(shares) / np.sqrt(shares).sum(), 1e-2
     middle = shares @ shapes
     offsets = shapes - middle
     covariance = (offsets.T * shares) @ offsets + least * np.eye(len(middle))
-    return middle, LATER_WIDER * np.linalg.cholesky(covariance)
+    return middle, IN_STAGES.later_wider * np.linalg.cholesky(covariance)

@@ -10,15 +10,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from pinav.fitting.engine.evidence_fit import SIGNIFICANT
 from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.langevin.increments import Increments, ObservedAxes
 from pinav.trajectories import Trajectories
 
 LAGS = 5
 """Correlations of innovations that are looked at."""
-
-SIGNIFICANT = 4.0
-"""Standard deviations of chance beyond which a check fails."""
 
 SLIGHT = 0.05
 """Correlation that is no misfit however significant: what it does to a drift or a
@@ -175,9 +173,6 @@ def _ratio(
     return Estimate(float(ratio), float(np.sqrt((misses**2).sum()) / below.sum()))
 
 
-CERTAIN = 4.0
-"""Standard deviations of chance beyond which a correlation is one."""
-
 FARTHEST, MOST_BLUR = 0.1, 0.27
 """Correlation two and three increments apart that thermal motion may have, for forces
 and vibrations make some (a trap negative ones); the largest between neighbours, of
@@ -217,7 +212,7 @@ class IncrementVerdict(eqx.Module):
     def is_exact(self) -> bool:
         """Whether neither blur nor error is seen."""
         near = abs(self.correlations[0])
-        return bool(near < CERTAIN / np.sqrt(max(self.count, 1)))
+        return bool(near < SIGNIFICANT / np.sqrt(max(self.count, 1)))
 
     @property
     def statement(self) -> str:

@@ -22,6 +22,7 @@ from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
 from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.engine.problem import FullStep, Step
+from pinav.fitting.environments.kernels import MOST_WEIGHTS, OFTEN
 from pinav.fitting.environments.refinement import Refinement, iterate_refined
 from pinav.fitting.evidence.evidence import LinearisedObservations
 from pinav.fitting.evidence.hyperparameter_uncertainty import mix_shapes
@@ -260,21 +261,18 @@ def diffusion_of(step: Step) -> Estimate:
     return Estimate(variance / 2, variance / 2 * float(np.sqrt(2 / left)))
 
 
-MOST_WEIGHTS = 800
-"""Weights up to which shapes are mixed: each of 200 asks for a decomposition."""
-
-
 def mix_over_shapes(fit: EvidenceFit) -> EvidenceFit:
     """The fit whose force is the mean over all shapes, with the bands of them all.
 
-    Forces with more than `MOST_WEIGHTS` weights keep the best shape, and a normal
-    distribution about it: so many are laid only where the data tell the shape.
+    Each of 200 shapes asks for a decomposition. Forces with more than a share `OFTEN`
+    of `MOST_WEIGHTS` keep the best shape, and a normal distribution about it: so many
+    weights are laid only where the data tell the shape.
 
     Args:
         fit: linear in its weights, with nothing else to learn.
     """
     weights = fit.linear.weights
-    few = len(fit.posterior.mean) <= MOST_WEIGHTS
+    few = len(fit.posterior.mean) <= OFTEN * MOST_WEIGHTS
     if not (few and isinstance(weights, GaussianWeights)):
         return fit
     data = LinearisedObservations.of(fit.linear.quadratic)

@@ -21,19 +21,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from pinav.fitting.engine.constant_priors import (
-    ConstantPriors,
-    ParametricModel,
-    parameter_names,
-    ravel_model,
-    selected_entries,
-)
-from pinav.fitting.engine.iterate import DEFECT_TOLERANCE
+from pinav.fitting.engine.evidence_fit import DEFECT_TOLERANCE
 from pinav.fitting.engine.local_model import (
     AbstractLocalModel,
+    ConstantPriors,
+    ParametricModel,
     PenalisedSquares,
     Prediction,
     States,
+    parameter_names,
+    ravel_model,
+    selected_entries,
 )
 from pinav.fitting.engine.problem import AbstractProblem, AbstractStepRule, Move
 from pinav.fitting.evidence.model_evidence import LinearFit

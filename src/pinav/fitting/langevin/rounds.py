@@ -11,8 +11,7 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import FitError
-from pinav.fitting.engine.evidence_fit import EvidenceFit
-from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.evidence_fit import EvidenceFit, iterate
 from pinav.fitting.engine.problem import Step
 from pinav.fitting.environments.refinement import Refinement
 from pinav.fitting.langevin.checks import (

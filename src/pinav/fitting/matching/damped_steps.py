@@ -8,6 +8,7 @@ References:
     Levenberg 1944; Marquardt 1963.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -25,6 +26,34 @@ Residuals = Callable[[Float[Array, " parameter"]], Float[Array, " residual"]]
 NETWORK_DAMPING = 1e3
 """Damping of the first step of a random network: with less, a third of the networks
 saturate and learn no more."""
+
+
+class LinearisedResiduals(NamedTuple):
+    """Residuals about the parameters at which a step begins.
+
+    Attributes:
+        residual: the residuals there.
+        jacobian: their derivative there.
+        damping: of the last step.
+    """
+
+    residuals: Residuals
+    theta: Float[Array, " parameter"]
+    residual: Float[Array, " residual"]
+    jacobian: Float[Array, "residual parameter"]
+    damping: Float[Array, ""]
+
+    def along(
+        self, directions: Float[Array, "parameter direction"]
+    ) -> "LinearisedResiduals":
+        """The same as a function of coordinates along some directions."""
+        return LinearisedResiduals(
+            lambda z: self.residuals(self.theta + directions @ z),
+            jnp.zeros(directions.shape[1], self.theta.dtype),
+            self.residual,
+            self.jacobian @ directions,
+            self.damping,
+        )
 
 
 class DampedStep(eqx.Module):
@@ -72,11 +101,9 @@ ROUNDING = 1e-15
 
 
 def full_step(
-    residuals: Residuals,
-    theta: Float[Array, " parameter"],
-    linear: tuple[Float[Array, " residual"], Float[Array, "residual parameter"]],
-    damping: Float[Array, ""],
+    problem: LinearisedResiduals,
     *,
+    directions: Float[Array, "parameter direction"] | None = None,
     dampings: tuple[float, ...] = DAMPINGS,
     chord_steps: int = CHORD_STEPS,
 ) -> DampedStep:
@@ -87,14 +114,16 @@ def full_step(
     are fewer than the parameters.
 
     Args:
-        residuals: as a function of the parameters.
-        theta: where the step begins.
-        linear: the residuals there, and their Jacobian.
-        damping: of the last step.
+        directions: along which the step is sought and damped; all unless given.
         dampings: those that are tried, in units of the last one.
         chord_steps: iterations with the Jacobian held.
     """
-    jacobian = linear[1]
+    if directions is not None:
+        inner = problem.along(directions)
+        step = full_step(inner, dampings=dampings, chord_steps=chord_steps)
+        theta = problem.theta + directions @ step.theta
+        return dataclasses.replace(step, theta=theta)
+    jacobian = problem.jacobian
     # The smaller of both normal matrices gives the same step.
     tall = jacobian.shape[0] >= jacobian.shape[1]
     normal = jacobian.T @ jacobian if tall else jacobian @ jacobian.T
@@ -105,81 +134,59 @@ def full_step(
         factor = jax.lax.linalg.cholesky(damped, symmetrize_input=False)
         return lambda gradient: jax.scipy.linalg.cho_solve((factor, True), gradient)
 
+    dtype = problem.theta.dtype
     coordinates = _Coordinates(
-        zero=jnp.zeros(normal.shape[0], theta.dtype),
+        zero=jnp.zeros(normal.shape[0], dtype),
         move=lambda z: z if tall else jacobian.T @ z,
         pull_back=lambda residual: jacobian.T @ residual if tall else residual,
         solver=solver,
         least=ROUNDING * jnp.trace(normal),
     )
+    tried = problem.damping * jnp.asarray(dampings, dtype)
     # One after the other: LAPACK's batched solves wait for threads of the very pool
     # they run on, and on few cores never end.
-    return _best_step(
-        residuals,
-        theta,
-        linear,
-        damping,
-        coordinates,
-        damping * jnp.asarray(dampings, theta.dtype),
-        chord_steps,
-        jax.lax.map,
-    )
+    return _best_step(problem, coordinates, tried, chord_steps, jax.lax.map)
 
 
 def damped_step(
-    residuals: Residuals,
-    theta: Float[Array, " parameter"],
-    linear: tuple[Float[Array, " residual"], Float[Array, "residual parameter"]],
-    damping: Float[Array, ""],
-    *,
-    rank: int,
-    num_dampings: int,
-    chord_steps: int,
+    problem: LinearisedResiduals, *, rank: int, num_dampings: int, chord_steps: int
 ) -> DampedStep:
     """The best of several damped steps with a projection of the Jacobian.
 
     Args:
-        residuals: as a function of the parameters.
-        theta: where the step begins.
-        linear: the residuals there, and their Jacobian.
-        damping: of the last step.
         rank: of the random projection.
         num_dampings: tried at once, a factor of ten apart.
         chord_steps: iterations with the Jacobian held, after the first one.
     """
-    left, scale, right = low_rank(linear[1], rank)
+    left, scale, right = low_rank(problem.jacobian, rank)
+    dtype = problem.theta.dtype
     coordinates = _Coordinates(
         zero=jnp.zeros_like(scale),
         move=lambda z: right @ z,
         pull_back=lambda residual: scale * (left.T @ residual),
         solver=lambda damping: lambda gradient: gradient / (scale**2 + damping),
-        least=jnp.zeros((), theta.dtype),
+        least=jnp.zeros((), dtype),
     )
     # All smaller but the last two: a step that works is followed by a bolder one.
     exponents = jnp.arange(num_dampings) - (num_dampings - 2)
+    tried = problem.damping * 10.0 ** exponents.astype(dtype)
     return _best_step(
-        residuals,
-        theta,
-        linear,
-        damping,
+        problem,
         coordinates,
-        damping * 10.0 ** exponents.astype(theta.dtype),
+        tried,
         chord_steps + 1,
         lambda attempt, dampings: jax.vmap(attempt)(dampings),
     )
 
 
 def _best_step(
-    residuals: Residuals,
-    theta: Float[Array, " parameter"],
-    linear: tuple[Float[Array, " residual"], Float[Array, "residual parameter"]],
-    damping: Float[Array, ""],
+    problem: LinearisedResiduals,
     coordinates: _Coordinates,
     dampings: Float[Array, " damping"],
     chord_steps: int,
     for_each: Callable[..., tuple[Array, ...]],
 ) -> DampedStep:
-    residual, jacobian = linear
+    theta, residual = problem.theta, problem.residual
     dampings = jnp.maximum(dampings, coordinates.least)
     slope = coordinates.pull_back(residual)
 
@@ -189,7 +196,7 @@ def _best_step(
         def iterate(state: tuple[Array, ...], _: None) -> tuple[tuple, None]:
             z, current, best, lowest = state
             z = z - solve(coordinates.pull_back(current) + damping * z)
-            current = residuals(theta + coordinates.move(z))
+            current = problem.residuals(theta + coordinates.move(z))
             cost = current @ current
             lower = cost < lowest
             best, lowest = jnp.where(lower, z, best), jnp.where(lower, cost, lowest)
@@ -199,7 +206,7 @@ def _best_step(
         start = (zero, residual, zero, jnp.asarray(jnp.inf, zero.dtype))
         (_, _, best, lowest), _ = jax.lax.scan(iterate, start, length=chord_steps)
         linear_move = coordinates.move(solve(slope))
-        gain = (jacobian @ linear_move) @ residual
+        gain = (problem.jacobian @ linear_move) @ residual
         gain += damping * (linear_move @ linear_move)
         return coordinates.move(best), lowest, gain
 
@@ -209,7 +216,7 @@ def _best_step(
     return DampedStep(
         theta=jnp.where(lower, theta + moves[best], theta),
         # Where no damping lowers the cost all were too small.
-        damping=jnp.where(lower, dampings[best], 100.0 * damping),
+        damping=jnp.where(lower, dampings[best], 100.0 * problem.damping),
         left=jnp.where(lower, costs[best] / cost, 1.0),
         promised=gains[0] / cost,
     )

@@ -8,7 +8,6 @@ some tens, so one random projection captures it, and any damping costs nothing m
 """
 
 import abc
-import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -25,6 +24,7 @@ from pinav.fitting.matching.damped_steps import (
     DAMPINGS,
     NETWORK_DAMPING,
     DampedStep,
+    LinearisedResiduals,
     damped_step,
     full_step,
     pointwise,
@@ -215,11 +215,9 @@ class GaussNewton(AbstractRolloutPhase):
         self, windows: Windows, theta: Float[Array, " parameter"], state: DampedState
     ) -> DampedStep:
         starts, residual, surrogate = windows.surrogate(theta)
+        jacobian = windows.jacobian(theta, starts)
         return damped_step(
-            surrogate,
-            theta,
-            (residual, windows.jacobian(theta, starts)),
-            state.damping,
+            LinearisedResiduals(surrogate, theta, residual, jacobian, state.damping),
             rank=self.rank,
             num_dampings=self.num_dampings,
             chord_steps=self.chord_steps,
@@ -275,19 +273,12 @@ class DefectMatching(AbstractRolloutPhase):
 
         damping = jnp.maximum(state.damping, self.least_damping / DAMPINGS[0])
         root = self.prior_root
-        if root is None or root.shape[0] != theta.shape[0]:  # or constants train, too
-            return full_step(residuals, theta, (residuals(theta), jacobian), damping)
-
-        def move(z: Float[Array, " direction"]) -> Float[Array, " parameter"]:
-            return theta + root @ z
-
-        step = full_step(
-            lambda z: residuals(move(z)),
-            jnp.zeros(root.shape[1], theta.dtype),
-            (residuals(theta), jacobian @ root),
-            damping,
+        if root is not None and root.shape[0] != theta.shape[0]:
+            root = None  # constants train, too
+        problem = LinearisedResiduals(
+            residuals, theta, residuals(theta), jacobian, damping
         )
-        return dataclasses.replace(step, theta=move(step.theta))
+        return full_step(problem, directions=root)
 
     def _rows_that_count(
         self, windows: Windows, rows: Float[Array, "residual ..."]
@@ -367,7 +358,10 @@ class RateMatching(AbstractDampedPhase):
         points = jnp.asarray(self.targets.times), jnp.asarray(self.targets.states)
         size = jnp.sqrt(jnp.mean(targets**2, axis=0))
         residuals, jacobian = pointwise(rate, theta, points, targets, size)
-        step = full_step(residuals, theta, (residuals(theta), jacobian), state.damping)
+        before = residuals(theta)
+        step = full_step(
+            LinearisedResiduals(residuals, theta, before, jacobian, state.damping)
+        )
         slow = jnp.where(step.left < SLOW_RATES, 0, state.slow + 1)
         error = jnp.sqrt(jnp.mean(residuals(step.theta) ** 2))
         done = (slow >= self.patience) | (error < MATCHED)

@@ -162,8 +162,8 @@ LEAST_RESIDUAL = 1e-7
 """Of a step from exact data, in units of their spread, that a prior takes for noise."""
 
 MOST_SAMPLES = 300
-"""Samples whose errors a network is trained on at once, at most: with fewer, its error
-between them stays."""
+"""Samples whose rates or errors a network is trained on at once, at most: with fewer,
+its error between them stays."""
 
 CONVERGED = 1e-4
 """Residual of a full rollout that counts as converged, in units of the spread."""

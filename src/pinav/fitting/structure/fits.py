@@ -12,8 +12,12 @@ from pinav.errors import FitError
 from pinav.fitting.bayes.fit_bayes import ADVICE, NOT_FINITE
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.problem import BayesProblem, States
-from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
-from pinav.fitting.engine.iterate import EvidenceProgress, iterate
+from pinav.fitting.engine.evidence_fit import (
+    EvidenceFit,
+    EvidenceProgress,
+    evidence_fit,
+    iterate,
+)
 from pinav.fitting.environments.refinement import Refinement, iterate_refined
 from pinav.fitting.evidence.evidence import LinearisedObservations
 from pinav.fitting.evidence.model_evidence import (

@@ -17,7 +17,7 @@ from jaxtyping import Array, ArrayLike, Float, Int, PyTree
 
 from pinav.arguments import Scalar, State, Vector, on_device
 from pinav.dynamics import FixedStep
-from pinav.fitting.engine.constant_priors import ParametricModel, ravel_model
+from pinav.fitting.engine.local_model import ParametricModel, ravel_model
 from pinav.fitting.engine.multiple_shooting import (
     StepDerivatives,
     eliminate,

@@ -14,8 +14,8 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, on_device
 from pinav.errors import FitError
-from pinav.fitting.engine.constant_priors import ConstantPriors, wide_priors
-from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.evidence_fit import iterate
+from pinav.fitting.engine.local_model import ConstantPriors, wide_priors
 from pinav.fitting.engine.problem import FullStep, Step
 from pinav.fitting.evidence.evidence import (
     LinearisedObservations,

@@ -11,6 +11,7 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.recordings.rows import Tracks
 from pinav.recordings.source import AbstractFormat, Source
+from pinav.trajectories.npz_files import read_header
 
 _POSITIONS = (
     ("X#wcentroid", "Y#wcentroid"),
@@ -157,12 +158,7 @@ def _object(content: bytes) -> Any:
     """The object in an array of no dimension."""
     file = io.BytesIO(content)
     try:
-        version = np.lib.format.read_magic(file)
-        read = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-        }[version]
-        read(file)
+        read_header(file)
         array = _Reader(file).load()
     except Exception as error:  # whatever a damaged object leads to
         reason = str(error).partition("\n")[0] or type(error).__name__

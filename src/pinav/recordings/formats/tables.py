@@ -1,5 +1,6 @@
 """Tables and lines of text that are known by the names of their columns."""
 
+import dataclasses
 import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import final
@@ -15,6 +16,7 @@ from pinav.recordings.table import Table
 
 
 @final
+@dataclasses.dataclass(frozen=True)
 class KnownTable(AbstractFormat):
     """A table that is known by its columns, one value for each program; y down.
 
@@ -33,29 +35,22 @@ class KnownTable(AbstractFormat):
         remedy: advice on the program's export where a column is missing.
     """
 
-    def __init__(
-        self,
-        name: str,
-        columns: Mapping[str, str],
-        *,
-        optional: Collection[str] = (),
-        behind: str = "",
-        signs: Collection[str] = (),
-        length_unit: str = "px",
-        unit_column: str = "",
-        untracked: str = "",
-        pixels: str = "",
-        remedy: str = "export it again",
-    ) -> None:
-        self.name, self.columns, self.optional = name, dict(columns), optional
-        self.behind, self.signs = behind, set(signs)
-        self.length_unit, self.unit_column = length_unit, unit_column
-        self.untracked, self.pixels, self.remedy = untracked, pixels, remedy
+    name: str
+    columns: Mapping[str, str]
+    _: dataclasses.KW_ONLY
+    optional: Collection[str] = ()
+    behind: str = ""
+    signs: Collection[str] = ()
+    length_unit: str = "px"
+    unit_column: str = ""
+    untracked: str = ""
+    pixels: str = ""
+    remedy: str = "export it again"
 
     def suits(self, source: Source) -> bool:
         names = source.column_names
         lacks = set(self._lacking(self._headings(names)))
-        return not lacks or (lacks == {"particle"} and bool(self.signs & set(names)))
+        return not lacks or (lacks == {"particle"} and bool({*names} & {*self.signs}))
 
     def _headings(self, names: list[str]) -> dict[str, str]:
         headings = {}
