@@ -242,7 +242,7 @@ def _proposals(
     About states of a fit that explains the data the right terms explain them, too.
     """
     found = survey.search(rotational=rotational).run(singles_only=singles_only)
-    found = [one for one in found if survey.explains(one)]
+    found = [one for one in found if survey.is_worth_a_fit(one)]
     is_planar = survey.region.is_planar
     # In space the kernels of the search are half as many as those of a fit.
     return found if is_planar else [refine(one, survey.response, 1) for one in found]

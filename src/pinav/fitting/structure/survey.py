@@ -69,14 +69,19 @@ class Survey(eqx.Module):
         )
 
     def explains(self, proposal: Proposal) -> bool:
-        """True if terms leave little more of the data unexplained than the noise.
+        """True if terms leave little more of the data unexplained than the noise."""
+        return proposal.noise <= POLICY.explained * self.noise
 
-        About smoothed states, which miss the path, they may leave more; in space such
+    def is_worth_a_fit(self, proposal: Proposal) -> bool:
+        """True if the terms may explain the data about their own fit.
+
+        The states about which the data are linearised miss the path where they are
+        smoothed, or where free kernels are too coarse for the force; in space such
         terms are not worth the time of a fit.
         """
-        is_smooth = self.region.is_planar and not self.is_begun
-        most = POLICY.hopeless if is_smooth else POLICY.explained
-        return proposal.noise <= most * self.noise
+        if not self.region.is_planar:
+            return self.explains(proposal)
+        return proposal.noise <= POLICY.hopeless * self.noise
 
     def search(self, *, rotational: bool, content: float = POLICY.content) -> Search:
         """The search for terms in these data.
