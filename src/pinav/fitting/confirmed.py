@@ -46,7 +46,7 @@ def best_fit(
     if not tried:
         return fit_free(fits) if free is None else free
     best = max(tried, key=evidence_of)
-    return _against_free(fits, _with_laws(fits, best), free)
+    return _against_free(fits, best, free)
 
 
 def _fit_until_kinds_stay(
@@ -64,11 +64,9 @@ def _fit_until_kinds_stay(
         return None
     survey = Survey.of(fits, begun)
     here = polish(begun.model.environment.terms, survey.response)
-    here = here and simplify(refine(here, survey.response), survey.response)
-    if here is None or here.noise > POLICY.settled * survey.noise:
-        lawful = here and _fit_laws_early(fits, here, survey, begun)
-        if lawful is not None:
-            return lawful
+    here = here and refine(simplify(here, survey.response), survey.response)
+    is_settled = here is not None and here.noise <= POLICY.settled * survey.noise
+    if not (is_settled or _is_too_coarse(here)):
         here = _sought_again(fits, survey, here, proposal)
     if here is None:
         fits.trace.note(proposal.terms, "about its own fit it explains no more")
@@ -81,7 +79,29 @@ def _fit_until_kinds_stay(
         left = here.noise / survey.noise
         fits.trace.note(here.terms, "left too much", here.log_evidence, left)
         return None
-    return fits.try_terms(here.terms, begun)
+    return _fit_with_laws(fits, survey, here, begun)
+
+
+def _is_too_coarse(proposal: Proposal | None) -> bool:
+    """True if what terms leave may be what the kernels of their profiles miss."""
+    return proposal is not None and proposal.finer is not None
+
+
+def _fit_with_laws(
+    fits: Fits, survey: Survey, proposal: Proposal, begun: EvidenceFit
+) -> EvidenceFit | None:
+    """The fit of terms whose profiles follow laws, or of the kernels of the profiles.
+
+    Laws carry what is steep, so that coarse kernels suffice beside them.
+    """
+    lawful = follow_laws(proposal.terms, survey.response, survey.region, proposal.noise)
+    if lawful is not None:
+        fit = fits.try_terms(lawful.terms, begun)
+        most = POLICY.settled * max(survey.noise, proposal.noise)
+        is_good = fit is not None and fit.outcome is Outcome.CONVERGED
+        if is_good and fit.hyperparameters.noise <= most:
+            return fit
+    return fits.try_terms(proposal.terms, begun)
 
 
 def _sought_again(
@@ -103,38 +123,6 @@ def _sought_again(
     found = [refine(one, survey.response) for one in found[:1]]
     several = found if here is None else [here, *found]
     return preferred(several)[0] if several else None
-
-
-def _fit_laws_early(
-    fits: Fits, proposal: Proposal, survey: Survey, begun: EvidenceFit
-) -> EvidenceFit | None:
-    """The fit of terms that follow laws, where those are all that is needed.
-
-    About a centre the force of kernels vanishes; that of a wide ring does not, and
-    other terms would be sought to make up for it.
-    """
-    if not survey.explains(proposal):
-        return None
-    lawful = follow_laws(proposal.terms, survey.response, proposal.noise)
-    fit = lawful and fits.try_terms(lawful.terms, begun)
-    if fit is None or fit.hyperparameters.noise > POLICY.lawful * survey.noise:
-        return None
-    is_whole = fit.outcome is Outcome.CONVERGED and stands_alone(fit)
-    return fit if is_whole else None
-
-
-def _with_laws(fits: Fits, fit: EvidenceFit) -> EvidenceFit:
-    """The fit whose profiles follow laws, where that is as good."""
-    if fits.trace.is_over:
-        return fit
-    response = Survey.of(fits, fit).response
-    terms, noise = fit.model.environment.terms, fit.hyperparameters.noise
-    lawful = follow_laws(terms, response, noise)
-    other = lawful and fits.try_terms(lawful.terms, fit)
-    if other is None or other.outcome is not Outcome.CONVERGED:
-        return fit
-    is_as_good = evidence_of(other) > evidence_of(fit) - POLICY.decisive
-    return other if is_as_good else fit
 
 
 def _against_free(

@@ -243,9 +243,15 @@ def _proposals(
     """
     found = survey.search(rotational=rotational).run(singles_only=singles_only)
     found = [one for one in found if survey.is_worth_a_fit(one)]
-    is_planar = survey.region.is_planar
-    # In space the kernels of the search are half as many as those of a fit.
-    return found if is_planar else [refine(one, survey.response, 1) for one in found]
+    if not survey.region.is_planar:
+        # The kernels of the search are half as many there as those of a fit.
+        return [refine(one, survey.response, 1) for one in found]
+    if survey.is_begun and found:
+        # What the kernels of profiles are too coarse for, their laws may carry.
+        found[1:] = [one for one in found[1:] if survey.explains(one)]
+        finest = refine(found[0], survey.response)
+        found = found if survey.explains(finest) else found[1:]
+    return found
 
 
 def _turning(fits: Fits, proposals: Sequence[Proposal]) -> StructuredFit | None:

@@ -17,6 +17,7 @@ from pinav.arguments import Scalar, on_device
 from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.search import simplify
+from pinav.fitting.structure.starts import Region
 from pinav.fitting.structure.trials import (
     Proposal,
     Terms,
@@ -25,7 +26,7 @@ from pinav.fitting.structure.trials import (
     with_places,
     with_profiles,
 )
-from pinav.forces import AbstractProfileTerm
+from pinav.forces import AbstractProfileTerm, LinearTerm
 from pinav.forces.fitted_laws import FITTED, FittedLaw
 
 SIZES, PLACES = 10, 16
@@ -50,7 +51,9 @@ BEYOND = 0.2
 """Distance beyond the data, over their extent, where a law may be placed at first."""
 
 
-def follow_laws(terms: Terms, response: ForceResponse, noise: float) -> Proposal | None:
+def follow_laws(
+    terms: Terms, response: ForceResponse, region: Region, noise: float
+) -> Proposal | None:
     """Terms whose profiles follow laws; None where the evidence is for none.
 
     Profiles that leave more than the noise to free kernels are no laws and are not
@@ -63,7 +66,7 @@ def follow_laws(terms: Terms, response: ForceResponse, noise: float) -> Proposal
     while best is not None and index < len(best.terms):
         term = best.terms[index]
         if isinstance(term, AbstractProfileTerm) and term.law is None:
-            lawful = _with_law_of(best, index, response)
+            lawful = _with_law_of(best, index, response, region)
             if lawful and lawful.log_evidence > best.log_evidence - KINDS:
                 best = simplify(lawful, response)
         index += 1
@@ -92,19 +95,21 @@ ROUNDED = 0.5
 
 
 def _with_law_of(
-    structure: Proposal, index: int, response: ForceResponse
+    structure: Proposal, index: int, response: ForceResponse, region: Region
 ) -> Proposal | None:
     """The structure in which a profile follows the most likely law.
 
     A law is polished alone and keeps those numbers. Beside kernels it would not move
-    where these carry its misfit, and it would follow errors of the states.
+    where these carry its misfit, and it would follow errors of the states. It carries
+    what is steep, so that the kernels beside it are the coarse ones of a search.
     """
     terms, noise = structure.terms, structure.noise
     before, (term, *after) = terms[:index], terms[index:]
     assert isinstance(term, AbstractProfileTerm)
+    is_beside_linear = any(isinstance(one, LinearTerm) for one in terms)
     starts = [
         with_places(term, np.zeros(0), term.width, law)
-        for law in _laws_like(term, response)
+        for law in _laws_like(term, response, is_beside_linear=is_beside_linear)
     ]
     alone = [polish((*before, start, *after), response) for start in starts]
     good = [one for one in alone if one and _is_lawful(one, index, noise)]
@@ -113,18 +118,30 @@ def _with_law_of(
         return None
     before, (lawful, *after) = best.terms[:index], best.terms[index:]
     assert isinstance(lawful, AbstractProfileTerm)
-    whole = with_places(lawful, np.asarray(term.places), term.width)
+    kernels = region.distances() if term.is_odd else region.offsets()
+    places, width = kernels
+    whole = with_places(lawful, np.asarray(places), width)
     terms = (*before, whole, *after)
     beside = polish(terms, response)
     return beside and dataclasses.replace(beside, terms=with_profiles(terms, response))
 
 
-def _laws_like(term: AbstractProfileTerm, response: ForceResponse) -> list[FittedLaw]:
-    """The laws whose forces come nearest to the profile of a term, of several kinds."""
+def _laws_like(
+    term: AbstractProfileTerm, response: ForceResponse, *, is_beside_linear: bool
+) -> list[FittedLaw]:
+    """The laws whose forces come nearest to the profile of a term, of several kinds.
+
+    A linear force beside the term takes any constant and slope of the profile.
+    """
     z = np.sort(np.asarray(coordinates(term, response.points)), axis=None)
     z = z[:: -(-len(z) // POINTS)]
     profile = np.asarray(_profile(term, on_device(z)))
-    fits = [_nearest(laws, z, profile) for laws in _laws(term, z)]
+    free = np.zeros((len(z), 0))
+    if is_beside_linear:
+        free = np.stack([z] if term.is_odd else [np.ones_like(z), z], axis=1)
+    free = np.linalg.qr(free)[0]
+    profile = profile - free @ (free.T @ profile)
+    fits = [_nearest(laws, z, profile, free) for laws in _laws(term, z)]
     fits.sort(key=lambda fit: fit[0])
     return [law for _, law in fits[:PROMISING]]
 
@@ -133,8 +150,13 @@ def _nearest(
     laws: FittedLaw,
     z: Float[np.ndarray, " place"],
     profile: Float[np.ndarray, " place"],
+    free: Float[np.ndarray, "place direction"],
 ) -> tuple[float, FittedLaw]:
-    """The law of a kind whose force comes nearest to a profile, after its misfit."""
+    """The law of a kind whose force comes nearest to a profile, after its misfit.
+
+    Args:
+        free: orthonormal directions that do not count, nor are any in the profile.
+    """
     from scipy.optimize import least_squares
 
     leaves, kind = jax.tree.flatten(laws)
@@ -146,6 +168,7 @@ def _nearest(
         """Misfits of laws to the profile, each with its best height."""
         stacked = jax.tree.unflatten(kind, list(map(on_device, numbers.T)))
         forces = np.nan_to_num(np.asarray(_law_forces(stacked, on_device(z))))
+        forces = forces - (forces @ free) @ free.T
         squares = np.maximum((forces**2).sum(axis=1), np.finfo(float).tiny)
         return profile - ((forces @ profile) / squares)[:, None] * forces
 
