@@ -7,16 +7,16 @@ import scipy.optimize
 from tests.fitted_runs import crossing_system
 
 from pinav.analysis import Verdict, discover_law
+from pinav.analysis.discovery.candidates import CONSTANT_FORCE, GAUSSIAN, HARMONIC
 from pinav.analysis.discovery.discovery import estimates
-from pinav.analysis.discovery.geometries import Center, ProfileLaw
-from pinav.analysis.discovery.laws import LawForce
-from pinav.analysis.discovery.potentials import CONSTANT_FORCE, GAUSSIAN, HARMONIC
 from pinav.analysis.discovery.refit import Refit, RefitProblem, laplace_posterior, refit
 from pinav.dynamics import Adaptive, NeuralDynamics, rollout
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome, Posterior
 from pinav.fitting.engine.local_model import known_model
 from pinav.forces import GaussianBarrier
+from pinav.forces.geometries import Center
+from pinav.forces.laws import LawForce, ProfileLaw
 from pinav.forces.profiles import Lorentzian
 from pinav.systems import Observation
 from pinav.trajectories import Trajectories, simulate, smooth_states

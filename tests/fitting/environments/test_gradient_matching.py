@@ -33,10 +33,10 @@ from pinav.fitting.environments.summary import (
 from pinav.forces import (
     ConstantForce,
     GaussianBarrier,
-    GaussianSwirl,
     KernelForce,
     KernelPotential,
     LinearDrag,
+    gaussian_swirl,
     tanh_network,
 )
 from pinav.scenarios import scenario
@@ -93,7 +93,7 @@ def test_narrow_obstacles_ask_for_finer_kernels(data):
 
 
 def test_a_force_without_potential_is_told_from_one_with():
-    truth = TRUTH.with_environment(GaussianSwirl(3.0, [2.0, 0.3], 1.5))
+    truth = TRUTH.with_environment(gaussian_swirl(3.0, [2.0, 0.3], 1.5))
     seen = observe(truth, count=4)
     environment = match_kernels(truth, rates_of(seen))
     assert isinstance(environment, KernelForce)

@@ -14,7 +14,6 @@ import scipy.special
 from jaxtyping import Array, Float
 
 from pinav.analysis.discovery.law_regression import MISFIT_PROBABILITY
-from pinav.analysis.discovery.laws import AbstractLaw, LawForce
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer, with_dtype
 from pinav.errors import FitError
 from pinav.fitting import Outcome, Posterior
@@ -22,6 +21,7 @@ from pinav.fitting.engine.local_model import ParametricModel, ravel_model
 from pinav.fitting.engine.multiple_shooting import Linearisation, advance, linearise
 from pinav.fitting.matching.state import Observations, Trainable
 from pinav.forces.formulas import Role
+from pinav.forces.laws import AbstractLaw, LawForce
 from pinav.trajectories import Trajectories, smooth_states, with_velocities
 
 MAX_ITERATIONS = 40

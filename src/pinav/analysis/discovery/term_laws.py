@@ -13,36 +13,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from pinav.analysis.discovery.force_sample import ForceSample, Sampling
-from pinav.analysis.discovery.geometries import (
-    Center,
-    Centers,
-    Ellipse,
-    Line,
-    ProfileLaw,
-)
-from pinav.analysis.discovery.laws import (
-    AbstractLaw,
-    Landscape,
-    SumLaw,
-    Turned,
-)
-from pinav.analysis.discovery.potentials import (
+from pinav.analysis.discovery.candidates import (
     ANISOTROPIC_TRAP,
-    CHANNEL,
     CONSTANT_FORCE,
     GAUSSIAN,
     HARMONIC,
     LATTICES,
     PLANE_WAVE,
-    RING,
     SADDLE,
-    SHEAR_LAYERS,
-    SOLID_ROTATION,
-    SWIRLS,
-    WALL,
     profile_laws,
+    turn,
 )
+from pinav.analysis.discovery.force_sample import ForceSample, Sampling
 from pinav.forces import (
     AbstractProfileTerm,
     AbstractTerm,
@@ -54,7 +36,8 @@ from pinav.forces import (
     ObstaclesTerm,
     WallTerm,
 )
-from pinav.forces.profiles import EVEN_PROFILES, Ring
+from pinav.forces.geometries import Center, Centers, Ellipse, Landscape, Line
+from pinav.forces.laws import AbstractLaw, SumLaw
 from pinav.forces.terms import HARMONICS
 
 MOST_TERMS = 3
@@ -86,33 +69,26 @@ def term_laws(
 
 def laws_of(term: AbstractTerm) -> tuple[AbstractLaw, ...]:
     """The laws that have the structure of a term; none where there are none."""
-    turned = term.rotational
     match term:
         case CentralTerm():
-            return SWIRLS if turned else (*profile_laws(Center()), RING)
+            laws = profile_laws(Center())
         case EllipticTerm():
-            laws = (*profile_laws(Ellipse()), ProfileLaw(Ring(), Ellipse()))
-            return _swirls_of(laws) if turned else laws
+            laws = profile_laws(Ellipse())
         case WallTerm():
-            straight = (*profile_laws(Line()), WALL, CHANNEL, PLANE_WAVE)
-            return SHEAR_LAYERS if turned else straight
+            laws = (*profile_laws(Line()), PLANE_WAVE)
         case ObstaclesTerm():
-            places = Centers(len(term.centers))
-            laws = tuple(ProfileLaw(profile, places) for profile in EVEN_PROFILES)
-            return _swirls_of(laws) if turned else laws
+            laws = profile_laws(Centers(len(term.centers)))
         case LatticeTerm():
-            return _swirls_of(LATTICES) if turned else LATTICES
+            laws = LATTICES
+        case LinearTerm() if term.rotational:
+            laws = (HARMONIC,)
         case LinearTerm():
-            potentials = (CONSTANT_FORCE, HARMONIC, SADDLE, ANISOTROPIC_TRAP)
-            return (SOLID_ROTATION,) if turned else potentials
-        case HillsTerm() if len(term.centers) <= MOST_TERMS and not turned:
-            return (SumLaw((GAUSSIAN,) * len(term.centers)),)
+            laws = (CONSTANT_FORCE, HARMONIC, SADDLE, ANISOTROPIC_TRAP)
+        case HillsTerm() if len(term.centers) <= MOST_TERMS and not term.rotational:
+            laws = (SumLaw((GAUSSIAN,) * len(term.centers)),)
         case _:
-            return ()
-
-
-def _swirls_of(laws: Sequence[AbstractLaw]) -> tuple[AbstractLaw, ...]:
-    return tuple(Turned(law, f"{law.name} swirl") for law in laws)
+            laws = ()
+    return tuple(map(turn, laws)) if term.rotational else laws
 
 
 def term_landscape(term: AbstractTerm, sample: ForceSample) -> Landscape:
