@@ -100,7 +100,6 @@ TERMS: dict[str, Callable[[], Any]] = {
         WEIGHTS, CENTERS[0], jnp.array([0.2, -0.1]), PLACES, WIDTH
     ),
     "wall": lambda: forces.WallTerm(WEIGHTS, 0.6, CENTERS[0], PLACES, WIDTH),
-    "segment": lambda: forces.SegmentTerm(WEIGHTS, CENTERS[:2], PLACES, WIDTH),
     "obstacles": lambda: forces.ObstaclesTerm(WEIGHTS, CENTERS, PLACES, WIDTH),
     "lattice": lambda: forces.LatticeTerm(
         jnp.linspace(-0.3, 0.5, 12), jnp.array([[1.0, 0.1], [0.2, 0.9]]), X

@@ -103,7 +103,6 @@ from pinav.forces.terms import HillsTerm as HillsTerm
 from pinav.forces.terms import LatticeTerm as LatticeTerm
 from pinav.forces.terms import LinearTerm as LinearTerm
 from pinav.forces.terms import ObstaclesTerm as ObstaclesTerm
-from pinav.forces.terms import SegmentTerm as SegmentTerm
 from pinav.forces.terms import WallTerm as WallTerm
 from pinav.forces.walls import DoubleLayer as DoubleLayer
 from pinav.forces.walls import WallMobility as WallMobility

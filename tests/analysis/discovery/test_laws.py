@@ -28,10 +28,10 @@ from pinav.forces.geometries import (
     Centers,
     Ellipse,
     Line,
-    ProfileLaw,
 )
 from pinav.forces.laws import (
     LawForce,
+    ProfileLaw,
     SumLaw,
     Turned,
     expressions,

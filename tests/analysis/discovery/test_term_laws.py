@@ -40,11 +40,11 @@ from pinav.fitting.environments.summary import learned_part
 from pinav.forces import (
     CentralTerm,
     EllipticTerm,
+    HillsTerm,
     KernelPotential,
     LatticeTerm,
     LinearTerm,
     ObstaclesTerm,
-    SegmentTerm,
     StructuredForce,
     WallTerm,
 )
@@ -161,12 +161,11 @@ def structured():
 
 
 def test_terms_without_laws_leave_the_whole_force(structured):
-    ends = jnp.array([[1.0, 1.0], [4.0, 4.0]])
-    segment = SegmentTerm(jnp.ones(5), ends, PLACES, 0.8)
+    swirls = HillsTerm(jnp.ones(3), CENTER[None], jnp.zeros((1, 3)), rotational=True)
     linear = LinearTerm(jnp.ones(5), jnp.zeros(2), 1.0)
-    assert laws_of(segment) == ()
+    assert laws_of(swirls) == ()
     sampling = Sampling.of(*structured, 10.0)
-    for terms in ([], [segment], [linear] * 4):
+    for terms in ([], [swirls], [linear] * 4):
         assert term_laws(terms, sampling) is None
 
 

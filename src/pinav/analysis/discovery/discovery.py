@@ -278,7 +278,7 @@ def _refit_best(
 
     def refit_each(fits: list[FieldFit]) -> list[tuple[FieldFit, Refit]]:
         made = map_on_cores(
-            lambda fit: refit(fit.law, fit.constants, model, learned.problem), fits
+            lambda fit: refit(fit.law, fit.constants, model, learned), fits
         )
         return list(zip(fits, made, strict=True))
 
@@ -299,7 +299,7 @@ def _rank(
         Candidate(
             name=result.law.name,
             law=result.law,
-            constants=estimates(result, learned.problem.extent, inertia=inertia),
+            constants=estimates(result, learned.extent, inertia=inertia),
             bic=result.bic,
             delta_bic=result.bic - least if np.isfinite(result.bic) else np.inf,
             field_bic=field.bic,
