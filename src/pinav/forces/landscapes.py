@@ -206,7 +206,7 @@ NAMED: tuple[Callable[..., LawForce], ...] = (
 """Laws that files state by a name and constants of their own."""
 
 
-class PlaneWaves(AbstractForce):
+class PlaneWaves(AbstractPotentialForce):
     r"""Force $-\nabla U$ of plane waves, $U(x) = \sum_j a_j \cos(k_j \cdot x + p_j)$.
 
     Two waves make an egg crate; many of random direction make a random field, whose
@@ -243,12 +243,7 @@ class PlaneWaves(AbstractForce):
             )
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        """Potential energy per mass $U(x)$ [L² T⁻²]."""
         return self.amplitudes @ jnp.cos(self.wave_vectors @ x + self.phases)
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        swing = self.amplitudes * jnp.sin(self.wave_vectors @ x + self.phases)
-        return swing @ self.wave_vectors
 
 
 class LinearForce(AbstractForce):

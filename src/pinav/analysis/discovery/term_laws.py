@@ -6,6 +6,7 @@ only the formula of each profile is open.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -94,29 +95,23 @@ def laws_of(term: AbstractTerm) -> tuple[AbstractLaw, ...]:
 def term_landscape(term: AbstractTerm, sample: ForceSample) -> Landscape:
     """Features of the geometry of a term from which fits of its laws start."""
     plain = sample.landscape
+    features: dict[str, Any] = {}
     if isinstance(term, AbstractProfileTerm):
-        plain = dataclasses.replace(plain, lengths=_lengths(term, sample))
+        features["lengths"] = _lengths(term, sample)
     match term:
-        case CentralTerm():
-            return dataclasses.replace(plain, centers=_points(term.center[None]))
-        case EllipticTerm():
-            p, q = (float(part) for part in term.shear)
-            return dataclasses.replace(
-                plain,
-                centers=_points(term.center[None]),
-                direction=0.5 * float(np.arctan2(q, p)),
-                aspect=float(np.exp(-2 * np.hypot(p, q))),
-            )
-        case WallTerm():
-            return dataclasses.replace(
-                plain, centers=plain.centers[1:], direction=float(term.angle)
-            )
+        case CentralTerm() | EllipticTerm():
+            features["centers"] = _points(term.center[None])
         case ObstaclesTerm() | HillsTerm():
-            return dataclasses.replace(plain, centers=_points(term.centers))
+            features["centers"] = _points(term.centers)
+        case WallTerm():
+            features |= {"centers": plain.centers[1:], "direction": float(term.angle)}
         case LatticeTerm():
-            return dataclasses.replace(plain, wave_vectors=_strongest_waves(term))
-        case _:
-            return plain
+            features["wave_vectors"] = _strongest_waves(term)
+    if isinstance(term, EllipticTerm):
+        p, q = (float(part) for part in term.shear)
+        features["direction"] = 0.5 * float(np.arctan2(q, p))
+        features["aspect"] = float(np.exp(-2 * np.hypot(p, q)))
+    return dataclasses.replace(plain, **features)
 
 
 def _points(places: Float[ArrayLike, "place 2"]) -> tuple[tuple[float, float], ...]:
