@@ -111,9 +111,6 @@ def test_sampled_forces_have_the_posterior_s_mean_and_spread():
 
 
 test_bad_fields_are_refused = refusals(
-    (
-        lambda: split(GRADIENT, EVERYWHERE + 5.0),
-        "no finite force within 1 of a sample",
-    ),
+    (lambda: split(GRADIENT, EVERYWHERE + 5.0), "no finite force within 1 of a sample"),
     (lambda: split(np.zeros_like(GRADIENT)), "the force is zero near the data"),
 )

@@ -80,10 +80,7 @@ def assert_relative(actual, expected, tolerance):
     np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * scale)
 
 
-FIXED = {
-    "Tsit5": FixedStep(),
-    "RK4, two substeps": FixedStep(RK4, substeps=2),
-}
+FIXED = {"Tsit5": FixedStep(), "RK4, two substeps": FixedStep(RK4, substeps=2)}
 TIGHT = {
     "recursive": Adaptive(),
     "direct": Adaptive(adjoint=diffrax.DirectAdjoint(), max_steps=64),

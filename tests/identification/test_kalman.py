@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from pinav.identification.kalman import (
-    Disturbance,
-    innovations,
-    transitions,
-)
+from pinav.identification.kalman import Disturbance, innovations, transitions
 from pinav.systems import WanderingVelocity
 
 TIMES = jnp.array([0.0, 0.4, 1.0, 1.1, 2.5, 3.0, 4.2])

@@ -13,12 +13,7 @@ from pinav.thermal.grids import RadialGrid
 from pinav.thermal.learning import learn, perfusion_curve, visited_range
 from pinav.thermal.perfusion import kernel_perfusion, lang, neural_perfusion
 from pinav.thermal.protocols import Piecewise
-from pinav.thermal.readings import (
-    Readings,
-    load_probes,
-    save_probes,
-    simulate_probes,
-)
+from pinav.thermal.readings import Readings, load_probes, save_probes, simulate_probes
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.tissues import Tissue
 

@@ -220,14 +220,8 @@ HEATED_PLANE = heated_tumour(PLANE, Dirichlet(37.0))
 
 
 test_bad_input_is_refused_in_one_line = refusals(
-    (
-        lambda: Tissue(-0.5, 1.0, 1.0),
-        r"Tissue.conductivity: expected > 0 W/\(m K\)",
-    ),
-    (
-        lambda: Tissue(0.5, 1e3, 0.0),
-        r"Tissue.specific_heat: expected > 0 J/\(kg K\)",
-    ),
+    (lambda: Tissue(-0.5, 1.0, 1.0), r"Tissue.conductivity: expected > 0 W/\(m K\)"),
+    (lambda: Tissue(0.5, 1e3, 0.0), r"Tissue.specific_heat: expected > 0 J/\(kg K\)"),
     (lambda: Tissue(0.5, 1e3, 1e3, -1.0), r"Tissue.metabolic: expected >= 0 W/m³"),
     (lambda: Blood(0.0), r"Blood.density: expected > 0 kg/m³, got 0"),
     (lambda: Robin(0.0, 20.0), r"Robin.exchange: expected > 0 W/\(m² K\), got 0.0"),
@@ -267,15 +261,10 @@ test_bad_input_is_refused_in_one_line = refusals(
         lambda: solve(BLAND, HOUR, save_at=[4000.0]),
         r"saved time 4000 s: expected after 0 and up to 3600 s",
     ),
-    (
-        lambda: solve(BLAND, HOUR, save_every=0.0),
-        r"save_every: expected a time > 0",
-    ),
+    (lambda: solve(BLAND, HOUR, save_every=0.0), r"save_every: expected a time > 0"),
     (
         lambda: solve(
-            BLAND,
-            HOUR,
-            start=HeatState(jnp.asarray(1e4), jnp.ones(30), jnp.ones(30)),
+            BLAND, HOUR, start=HeatState(jnp.asarray(1e4), jnp.ones(30), jnp.ones(30))
         ),
         r"schedule start: expected within 0 and 3600 s, got 10000",
     ),

@@ -21,10 +21,7 @@ from pinav.trajectories import Trajectories
 
 pytestmark = pytest.mark.slow
 
-CONSTANTS = {
-    "damping": lambda m: m.drag.damping,
-    "gain": lambda m: m.propulsion.gain,
-}
+CONSTANTS = {"damping": lambda m: m.drag.damping, "gain": lambda m: m.propulsion.gain}
 
 
 def without(data, *indices):

@@ -11,11 +11,7 @@ from pinav.dynamics import AbstractDynamics, FixedStep, rollout
 from pinav.errors import InputError
 from pinav.evaluation.force_fields import force_error_at_samples
 from pinav.fitting import Outcome, fit_bayes, kernel_environment, model_evidence
-from pinav.forces import (
-    GaussianBarrier,
-    KernelForce,
-    KernelPotential,
-)
+from pinav.forces import GaussianBarrier, KernelForce, KernelPotential
 from pinav.trajectories import Trajectories
 
 pytestmark = pytest.mark.slow

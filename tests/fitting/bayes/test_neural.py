@@ -18,11 +18,7 @@ from pinav.fitting import (
     model_evidence,
     neural_environment,
 )
-from pinav.fitting.bayes.distillation import (
-    OF_STRUCTURE,
-    distil,
-    distillation_targets,
-)
+from pinav.fitting.bayes.distillation import OF_STRUCTURE, distil, distillation_targets
 from pinav.fitting.bayes.neural import FitSpecification, function_prior
 from pinav.forces import (
     AbstractForce,

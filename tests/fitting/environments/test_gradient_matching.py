@@ -7,13 +7,7 @@ from tests.fitting.problems import beginning, follow
 from pinav.dynamics import FixedStep, NeuralDynamics, Swimmer
 from pinav.evaluation import exact_forces, predict, score
 from pinav.evaluation.force_fields import field_map, force_errors
-from pinav.fitting import (
-    Rates,
-    TrajectoryLoss,
-    defect_recipe,
-    fit,
-    rates_to_match,
-)
+from pinav.fitting import Rates, TrajectoryLoss, defect_recipe, fit, rates_to_match
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.gradient_matching import (
     match_kernels,

@@ -9,11 +9,7 @@ import scipy.stats
 from tests.fitting.problems import STATES, quadratic_of
 
 from pinav.errors import InputError
-from pinav.fitting import (
-    LinearFit,
-    model_evidence,
-    timed_kernel_environment,
-)
+from pinav.fitting import LinearFit, model_evidence, timed_kernel_environment
 from pinav.fitting.engine.local_model import ConstantPriors
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
@@ -26,11 +22,7 @@ from pinav.fitting.evidence.evidence import (
 from pinav.fitting.evidence.model_evidence import LOG_RANGE, evidence_without_second
 from pinav.fitting.evidence.quadratic import eliminate_flat
 from pinav.fitting.evidence.weights import GaussianWeights, NoWeights
-from pinav.forces import (
-    KernelMixture,
-    KernelPotential,
-    TimedKernelPotential,
-)
+from pinav.forces import KernelMixture, KernelPotential, TimedKernelPotential
 from pinav.forces.priors import AbstractPrior, IsotropicPrior, MixturePrior
 from pinav.systems.priors import Normal
 from pinav.trajectories import Trajectories

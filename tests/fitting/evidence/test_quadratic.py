@@ -6,10 +6,7 @@ import pytest
 from hypothesis import given, settings
 from tests.fitting.problems import quadratic_of
 
-from pinav.fitting.evidence.quadratic import (
-    eliminate_flat,
-    joint_posterior,
-)
+from pinav.fitting.evidence.quadratic import eliminate_flat, joint_posterior
 
 
 @given(

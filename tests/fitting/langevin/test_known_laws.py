@@ -13,13 +13,7 @@ from pinav.fitting.langevin import Increments
 from pinav.fitting.langevin.diffusion import DiffusionField
 from pinav.fitting.langevin.drift import second_order
 from pinav.fitting.langevin.increments import Relation
-from pinav.forces import (
-    HarmonicTrap,
-    KernelAxis,
-    KernelBasis,
-    KernelTensor,
-    ZeroForce,
-)
+from pinav.forces import HarmonicTrap, KernelAxis, KernelBasis, KernelTensor, ZeroForce
 from pinav.trajectories import Trajectories
 
 TURN = 2 * np.pi

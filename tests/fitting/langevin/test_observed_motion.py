@@ -144,10 +144,7 @@ test_values_that_make_no_sense_are_refused = refusals(
         lambda: KernelBasis.around((KernelAxis(1),), PLACES),
         "KernelAxis.index: expected 0 to 0",
     ),
-    (
-        lambda: KernelBasis.around(ALONG, PLACES[:1]),
-        "two or more different positions",
-    ),
+    (lambda: KernelBasis.around(ALONG, PLACES[:1]), "two or more different positions"),
     (
         lambda: KernelProfile.with_zero_weights(
             KernelBasis.around(ALONG, PLACES), (1,), 1

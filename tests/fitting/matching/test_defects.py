@@ -8,11 +8,7 @@ from tests.fitting.problems import follow, observing
 from pinav import fitting
 from pinav.dynamics import FixedStep, Swimmer
 from pinav.errors import InputError
-from pinav.fitting.matching.damped_steps import (
-    DAMPINGS,
-    LinearisedResiduals,
-    full_step,
-)
+from pinav.fitting.matching.damped_steps import DAMPINGS, LinearisedResiduals, full_step
 from pinav.fitting.matching.gauss_newton import DampedState
 from pinav.fitting.matching.state import split_trainable
 from pinav.fitting.matching.windows import Windows
@@ -110,10 +106,7 @@ def test_the_recipe_finds_the_constants_of_exact_data(data):
     )
     assert result.outcome is fitting.Outcome.CONVERGED
     assert result.model.environment.height == pytest.approx(2.0, rel=1e-6)
-    assert [name for name, _ in result.phases] == [
-        "Defects, L = 1",
-        "Defects, L = 30",
-    ]
+    assert [name for name, _ in result.phases] == ["Defects, L = 1", "Defects, L = 30"]
 
 
 def test_bad_requests_are_refused(data):

@@ -161,12 +161,7 @@ def learn(
     model, data, recipe, trainable=lambda m: m.environment.parameters, objective=STEPS
 ):
     return fitting.fit(
-        model,
-        data,
-        recipe,
-        trainable=trainable,
-        objective=objective,
-        dtype=jnp.float64,
+        model, data, recipe, trainable=trainable, objective=objective, dtype=jnp.float64
     )
 
 
@@ -181,12 +176,7 @@ def test_the_curriculum_fits_kernels_and_compiles_once(data):
     found = learn(kernel_swimmer(data), data, fitting.curriculum(data))
     assert found.losses[-1] < 1e-8 * found.losses[0]
     assert len(found.losses) - 1 <= 20
-    assert [name for name, _ in found.phases] == [
-        "L = 1",
-        "L = 5",
-        "L = 25",
-        "L = 30",
-    ]
+    assert [name for name, _ in found.phases] == ["L = 1", "L = 5", "L = 25", "L = 30"]
     assert run_chunk._cached._cache_size() == compiled + 1
 
 

@@ -22,12 +22,7 @@ from pinav.navigation.control.default import controller
 from pinav.navigation.control.mppi import GradientMPC, PathIntegral
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.predictors import tabulate_model
-from pinav.navigation.task.task import (
-    CirclePath,
-    Disc,
-    FollowPath,
-    ReachGoal,
-)
+from pinav.navigation.task.task import CirclePath, Disc, FollowPath, ReachGoal
 from pinav.navigation.trials.closed_loop import run, run_many
 
 START, GOAL = steering_worlds.START[2], steering_worlds.GOAL[2]

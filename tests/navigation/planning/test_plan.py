@@ -19,12 +19,7 @@ from pinav.forces import (
 )
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.predictors import tabulate_model
-from pinav.navigation.task.task import (
-    Disc,
-    FollowPath,
-    LinePath,
-    Wall,
-)
+from pinav.navigation.task.task import Disc, FollowPath, LinePath, Wall
 
 GOAL, TOLERANCE = steering_worlds.GOAL[2], steering_worlds.TOLERANCE[2]
 
