@@ -201,5 +201,7 @@ def test_a_compact_hill_ends():
 
 
 def test_wrong_number_of_constants_is_refused():
-    with pytest.raises(InputError, match=r"Gaussian expects shape \(4,\) .*, got \(3,\)"):
+    with pytest.raises(
+        InputError, match=r"Gaussian expects shape \(4,\) .*, got \(3,\)"
+    ):
         LawForce(GAUSSIAN, jnp.ones(3))
