@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from jaxtyping import Array, Bool, Float, Int
 from tests.damage import damaged
 
-from pinav.analysis.discovery.laws import AbstractLaw
-from pinav.analysis.discovery.potentials import POTENTIALS, ROTATIONS
+from pinav.analysis.discovery.candidates import POTENTIALS, ROTATIONS
 from pinav.arguments import Scalar
 from pinav.codec import SHORT, decode, encode
 from pinav.errors import InputError
+from pinav.forces.laws import AbstractLaw
 from pinav.runs import RunFolder
 
 

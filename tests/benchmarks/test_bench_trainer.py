@@ -64,4 +64,6 @@ def test_a_column_that_must_fail_changes_what_the_fit_is_told_or_what_is_observe
     (barrier, swirl) = COLUMNS["swirl"].truth(drawn).environment.terms
     assert barrier is drawn.system.environment
     places = drawn.system.starts[0, :2] + 0.1
-    assert abs(float(swirl(0.0, places, places) @ (places - swirl.center))) < 1e-12
+    assert (
+        abs(float(swirl(0.0, places, places) @ (places - swirl.constants[1:3]))) < 1e-12
+    )

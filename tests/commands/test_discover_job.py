@@ -14,9 +14,7 @@ from pinav.analysis import (
     ForceSample,
     Verdict,
 )
-from pinav.analysis.discovery.geometries import Center, ProfileLaw
-from pinav.analysis.discovery.laws import latex
-from pinav.analysis.discovery.potentials import (
+from pinav.analysis.discovery.candidates import (
     GAUSSIAN,
     GAUSSIAN_SWIRL,
     POTENTIALS,
@@ -27,6 +25,8 @@ from pinav.commands.discover.job import central_sentence, sections, sentences
 from pinav.commands.results import sections_of
 from pinav.figures.images import save_pictures
 from pinav.fitting import Outcome
+from pinav.forces.geometries import Center
+from pinav.forces.laws import ProfileLaw, latex
 from pinav.forces.profiles import Yukawa
 from pinav.report import sections_text
 from pinav.runs import RunFolder

@@ -12,7 +12,7 @@ from tests.fitted_runs import blank_figures
 from pinav import analysis
 from pinav.analysis import effects
 from pinav.analysis.discovery import discovery, law_regression
-from pinav.analysis.discovery.potentials import POTENTIALS, ROTATIONS
+from pinav.analysis.discovery.candidates import POTENTIALS, ROTATIONS
 from pinav.commands import COMMANDS
 from pinav.runs import RunFolder
 

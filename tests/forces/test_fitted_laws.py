@@ -6,14 +6,14 @@ import pytest
 from pinav.forces import (
     AbstractForce,
     CentralTerm,
-    CompactHill,
     GaussianBarrier,
     PlaneWaves,
-    PowerHill,
-    RingBarrier,
-    SoftWall,
     SumForce,
     WallTerm,
+    compact_hill,
+    power_hill,
+    ring_barrier,
+    soft_wall,
 )
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.formulas import NEAR_GAUSSIAN, falling
@@ -42,8 +42,8 @@ def steps():
     middle, half, width = 5.0, 3.0, 0.8
     return SumForce(
         (
-            SoftWall(HEIGHT, 0.7, middle + half, width),
-            SoftWall(HEIGHT, 0.7 + np.pi, half - middle, width),
+            soft_wall(HEIGHT, 0.7, middle + half, width),
+            soft_wall(HEIGHT, 0.7 + np.pi, half - middle, width),
         )
     )
 
@@ -64,23 +64,23 @@ SAME = {
     ),
     "Lorentzian": (
         central(FittedLaw("hill", (np.log(1.5), form(1.0)))),
-        PowerHill(HEIGHT, CENTER, 1.5 * np.sqrt(2), 1.0),
+        power_hill(HEIGHT, CENTER, 1.5 * np.sqrt(2), 1.0),
     ),
     "screened": (
         central(FittedLaw("hill", (np.log(1.5), form(2.0)))),
-        PowerHill(HEIGHT, CENTER, 1.5, 0.5),
+        power_hill(HEIGHT, CENTER, 1.5, 0.5),
     ),
     "compact": (
         central(FittedLaw("hill", (np.log(1.5), form(-1 / 3)))),
-        CompactHill(HEIGHT, CENTER, 1.5 * np.sqrt(6)),
+        compact_hill(HEIGHT, CENTER, 1.5 * np.sqrt(6)),
     ),
     "ring": (
         central(FittedLaw("ring", (3.0, np.log(0.8), form(0.0)))),
-        RingBarrier(HEIGHT, CENTER, 3.0, 0.8),
+        ring_barrier(HEIGHT, CENTER, 3.0, 0.8),
     ),
     "step": (
         wall(FittedLaw("step", (6.0, np.log(0.9)))),
-        SoftWall(HEIGHT, 0.7, 6.0, 0.9),
+        soft_wall(HEIGHT, 0.7, 6.0, 0.9),
     ),
     "channel": (wall(FittedLaw("channel", (5.0, 3.0, np.log(0.8)))), steps()),
     "wave": (wall(FittedLaw("wave", (0.5, np.log(0.7)))), stripes()),

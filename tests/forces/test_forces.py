@@ -34,7 +34,6 @@ from pinav.errors import InputError
 from pinav.forces import (
     AbstractForce,
     CentralTerm,
-    CompactHill,
     GaussianBarrier,
     HillsTerm,
     IsotropicTensor,
@@ -42,17 +41,18 @@ from pinav.forces import (
     LinearDrag,
     LinearForce,
     PlaneWaves,
-    PowerHill,
-    ProfileBarrier,
-    RingBarrier,
     ShearFlow,
-    SoftWall,
     StructuredForce,
     SumForce,
     ZeroForce,
     check_kernels,
+    compact_hill,
     kernel_centers,
     paper_force,
+    power_hill,
+    profile_barrier,
+    ring_barrier,
+    soft_wall,
     tanh_network,
 )
 
@@ -182,10 +182,18 @@ def test_sum_is_associative_and_flat():
     np.testing.assert_array_equal(left(T, X, V), right(T, X, V))
 
 
+def has_potential(force):
+    try:
+        jax.eval_shape(force.potential, T, X)
+    except (AttributeError, InputError):
+        return False
+    return True
+
+
 @every_force
 def test_a_force_with_a_potential_is_minus_its_gradient_and_has_no_curl(make):
     force = make()
-    if hasattr(force, "potential"):
+    if has_potential(force):
         expected = -jax.grad(force.potential, argnums=1)(T, X)
         np.testing.assert_allclose(force(T, X, V), expected, rtol=1e-12, atol=1e-12)
         slopes = jax.jacfwd(force, argnums=1)(T, X, V)
@@ -195,7 +203,7 @@ def test_a_force_with_a_potential_is_minus_its_gradient_and_has_no_curl(make):
 @every_force
 def test_a_force_with_a_stream_function_has_no_divergence_and_its_curl(make):
     force = make()
-    if hasattr(force, "stream") and not hasattr(force, "potential"):
+    if hasattr(force, "stream") and not has_potential(force):
         slopes = jax.jacfwd(force, argnums=1)(T, X, V)
         np.testing.assert_allclose(jnp.trace(slopes), 0.0, atol=1e-14)
         laplacian = jnp.trace(jax.hessian(force.stream)(X))
@@ -296,15 +304,15 @@ def test_bad_landscapes_and_structures_are_refused():
             [0.5], jnp.eye(2), [0.1, 0.7]
         ),
         "LinearForce.matrix: expected shape": lambda: LinearForce(jnp.eye(3), [5, 4]),
-        "SoftWall.width: expected > 0": lambda: SoftWall(2.0, 0.6, 5.0, 0.0),
-        "PowerHill.core: expected > 0": lambda: PowerHill(2.0, [5, 4], -1.0, 0.5),
-        "CompactHill.radius: expected > 0": lambda: CompactHill(2.0, [5, 4], 0.0),
-        "RingBarrier.width: expected > 0": lambda: RingBarrier(2.0, [5, 4], 1.0, 0.0),
-        "ProfileBarrier.law: 'Hooke' is unknown; choose": lambda: ProfileBarrier(
+        "logistic wall.edge: expected > 0": lambda: soft_wall(2.0, 0.6, 5.0, 0.0),
+        "inverse power.core: expected > 0": lambda: power_hill(2.0, [5, 4], -1.0, 0.5),
+        "compact hill.radius: expected > 0": lambda: compact_hill(2.0, [5, 4], 0.0),
+        "ring.width: expected > 0": lambda: ring_barrier(2.0, [5, 4], 1.0, 0.0),
+        "profile_barrier law: 'Hooke' is unknown; choose": lambda: profile_barrier(
             "Hooke", 2.0, [5, 4]
         ),
-        r"ProfileBarrier.shapes: Yukawa expects 2 \(core, range\), got 0": lambda: (
-            ProfileBarrier("Yukawa", 2.0, [5, 4])
+        r"Yukawa expects .*core, range\), got \(3,\)": lambda: profile_barrier(
+            "Yukawa", 2.0, [5, 4]
         ),
         "StructuredForce.terms: expected one or more": lambda: StructuredForce(
             (), kernel_potential()

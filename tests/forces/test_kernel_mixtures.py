@@ -9,13 +9,13 @@ import scipy.interpolate
 from pinav.errors import InputError
 from pinav.forces import (
     ChangingPotential,
-    GaussianSwirl,
     KernelMixture,
     KernelPotential,
     KernelStream,
     LayeredPotential,
     TimedKernelPotential,
     cubic_spline,
+    gaussian_swirl,
 )
 
 CENTERS = jnp.array([[4.0, 5.0], [5.0, 5.5], [4.5, 6.5]])
@@ -31,7 +31,7 @@ MOVING = TimedKernelPotential(
 
 def test_one_kernel_of_a_stream_is_a_swirl():
     one = KernelStream(jnp.array([2.0]), CENTERS[:1], 1.3)
-    swirl = GaussianSwirl(2.0, CENTERS[0], 1.3)
+    swirl = gaussian_swirl(2.0, CENTERS[0], 1.3)
     np.testing.assert_allclose(one(0.0, X, X), swirl(0.0, X, X), rtol=1e-12)
 
 

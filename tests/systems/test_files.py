@@ -92,10 +92,7 @@ def test_the_own_force_of_the_gallery_is_named_and_comes_back(tmp_path):
 
 KEY = jax.random.key(5)
 
-IN_PYTHON = {
-    *("network of position", "network of the paper", "neural potential"),
-    "law",
-}
+IN_PYTHON = "network of position", "network of the paper", "neural potential"
 """Examples of forces that no file can state."""
 
 

@@ -7,16 +7,21 @@ import scipy.optimize
 from tests.fitted_runs import crossing_system
 
 from pinav.analysis import Verdict, discover_law
+from pinav.analysis.discovery.candidates import CONSTANT_FORCE, GAUSSIAN, HARMONIC
 from pinav.analysis.discovery.discovery import estimates
-from pinav.analysis.discovery.geometries import Center, ProfileLaw
-from pinav.analysis.discovery.laws import LawForce
-from pinav.analysis.discovery.potentials import CONSTANT_FORCE, GAUSSIAN, HARMONIC
-from pinav.analysis.discovery.refit import Refit, RefitProblem, laplace_posterior, refit
+from pinav.analysis.discovery.refit import (
+    LearnedOnPaths,
+    Refit,
+    laplace_posterior,
+    refit,
+)
 from pinav.dynamics import Adaptive, NeuralDynamics, rollout
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome, Posterior
 from pinav.fitting.engine.local_model import known_model
 from pinav.forces import GaussianBarrier
+from pinav.forces.geometries import Center
+from pinav.forces.laws import LawForce, ProfileLaw
 from pinav.forces.profiles import Lorentzian
 from pinav.systems import Observation
 from pinav.trajectories import Trajectories, simulate, smooth_states
@@ -78,8 +83,8 @@ def test_no_law_fits_where_none_can(crossings):
 def test_refit_is_the_least_squares_of_rollouts(crossings, found):
     """Independent check: no neighbouring rollouts have a smaller sum of squares."""
     truth, data = crossings
-    problem = RefitProblem.of(data, smooth_states(data))
-    result = refit(GAUSSIAN, TRUTH * 1.05, truth, problem)
+    learned = LearnedOnPaths.of(laplace_posterior(truth, data, environment), data)
+    result = refit(GAUSSIAN, TRUTH * 1.05, truth, learned)
     assert result.outcome is Outcome.CONVERGED
     best = [own.value for own in found.best.constants]
     sd = np.array([own.sd for own in found.best.constants])
@@ -126,10 +131,10 @@ def test_wide_intervals_are_not_identifiable():
 def test_singular_directions_have_infinite_intervals(crossings):
     """Far from the data a barrier is felt as nothing: none of it is determined."""
     truth, data = crossings
-    problem = RefitProblem.of(data, smooth_states(data))
+    learned = LearnedOnPaths.of(laplace_posterior(truth, data, environment), data)
     far = np.array([1e-3, 90.0, 90.0, 1.0])
-    result = refit(GAUSSIAN, far, truth, problem)
-    assert not any(own.identifiable for own in estimates(result, problem.extent)[1:])
+    result = refit(GAUSSIAN, far, truth, learned)
+    assert not any(own.identifiable for own in estimates(result, learned.extent)[1:])
 
 
 def test_bic_counts_constants():

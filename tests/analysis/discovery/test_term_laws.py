@@ -7,8 +7,17 @@ from benchmarks.open_forms import sample_profile
 from tests.fitted_runs import crossing_system
 
 from pinav.analysis import Verdict, discover_law
+from pinav.analysis.discovery.candidates import (
+    ANISOTROPIC_TRAP,
+    GAUSSIAN,
+    LATTICES,
+    LIBRARY,
+    RING,
+    SADDLE,
+    WALL,
+    turn,
+)
 from pinav.analysis.discovery.force_sample import ForceSample, Sampling
-from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.law_regression import (
     exchange_terms,
     fit_law,
@@ -17,16 +26,6 @@ from pinav.analysis.discovery.law_regression import (
     law_force,
     screen,
     screen_terms,
-)
-from pinav.analysis.discovery.potentials import (
-    ANISOTROPIC_TRAP,
-    GAUSSIAN,
-    LATTICES,
-    LIBRARY,
-    RING,
-    SADDLE,
-    SWIRLS,
-    WALL,
 )
 from pinav.analysis.discovery.refit import laplace_posterior
 from pinav.analysis.discovery.term_laws import (
@@ -41,15 +40,17 @@ from pinav.fitting.environments.summary import learned_part
 from pinav.forces import (
     CentralTerm,
     EllipticTerm,
+    HillsTerm,
     KernelPotential,
     LatticeTerm,
     LinearTerm,
     ObstaclesTerm,
-    SegmentTerm,
     StructuredForce,
     WallTerm,
 )
 from pinav.forces.fitted_laws import FittedLaw
+from pinav.forces.geometries import Center
+from pinav.forces.laws import ProfileLaw
 from pinav.forces.profiles import SuperGaussian
 from pinav.forces.terms import HARMONICS
 from pinav.systems import Observation
@@ -105,7 +106,7 @@ def test_the_waves_of_a_lattice_are_its_strongest_harmonics():
 
 
 def test_a_swirl_is_asked_for_swirls():
-    assert laws_of(hill(rotational=True)) == SWIRLS
+    assert laws_of(hill(rotational=True)) == tuple(map(turn, laws_of(hill())))
     assert GAUSSIAN in laws_of(hill())
     assert RING in laws_of(hill())
     assert set(LATTICES) == set(
@@ -160,12 +161,11 @@ def structured():
 
 
 def test_terms_without_laws_leave_the_whole_force(structured):
-    ends = jnp.array([[1.0, 1.0], [4.0, 4.0]])
-    segment = SegmentTerm(jnp.ones(5), ends, PLACES, 0.8)
+    swirls = HillsTerm(jnp.ones(3), CENTER[None], jnp.zeros((1, 3)), rotational=True)
     linear = LinearTerm(jnp.ones(5), jnp.zeros(2), 1.0)
-    assert laws_of(segment) == ()
+    assert laws_of(swirls) == ()
     sampling = Sampling.of(*structured, 10.0)
-    for terms in ([], [segment], [linear] * 4):
+    for terms in ([], [swirls], [linear] * 4):
         assert term_laws(terms, sampling) is None
 
 

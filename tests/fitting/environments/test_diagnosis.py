@@ -15,12 +15,12 @@ from pinav.fitting.environments.diagnosis import (
 from pinav.forces import (
     ConstantForce,
     GaussianBarrier,
-    GaussianSwirl,
     KernelForce,
     KernelPotential,
     LinearDrag,
     LinearForce,
     SumForce,
+    gaussian_swirl,
 )
 from pinav.trajectories import Trajectories
 
@@ -56,7 +56,7 @@ def test_a_wrong_drag_is_wrong_physics():
 
 
 def test_a_swirl_has_no_potential_but_a_field():
-    swirl = SumForce((BARRIER, GaussianSwirl(2.0, [2.0, 0.3], 1.5)))
+    swirl = SumForce((BARRIER, gaussian_swirl(2.0, [2.0, 0.3], 1.5)))
     truth = TRUTH.with_environment(swirl)
     seen, free = observe(truth), KernelForce.with_zero_weights(np.zeros((1, 2)), 1.0)
     for untrained, cause in ((UNTRAINED, Cause.NO_POTENTIAL), (free, Cause.SEARCH)):

@@ -28,10 +28,10 @@ from pinav.fitting.environments.summary import (
 from pinav.forces import (
     ConstantForce,
     GaussianBarrier,
-    GaussianSwirl,
     KernelForce,
     KernelPotential,
     LinearDrag,
+    gaussian_swirl,
     tanh_network,
 )
 from pinav.scenarios import scenario
@@ -75,7 +75,7 @@ def test_matched_kernels_explain_the_data_without_a_rollout(data):
 
 
 def test_a_force_without_potential_is_told_from_one_with():
-    truth = TRUTH.with_environment(GaussianSwirl(3.0, [2.0, 0.3], 1.5))
+    truth = TRUTH.with_environment(gaussian_swirl(3.0, [2.0, 0.3], 1.5))
     seen = observe(truth, count=4)
     environment = match_kernels(truth, rates_of(seen))
     assert isinstance(environment, KernelForce)

@@ -8,11 +8,11 @@ from pinav.fitting.structure.patterns import scan_pairs
 from pinav.fitting.structure.proposals import propose
 from pinav.fitting.structure.starts import Region, scanned_terms
 from pinav.fitting.structure.trials import smooth_shape
-from pinav.forces import GaussianBarrier, SoftWall, SumForce
+from pinav.forces import GaussianBarrier, SumForce, soft_wall
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 200, 2))
 REGION = Region.of(POINTS[0])
-HILL, WALL = GaussianBarrier(3.0, [4.0, 6.0], 1.5), SoftWall(6.0, 0.7, 9.0, 0.8)
+HILL, WALL = GaussianBarrier(3.0, [4.0, 6.0], 1.5), soft_wall(6.0, 0.7, 9.0, 0.8)
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,8 @@ from pinav.forces import (
     LatticeTerm,
     LinearForce,
     PlaneWaves,
-    SoftWall,
     SumForce,
+    soft_wall,
 )
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 300, 2))
@@ -74,7 +74,7 @@ def normal(angle):
 
 SIZES = 2 * np.pi / np.array([4.0, 5.0])
 WAVES = np.stack([SIZES[0] * normal(0.4), SIZES[1] * normal(1.8)])
-STEPS = SoftWall(3.0, 0.4, 5.0, 0.8) + SoftWall(3.0, 1.8, 4.0, 0.8)
+STEPS = soft_wall(3.0, 0.4, 5.0, 0.8) + soft_wall(3.0, 1.8, 4.0, 0.8)
 
 
 @pytest.mark.parametrize(

@@ -31,11 +31,11 @@ from pinav.fitting.structure.trials import (
 )
 from pinav.forces import (
     GaussianBarrier,
-    GaussianRidge,
     LinearForce,
     ObstaclesTerm,
-    RingBarrier,
-    SoftWall,
+    gaussian_ridge,
+    ring_barrier,
+    soft_wall,
 )
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.structures import prior_of
@@ -61,7 +61,7 @@ def test_a_centre_is_polished_from_nearby():
 
 @pytest.mark.slow
 def test_a_polish_begins_anew_until_that_gains_nothing():
-    data = response(HILL + SoftWall(6.0, 0.7, 9.0, 0.8))
+    data = response(HILL + soft_wall(6.0, 0.7, 9.0, 0.8))
     terms = central_term(REGION, np.array([4.8, 5.0])), wall_term(REGION, 0.5)
     once = polish(terms, data)
     often = polish(terms, data, again=3)
@@ -72,7 +72,7 @@ def test_a_polish_begins_anew_until_that_gains_nothing():
 
 
 def test_the_evidence_prefers_the_kind_that_is_right():
-    data = response(SoftWall(4.0, 0.7, 7.0, 0.8))
+    data = response(soft_wall(4.0, 0.7, 7.0, 0.8))
     walls = quick_evidences([wall_term(REGION, a) for a in (0.7, 1.2)], (), data)
     others = [linear_term(REGION), central_term(REGION, np.array([7.0, 5.0]))]
     values = [quick_evidences([term], (), data)[0] for term in others]
@@ -130,7 +130,7 @@ def test_what_no_force_explains_is_noise():
     assert more.least_noise == pytest.approx(0.02)
 
 
-SEGMENT = GaussianRidge(3.0, [4.4, 6.4], 4.9, 0.7, 2.0)
+SEGMENT = gaussian_ridge(3.0, [4.4, 6.4], 4.9, 0.7, 2.0)
 """Seven times as long as wide: half the logarithm of that is 0.97."""
 
 
@@ -150,8 +150,8 @@ def test_a_segment_is_a_long_ellipse_along_the_layers_of_a_wall():
 
 @pytest.mark.slow
 def test_an_ellipse_is_found_beside_the_wall_of_a_pair():
-    ridge = GaussianRidge(3.0, [4.0, 5.0], 3.0, 1.1, 0.6)
-    data = response(ridge + SoftWall(6.0, 0.7, 9.5, 0.8))
+    ridge = gaussian_ridge(3.0, [4.0, 5.0], 3.0, 1.1, 0.6)
+    data = response(ridge + soft_wall(6.0, 0.7, 9.5, 0.8))
     candidates = Candidates.of(data, REGION, 0.01, ENOUGH)
     linear = linear_term(REGION)
     circle, wall = central_term(REGION, np.array([6.0, 3.0])), wall_term(REGION, 0.72)
@@ -215,7 +215,7 @@ def test_a_needless_term_goes_and_a_needed_one_stays():
 
 @pytest.mark.slow
 def test_profiles_become_finer_where_the_data_ask_for_it():
-    narrow = RingBarrier(2.0, [5.0, 5.0], 3.0, 0.15)
+    narrow = ring_barrier(2.0, [5.0, 5.0], 3.0, 0.15)
     data = response(narrow)
     coarse = polish((central_term(REGION, np.array([5.02, 5.0])),), data)
     finer = refine(coarse, data)
