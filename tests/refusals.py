@@ -4,8 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-
-from pinav.errors import InputError
+from tests.defects import told
 
 
 def refusals(*cases: tuple[Callable[[], Any], str]):
@@ -21,7 +20,7 @@ def refusals(*cases: tuple[Callable[[], Any], str]):
 
     @pytest.mark.parametrize(("make", "message"), cases)
     def refuse(make, message):
-        with pytest.raises(InputError, match=message) as caught:
+        with told(message) as caught:
             make()
         assert "\n" not in str(caught.value)
 

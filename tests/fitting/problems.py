@@ -41,6 +41,17 @@ def beginning(data, count):
     )
 
 
+def in_a_trap(rng, times, shape, rate, diffusion):
+    """Exact positions of Ornstein and Uhlenbeck, begun in their steady state."""
+    spread = np.sqrt(diffusion / rate)
+    path = [spread * rng.normal(size=shape)]
+    for interval in np.diff(times):
+        decay = np.exp(-rate * interval)
+        kick = np.sqrt(1 - decay**2) * spread * rng.normal(size=shape)
+        path.append(decay * path[-1] + kick)
+    return np.array(path)
+
+
 def quadratic_of(design, data, point=None):
     """The squares of a linear model's residuals, about a point or the origin."""
     point = np.zeros(design.shape[1]) if point is None else point

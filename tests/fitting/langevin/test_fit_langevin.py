@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.fitting.problems import beginning, observing
+from tests.fitting.problems import beginning, in_a_trap, observing
 
 from pinav import fitting
 from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer, Swimmer
@@ -31,22 +31,14 @@ RNG = np.random.default_rng(0)
 
 
 def trapped(count=6, samples=300):
-    """Exact paths in a harmonic trap (Ornstein and Uhlenbeck), at irregular times."""
-    rate = MOBILITY * STIFFNESS
+    """Paths in a harmonic trap at irregular times, of which the first has a gap."""
     times = [np.cumsum(RNG.uniform(0.02, 0.06, samples)) for _ in range(count)]
-    states = []
-    for own in times:
-        x = [RNG.normal(size=2) * np.sqrt(DIFFUSION / rate)]
-        for interval in np.diff(own):
-            decay = np.exp(-rate * interval)
-            spread = np.sqrt(DIFFUSION / rate * (1 - decay**2))
-            x.append(decay * x[-1] + spread * RNG.normal(size=2))
-        states.append(np.array(x))
-    observed = [np.ones((samples, 2), bool) for _ in range(count)]
-    observed[0][5:8] = False
-    return Trajectories.from_arrays(
-        times, states, channels=("x", "y"), observed=observed
-    )
+    rate = MOBILITY * STIFFNESS
+    states = [in_a_trap(RNG, own, 2, rate, DIFFUSION) for own in times]
+    data = Trajectories.from_arrays(times, states, channels=("x", "y"))
+    observed = data.observed.copy()
+    observed[0, 5:8] = False
+    return observing(data, observed)
 
 
 DATA = trapped()

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.fitting.problems import in_a_trap
 
 from pinav import fitting
 from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer
@@ -76,15 +77,11 @@ def drift(fit, points):
     return np.asarray(at(jnp.asarray(points, jnp.float64)))
 
 
-def trapped(interval, seed=0, count=40, samples=400):
-    """Exact paths of Ornstein and Uhlenbeck along a line."""
-    rng, decay = np.random.default_rng(seed), np.exp(-RATE * interval)
-    spread = np.sqrt(DIFFUSION / RATE)
-    x = [spread * rng.normal(size=(count, 1))]
-    for _ in range(samples - 1):
-        kick = np.sqrt(1 - decay**2) * spread * rng.normal(size=(count, 1))
-        x.append(decay * x[-1] + kick)
-    return tracks(interval * np.arange(samples), np.stack(x, axis=1))
+def trapped(interval, count=40, samples=400):
+    """Exact paths along a line."""
+    rng, times = np.random.default_rng(0), interval * np.arange(samples)
+    path = in_a_trap(rng, times, (count, 1), RATE, DIFFUSION)
+    return tracks(times, path.swapaxes(0, 1))
 
 
 def pull(fit):

@@ -257,20 +257,20 @@ def test_a_suggestion_tells_more_than_random_programmes_or_there_is_none(
     adaptive, belief
 ):
     region = Rectangle([0.5, 4.5], [1.5, 5.5])
-    experiment = experiment_of(adaptive.task, 1.5, region)
+    experiment = experiment_of(adaptive.task, 0.8, region)
     way = np.linspace([1.0, 5.0], [3.0, 5.0], 9)
     found = suggest_next(Stage(adaptive, experiment, belief, way), key=KEY)
     assert found.sd_after < found.sd_after_random < found.sd
     assert found.sd == pytest.approx(rms(belief, way))
     np.testing.assert_array_equal(found.path[0], found.start)
-    assert found.times[-1] == 1.5
+    assert found.times[-1] == 0.8
     assert len(found.times) == len(found.frequency) == len(found.heading)
     assert np.all(found.frequency <= adaptive.task.limits.max_frequency)
     cell = Rectangle([0.9, 4.9], [1.1, 5.1])
     caged = dataclasses.replace(
         adaptive, task=dataclasses.replace(adaptive.task, arena=cell)
     )
-    stage = Stage(caged, experiment_of(caged.task, 1.5), belief, way)
+    stage = Stage(caged, experiment_of(caged.task, 0.8), belief, way)
     assert suggest_next(stage, key=KEY) is None
 
 
