@@ -49,7 +49,6 @@ from pinav.forces.laws import (
     terms_of,
 )
 from pinav.identification import needs_kalman_filter
-from pinav.threads import map_on_cores
 from pinav.trajectories import Trajectories, with_velocities
 
 CLOSE = 6.0
@@ -277,10 +276,9 @@ def _refit_best(
         return all(fit.bic < alone.get(term, np.inf) for term in terms)
 
     def refit_each(fits: list[FieldFit]) -> list[tuple[FieldFit, Refit]]:
-        made = map_on_cores(
-            lambda fit: refit(fit.law, fit.constants, model, learned), fits
-        )
-        return list(zip(fits, made, strict=True))
+        # Not on several cores: the batched factorisations of two predictions at a time
+        # can wait for each other in XLA's pool of threads for ever.
+        return [(fit, refit(fit.law, fit.constants, model, learned)) for fit in fits]
 
     chosen = [fit for fit in screened if gains(fit)][:refits]
     results = refit_each(chosen)
