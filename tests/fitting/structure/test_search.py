@@ -266,7 +266,7 @@ def test_a_hill_is_found_in_any_units():
 def test_a_ridge_is_found_from_the_summit_of_the_free_potential():
     """Scanned on finer grids, an ellipse of wrong axes had gone to the rim."""
     system, (term,) = proposed_terms("elliptic", 37)
-    _, *center, aspect, _, _ = system.environment.constants
+    _, *center, aspect, _, _ = np.asarray(system.environment.constants)
     np.testing.assert_allclose(term.center, center, atol=0.02)
     ratio = np.exp(2 * np.linalg.norm(term.shear))
     assert ratio == pytest.approx(aspect, rel=0.02)
