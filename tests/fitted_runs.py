@@ -68,20 +68,19 @@ def langevin(folder: Path) -> list[str]:
     return ["fit", str(folder / DATA), "--recipe", "langevin"]
 
 
-def circling(*, commanded=True):
-    """A robot that circles under commands, 40 s at 8 Hz; or its drift."""
+def circling(*, driven=True, recorded=True):
+    """A robot that circles under commands, 40 s at 8 Hz, or drifts all the same."""
     from pinav.trajectories import Trajectories
 
     random = np.random.default_rng(3)
     times = np.arange(0, 40, 0.125)
     heading = np.cumsum(random.normal(0, 0.2, len(times)))
-    frequency = np.where(times < 20, 1.0, 2.0)
+    frequency = np.where(times < 20, 1.0, 2.0) * driven
     velocity = 4 * frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], 1)
-    if not commanded:
-        velocity = np.full_like(velocity, 0.7)
+    velocity += 0.0 if driven else 0.7
     path = np.concatenate([np.zeros((1, 2)), np.cumsum(0.125 * velocity[:-1], axis=0)])
     path += np.cumsum(0.02 * random.normal(size=path.shape), axis=0)
-    commands = {"frequency": [frequency], "heading": [heading]} if commanded else {}
+    commands = {"frequency": [frequency], "heading": [heading]} if recorded else {}
     return Trajectories.from_arrays(
         [times],
         [path + 0.05 * random.normal(size=path.shape)],
@@ -126,14 +125,9 @@ def heated(folder: Path) -> list[str]:
 
 
 RUNS: dict[str, Callable[[Path], list[str]]] = {
-    "network": network,
-    "kernel": kernel,
-    "positions": positions,
-    "langevin": langevin,
-    "identified": identified,
-    "reproduced": reproduced,
-    "studied": studied,
-    "heated": heated,
+    run.__name__: run
+    for run in (network, kernel, positions, langevin)
+    + (identified, reproduced, studied, heated)
 }
 
 
@@ -152,6 +146,24 @@ def crossing_system(count: int, samples: int, **changes):
     whole = barrier_crossings()
     starts, times = whole.starts[:count], whole.times[:samples]
     return dataclasses.replace(whole, starts=starts, times=times, **changes)
+
+
+def trap_system(dim: int = 2, stiffness=4.0, center=None, **parts):
+    """Beads in a trap, of mobility 1/2; further parts are those of `System`."""
+    from pinav.dynamics import OverdampedSwimmer
+    from pinav.forces import HarmonicTrap, ZeroForce
+    from pinav.systems import System, UniformStarts
+
+    known = {
+        "name": "bead",
+        "swimmer": OverdampedSwimmer(ZeroForce(), ZeroForce(), 0.5),
+        "environment": HarmonicTrap(stiffness, center or [0.0] * dim),
+        "times": np.linspace(0.0, 2.0, 21),
+    }
+    if "starts" not in parts:
+        known["rule"] = UniformStarts((-1.0,) * dim, (1.0,) * dim, count=3)
+    system = System(dim=dim, **(known | parts))
+    return system if "starts" in parts else system.with_starts()
 
 
 def crossings(samples: int, count: int = 4, key: int = 3):

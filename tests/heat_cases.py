@@ -35,6 +35,12 @@ def ball(name="tumour"):
     return content
 
 
+def small(name, folder, changes=None):
+    """The file of an example on a coarse grid, with steps of 20 s and changes."""
+    content = change(ball(name) | {"step": 20.0}, changes or {})
+    return write(folder, content, name=f"{name}.toml")
+
+
 def voxels():
     """A case on `LABELS`."""
     return {

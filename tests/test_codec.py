@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from jaxtyping import Array, Bool, Float, Int
 from tests.damage import damaged
 
-from pinav.analysis.discovery.laws import AbstractLaw
-from pinav.analysis.discovery.potentials import POTENTIALS, ROTATIONS
+from pinav.analysis.discovery.candidates import POTENTIALS, ROTATIONS
 from pinav.arguments import Scalar
 from pinav.codec import SHORT, decode, encode
 from pinav.errors import InputError
+from pinav.forces.laws import AbstractLaw
 from pinav.runs import RunFolder
 
 
@@ -139,6 +139,8 @@ def test_a_scalar_of_jax_is_a_number():
 def test_what_no_file_can_hold_is_a_fault_of_the_program():
     with pytest.raises(TypeError, match="first: a file cannot hold a function"):
         encode(Pair(lambda: 0))
+    with pytest.raises(TypeError, match=r"Named.kind needs another name"):
+        encode(Named("a"))
 
 
 @pytest.mark.parametrize(
@@ -221,8 +223,3 @@ def test_damage_is_one_line(folder, seed, in_manifest):
 
 class Named(eqx.Module):
     kind: str
-
-
-def test_a_field_that_would_be_taken_for_the_class_is_a_fault_of_the_program():
-    with pytest.raises(TypeError, match=r"Named.kind needs another name"):
-        encode(Named("a"))

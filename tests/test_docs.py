@@ -86,6 +86,8 @@ def run_python(text: str, sandbox: Path, recording) -> None:
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     numbers = re.findall(r"^[-.e\d]+$", done.stdout, flags=re.MULTILINE)
+    if "pinav.score(" in text:  # the example of the README
+        assert 0.0 < float(done.stdout.split()[-1]) < 2.0
     assert all(np.isfinite(float(number)) for number in numbers)
 
 
@@ -102,22 +104,24 @@ def run_commands(text: str) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_id)
-def test_the_command_line_knows_the_options_that_a_page_uses(page):
+def test_the_commands_and_settings_of_a_page_can_be_read(page):
     text = page.read_text(encoding="utf-8")
-    for block in re.findall(
-        r"^```(?:sh|bash)\n(.*?)^```", text, re.DOTALL | re.MULTILINE
+    for kind, block in re.findall(
+        r"^```(sh|bash|toml)\n(.*?)^```", text, re.DOTALL | re.MULTILINE
     ):
+        if kind == "toml":
+            assert tomllib.loads(block)
+            continue
         for words in command_lines(block):
             if words[0] == "pinav":
-                command = cli.command_named(words[1])
+                command, arguments = cli.command_named(words[1]), words[2:]
+            elif words[:3] == TRUTH.words.split():
+                command, arguments = TRUTH, words[3:]
             else:
-                command = TRUTH if words[:3] == TRUTH.words.split() else None
-                words = words[1:]
-            if command is None:
-                assert words[0] != "pinav", words
                 continue
+            assert command is not None, words
             options = resolve(command.options)
-            assert parse(options, words[2:], prog="pinav") is not None, words
+            assert parse(options, arguments, prog="pinav") is not None, words
 
 
 def test_the_page_of_commands_holds_the_help_of_each(monkeypatch):
@@ -154,10 +158,11 @@ def methods() -> list[str]:
     return listed[1].split()
 
 
-def test_every_page_of_a_method_says_when_it_is_wrong():
+def test_every_page_of_a_method_has_a_figure_and_says_when_it_is_wrong():
     for name in methods():
         text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
         assert "\n## When it is wrong\n" in text, name
+        assert "](figures/" in text, name
 
 
 FIGURES = {p.name: p for p in sorted((DOCS / "figures").glob("*.png"))}
@@ -167,11 +172,6 @@ def test_every_figure_has_a_recipe_and_is_shown():
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     shown = re.findall(r"!\[[^\]]+\]\([^)]*?([\w-]+\.png)\)", text)
     assert set(shown) == set(RECIPES) == set(FIGURES)
-
-
-def test_every_page_of_a_method_has_a_figure():
-    for name in methods():
-        assert "](figures/" in (DOCS / f"{name}.md").read_text(encoding="utf-8"), name
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -201,23 +201,6 @@ def test_a_run_of_a_figure_that_was_cut_short_is_made_again(tmp_path):
 
 RECORDED_IN = {"sessions.csv.gz": "magscope_cellbot_sessions"}
 """Folders of the recordings that the pages name."""
-
-
-@pytest.mark.parametrize("page", PAGES, ids=page_id)
-def test_the_settings_that_a_page_shows_can_be_read(page):
-    text = page.read_text(encoding="utf-8")
-    for block in re.findall(r"^```toml\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
-        tomllib.loads(block)
-
-
-@pytest.mark.slow
-def test_the_example_of_the_readme_has_a_small_error():
-    (example,) = (t for name, t in blocks(ROOT / "README.md") if "score(" in t)
-    done = subprocess.run(
-        [sys.executable, "-c", example], capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    assert 0.0 < float(done.stdout.split()[-1]) < 2.0
 
 
 @pytest.mark.slow

@@ -13,40 +13,12 @@ import pinav.commands
 import pinav.forces
 
 ORDER = [
-    "errors",
-    "files",
-    "numerics",
-    "threads",
-    "units",
-    "settings",
-    "reading",
-    "sweeps",
-    "arguments",
-    "codec",
-    "actuation",
-    "forces",
-    "dynamics",
-    "systems",
-    "scenarios",
-    "trajectories",
-    "recordings",
-    "fitting",
-    "checkpoints",
-    "manifest",
-    "runs",
-    "evaluation",
-    "identification",
-    "learning",
-    "analysis",
-    "navigation",
-    "thermal",
-    "live",
-    "report",
-    "figures",
-    "commands",
-    "regressor",
-    "cli",
-    "__main__",
+    *("errors", "files", "numerics", "threads", "units", "settings", "reading"),
+    *("sweeps", "arguments", "codec", "actuation", "forces", "dynamics", "systems"),
+    *("scenarios", "trajectories", "recordings", "fitting", "checkpoints"),
+    *("manifest", "runs", "evaluation", "identification", "learning", "analysis"),
+    *("navigation", "thermal", "live", "report", "figures", "commands", "regressor"),
+    *("cli", "__main__"),
 ]
 ROOT = Path(pinav.__file__).parent
 SOURCES = sorted(p for p in ROOT.rglob("*.py") if p != ROOT / "__init__.py")
@@ -94,15 +66,11 @@ def component(parts: tuple[str, ...]) -> str:
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_module_imports_only_what_stands_above_it(path):
     own = component(path.relative_to(ROOT).parts)
-    names = [own, *map(_first, imported_modules(path.read_text(encoding="utf-8")))]
+    names = [own, *(n.partition(".")[0] for n in imported_modules(path.read_text()))]
     for name in names:
         assert name in ORDER, f"place {name!r} in ORDER and in the layout of the docs"
     for name in names:
         assert ORDER.index(name) <= ORDER.index(own), f"{own} must not import {name}"
-
-
-def _first(name: str) -> str:
-    return name.partition(".")[0]
 
 
 @pytest.mark.parametrize(

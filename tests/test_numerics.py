@@ -33,12 +33,10 @@ def test_programs_go_where_they_hold_many_regions(regions):
     assert len(traced) == 2
 
 
-def test_programs_stay_where_they_hold_few(regions, monkeypatch, tmp_path):
+def test_programs_stay_where_few_or_none_are_held(regions, monkeypatch, tmp_path):
+    with monkeypatch.context() as patch:
+        patch.delitem(numerics.sys.modules, "jax")  # which is not imported for it
+        assert not free_programs(regions)
     monkeypatch.setattr(numerics, "MANY_REGIONS", 3)
     assert not free_programs(regions)
     assert not free_programs(tmp_path / "no such file")  # not Linux
-
-
-def test_nothing_is_imported_to_free_what_is_not_there(regions, monkeypatch):
-    monkeypatch.delitem(numerics.sys.modules, "jax")
-    assert not free_programs(regions)

@@ -27,19 +27,13 @@ SOURCES = [*(ROOT / "src").rglob("*.py"), *(ROOT / "examples").rglob("*.py")]
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 
 BENCHMARKS = {
-    "accelerator": "accelerator",
     "fields": "fields.table",
     "fit": "fit.compare",
-    "gradient": "gradient",
-    "growth": "growth",
-    "heat": "heat",
-    "navigate": "navigate",
     "paper-weakness": "paper_weakness",
-    "recordings": "recordings",
-    "start": "start",
     "trainer": "trainer.table",
 }
-"""Modules that hold the options of the benchmarks."""
+PLAIN = ("accelerator", "gradient", "growth", "heat", "navigate", "recordings", "start")
+BENCHMARKS |= dict(zip(PLAIN, PLAIN, strict=True))
 
 BENCH = "python -m benchmarks "
 """The words before the name of a benchmark."""
@@ -120,10 +114,15 @@ def plain(usage: str) -> str:
     return re.sub(r"\[?--[a-z-]+( [^\]\s]+)*\]?", "", usage)
 
 
+@cache
+def known_options() -> set[str]:
+    """Options that some program takes."""
+    return set.union(FOREIGN, *(options_of(name) for name in NAMES))
+
+
 def unknown_options(path: Path) -> set[str]:
     """Options that a file names and that no program takes."""
-    known = set.union(FOREIGN, *(options_of(name) for name in NAMES))
-    return set(OPTION.findall(path.read_text(encoding="utf-8"))) - known
+    return set(OPTION.findall(path.read_text(encoding="utf-8"))) - known_options()
 
 
 GONE = {"--ladder", "--learn", "--scheduler", "--tls-ca", "--tls-cert", "--tls-key"}
@@ -132,21 +131,17 @@ GONE = {"--ladder", "--learn", "--scheduler", "--tls-ca", "--tls-cert", "--tls-k
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_every_option_that_a_page_names_exists(path):
+    """And is an option of the command before it."""
     gone = GONE if path.name == "CHANGELOG.md" else set()
     assert unknown_options(path) <= gone
+    programs = r"pinav [a-z]+|python -m benchmarks [a-z-]+|python -m validation\.truth"
+    text = path.read_text(encoding="utf-8")
+    for name, words in re.findall(rf"`({programs})([^`]*)`", text):
+        name = name.removeprefix("pinav ")
+        if name in NAMES:
+            assert set(OPTION.findall(words)) <= options_of(name), (name, words)
 
 
 def test_every_option_that_a_message_or_an_example_names_exists():
     unknown = {path: unknown_options(path) for path in SOURCES}
     assert not {path: words for path, words in unknown.items() if words}
-
-
-@pytest.mark.parametrize("path", PAGES, ids=lambda p: p.relative_to(ROOT).as_posix())
-def test_a_command_line_in_a_sentence_uses_options_of_its_command(path):
-    text = path.read_text(encoding="utf-8")
-    programs = r"pinav [a-z]+|python -m benchmarks [a-z-]+|python -m validation\.truth"
-    lines = re.findall(rf"`({programs})([^`]*)`", text)
-    for name, words in lines:
-        name = name.removeprefix("pinav ")
-        if name in NAMES:
-            assert set(OPTION.findall(words)) <= options_of(name), (name, words)

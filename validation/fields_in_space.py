@@ -15,14 +15,14 @@ from pinav.evaluation import force_error_at_samples
 from pinav.fitting import fit_structured, kernel_environment
 from pinav.forces import (
     AbstractForce,
-    CompactHill,
     GaussianBarrier,
     KernelPotential,
     LinearForce,
     PlaneWaves,
-    PowerHill,
-    RingBarrier,
     SumForce,
+    compact_hill,
+    power_hill,
+    ring_barrier,
     split_structure,
 )
 from pinav.scenarios.vessels import box
@@ -57,21 +57,21 @@ def _gaussian(rng: np.random.Generator) -> AbstractForce:
 
 
 def _screened(rng: np.random.Generator) -> AbstractForce:
-    return PowerHill(_height(rng), _place(rng), float(rng.uniform(1.5, 2.5)), 0.5)
+    return power_hill(_height(rng), _place(rng), float(rng.uniform(1.5, 2.5)), 0.5)
 
 
 def _lorentzian(rng: np.random.Generator) -> AbstractForce:
-    return PowerHill(_height(rng), _place(rng), float(rng.uniform(1.5, 2.5)), 1.0)
+    return power_hill(_height(rng), _place(rng), float(rng.uniform(1.5, 2.5)), 1.0)
 
 
 def _compact(rng: np.random.Generator) -> AbstractForce:
-    return CompactHill(_height(rng), _place(rng), float(rng.uniform(3.5, 6.0)))
+    return compact_hill(_height(rng), _place(rng), float(rng.uniform(3.5, 6.0)))
 
 
 def _shell(rng: np.random.Generator) -> AbstractForce:
     radius, width = rng.uniform(2.0, 4.0), rng.uniform(0.8, 1.2)
     height = float(rng.uniform(1.0, 2.0))
-    return RingBarrier(height, _place(rng), float(radius), float(width))
+    return ring_barrier(height, _place(rng), float(radius), float(width))
 
 
 def _linear(rng: np.random.Generator) -> AbstractForce:

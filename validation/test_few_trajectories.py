@@ -13,7 +13,7 @@ from benchmarks.trainer.systems import benchmark_system
 
 from pinav.fitting import fit_structured
 from pinav.fitting.environments.kernels import kernel_environment
-from pinav.forces import GaussianSwirl, KernelMixture, KernelPotential, forces_at
+from pinav.forces import KernelMixture, KernelPotential, forces_at, gaussian_swirl
 from pinav.systems import System
 from pinav.trajectories import simulate
 
@@ -22,7 +22,7 @@ JUDGED = (61, 63, 65, 67)
 
 def of_key(key: int, *, turns: bool) -> System:
     drawn = benchmark_system(key)
-    swirl = GaussianSwirl(2.0 / drawn.width**0.5, [5.0, 5.0], drawn.width)
+    swirl = gaussian_swirl(2.0 / drawn.width**0.5, [5.0, 5.0], drawn.width)
     system = drawn.system.with_truth(swirl) if turns else drawn.system
     return eqx.tree_at(lambda s: s.observation.noise, system, 0.01)
 

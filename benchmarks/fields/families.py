@@ -18,21 +18,21 @@ from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractForce,
-    CompactHill,
     ConstantForce,
     GaussianBarrier,
-    GaussianRidge,
-    GaussianSwirl,
     LinearDrag,
     LinearForce,
     MagneticPropulsion,
     PlaneWaves,
-    PowerHill,
-    RingBarrier,
-    SoftWall,
     SumForce,
     Superposition,
     ZeroForce,
+    compact_hill,
+    gaussian_ridge,
+    gaussian_swirl,
+    power_hill,
+    ring_barrier,
+    soft_wall,
 )
 from pinav.scenarios.crossings import MANY, planar_system
 from pinav.systems import System
@@ -105,27 +105,27 @@ def _gaussian(rng: np.random.Generator) -> AbstractForce:
 
 
 def _screened_force(rng: np.random.Generator) -> AbstractForce:
-    return PowerHill(_height(rng), _place(rng), float(rng.uniform(1.5, 2.5)), 0.5)
+    return power_hill(_height(rng), _place(rng), float(rng.uniform(1.5, 2.5)), 0.5)
 
 
 def _lorentzian(rng: np.random.Generator) -> AbstractForce:
-    return PowerHill(_height(rng), _place(rng), float(rng.uniform(1.0, 2.5)), 1.0)
+    return power_hill(_height(rng), _place(rng), float(rng.uniform(1.0, 2.5)), 1.0)
 
 
 def _compact(rng: np.random.Generator) -> AbstractForce:
-    return CompactHill(_height(rng), _place(rng), float(rng.uniform(3.5, 6.0)))
+    return compact_hill(_height(rng), _place(rng), float(rng.uniform(3.5, 6.0)))
 
 
 def _ring(rng: np.random.Generator) -> AbstractForce:
     radius, width = rng.uniform(2.0, 4.0), rng.uniform(0.7, 1.2)
     height = float(rng.uniform(1.5, 4.0))
-    return RingBarrier(height, _place(rng), float(radius), float(width))
+    return ring_barrier(height, _place(rng), float(radius), float(width))
 
 
 def _ridge(rng: np.random.Generator) -> AbstractForce:
     length, width = rng.uniform(2.5, 4.0), rng.uniform(1.0, 1.5)
     angle = float(rng.uniform(0.0, np.pi))
-    return GaussianRidge(_height(rng), _place(rng), float(length), float(width), angle)
+    return gaussian_ridge(_height(rng), _place(rng), float(length), float(width), angle)
 
 
 def _wall(rng: np.random.Generator) -> AbstractForce:
@@ -133,7 +133,7 @@ def _wall(rng: np.random.Generator) -> AbstractForce:
     middle = 5.0 * (np.cos(angle) + np.sin(angle))
     offset = middle + rng.uniform(0.0, 3.0)
     height = float(rng.uniform(3.0, 8.0))
-    return SoftWall(height, float(angle), float(offset), float(width))
+    return soft_wall(height, float(angle), float(offset), float(width))
 
 
 def _channel(rng: np.random.Generator) -> AbstractForce:
@@ -142,8 +142,8 @@ def _channel(rng: np.random.Generator) -> AbstractForce:
     width, height = float(rng.uniform(0.6, 1.2)), float(rng.uniform(3.0, 8.0))
     return SumForce(
         (
-            SoftWall(height, float(angle), float(middle + half), width),
-            SoftWall(height, float(angle + np.pi), float(half - middle), width),
+            soft_wall(height, float(angle), float(middle + half), width),
+            soft_wall(height, float(angle + np.pi), float(half - middle), width),
         )
     )
 
@@ -192,7 +192,7 @@ WAVES = 100
 
 def _vortex(rng: np.random.Generator) -> AbstractForce:
     strength = float(rng.choice([-1.0, 1.0]) * rng.uniform(2.0, 5.0))
-    return GaussianSwirl(strength, _place(rng), float(rng.uniform(1.5, 3.0)))
+    return gaussian_swirl(strength, _place(rng), float(rng.uniform(1.5, 3.0)))
 
 
 def _matrix(rng: np.random.Generator, *, turning: bool) -> Float[np.ndarray, "2 2"]:
@@ -209,7 +209,7 @@ def _segment(rng: np.random.Generator) -> AbstractForce:
     """A long obstacle, four to nine times as long as wide."""
     length, width = float(rng.uniform(4.0, 6.0)), float(rng.uniform(0.7, 1.0))
     height, angle = float(rng.uniform(2.0, 5.0)), float(rng.uniform(0.0, np.pi))
-    return GaussianRidge(height, _place(rng), length, width, angle)
+    return gaussian_ridge(height, _place(rng), length, width, angle)
 
 
 def _stripes(rng: np.random.Generator) -> AbstractForce:

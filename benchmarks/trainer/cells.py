@@ -35,7 +35,7 @@ from pinav.fitting.environments.summary import (
     learned_part,
     summarise_for_matching,
 )
-from pinav.forces import GaussianSwirl, KernelPotential, SumForce
+from pinav.forces import KernelPotential, SumForce, gaussian_swirl
 from pinav.learning.matching import matching
 from pinav.learning.recipes import Curriculum, Paper
 from pinav.sweeps import Cell
@@ -161,7 +161,7 @@ def _crossing(drawn: BenchmarkSystem) -> System:
 def _swirling(drawn: BenchmarkSystem) -> System:
     """With a swirl about the same centre, whose largest force is half the barrier's."""
     speed = float(jnp.max(jnp.linalg.norm(drawn.system.starts[:, 2:], axis=1)))
-    swirl = GaussianSwirl(0.25 * speed**2, CENTER, drawn.width)
+    swirl = gaussian_swirl(0.25 * speed**2, CENTER, drawn.width)
     barrier: Any = drawn.system.environment
     crossing = _crossing(drawn)
     return dataclasses.replace(crossing, environment=SumForce((barrier, swirl)))

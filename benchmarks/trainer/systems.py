@@ -18,10 +18,10 @@ from pinav.forces import (
     AbstractForce,
     ConstantForce,
     GaussianBarrier,
-    GaussianRidge,
     LinearDrag,
-    PowerHill,
     SumForce,
+    gaussian_ridge,
+    power_hill,
 )
 from pinav.systems import Observation, RingStarts, System
 
@@ -97,10 +97,10 @@ def _environment(
     form: str, height: float, width: float, rng: np.random.Generator
 ) -> AbstractForce:
     if form == "rational":
-        return PowerHill(height, CENTER, np.sqrt(2.0) * width, 2.0)
+        return power_hill(height, CENTER, np.sqrt(2.0) * width, 2.0)
     if form == "ridge":
         length, angle = width * rng.uniform(1.5, 3.0), rng.uniform(0.0, np.pi)
-        return GaussianRidge(height, CENTER, length, width, angle)
+        return gaussian_ridge(height, CENTER, length, width, angle)
     barrier = GaussianBarrier(height, CENTER, width)
     if form == "gaussian":
         return barrier

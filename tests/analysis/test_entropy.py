@@ -13,17 +13,16 @@ from pinav.forces.kernel_basis import KernelBasis
 
 GRID = np.stack(np.meshgrid(*[np.arange(-5.0, 5.1)] * 2), axis=-1).reshape(-1, 2)
 DIFFUSION, MOBILITY, STIFFNESS = 0.5, 2.0, 1.0
+TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
 def posterior(turning, sd=0.0, mobility=MOBILITY):
     """Kernels that are a trap and a rotation about the origin, by least squares."""
-    force = KernelForce.with_zero_weights(GRID, 1.5)
     values = np.exp(-0.5 * ((GRID[:, None] - GRID) ** 2).sum(axis=2) / 1.5**2)
-    pull = -STIFFNESS * GRID + turning * GRID @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    pull = -STIFFNESS * GRID + turning * GRID @ TURN
     weights = np.linalg.solve(values, pull / MOBILITY)
-    model = OverdampedSwimmer(ZeroForce(), ZeroForce(), mobility)
-    force = KernelForce(jnp.asarray(weights), force.centers, force.width)
-    model = model.with_environment(force)
+    force = KernelForce(jnp.asarray(weights), jnp.asarray(GRID), 1.5)
+    model = OverdampedSwimmer(ZeroForce(), force, mobility)
     free, theta = ravel_model(model, lambda m: m.environment.weights)
     return Posterior(free, np.asarray(theta), sd**2 * np.eye(len(theta)))
 
@@ -52,7 +51,7 @@ def test_a_turning_trap_produces_twice_its_turning_squared_over_the_stiffness(tu
 
 def test_the_current_turns_with_the_rotation():
     entropy = produce(2.0)
-    expected = 2.0 * entropy.positions @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    expected = 2.0 * entropy.positions @ TURN
     near = np.linalg.norm(entropy.positions, axis=1) < 1.0
     np.testing.assert_allclose(entropy.current[near], expected[near], atol=0.25)
 
@@ -66,12 +65,8 @@ def test_the_doubt_of_the_force_is_taken_off_and_widens_the_interval():
 
 
 def test_a_learned_mobility_is_the_same_as_a_number():
-    tensor = KernelTensor(
-        jnp.log(jnp.array([MOBILITY])),
-        jnp.zeros((1, 0)),
-        KernelBasis.constant(),
-        ((0, 1),),
-    )
+    level, none = jnp.log(jnp.array([MOBILITY])), jnp.zeros((1, 0))
+    tensor = KernelTensor(level, none, KernelBasis.constant(), ((0, 1),))
     number, field = produce(1.0), produce(1.0, mobility=tensor)
     assert field.rate.value == pytest.approx(number.rate.value)
 

@@ -1,9 +1,9 @@
 import jax
 import numpy as np
 import pytest
+from tests.refusals import refusals
 
 from pinav.analysis import helmholtz_split, rotational_fractions, sample_forces
-from pinav.errors import InputError
 from pinav.evaluation import FieldMap
 from pinav.fitting import Posterior, ravel_model
 from pinav.scenarios import barrier_crossings
@@ -25,33 +25,30 @@ GRADIENT = -SLOPE
 SWIRL = np.stack([STREAM_SLOPE[..., 1], -STREAM_SLOPE[..., 0]], axis=-1)
 
 
-def everywhere():
-    return np.zeros(GRID.shape[:2])
+EVERYWHERE = np.zeros(GRID.shape[:2])
 
 
-def near_paths():
-    """Distance from a few chords: the ground has holes and a ragged edge."""
-    angles = np.array([0.3, 1.1, 2.0, 2.7])
-    normals = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    offsets = np.array([0.4, -0.8, 1.5, 0.1])
-    return np.abs(GRID @ normals.T - offsets).min(axis=-1)
+ANGLES = np.array([0.3, 1.1, 2.0, 2.7])
+NORMALS = np.stack([np.cos(ANGLES), np.sin(ANGLES)])
+NEAR_PATHS = np.abs(GRID @ NORMALS - [0.4, -0.8, 1.5, 0.1]).min(axis=-1)
+"""Distance from a few chords: the ground has holes and a ragged edge."""
 
 
-GROUNDS = {"everywhere": everywhere, "near paths": near_paths}
+def split(force, distance=EVERYWHERE):
+    return helmholtz_split(FieldMap(AXIS, AXIS, force, distance))
 
 
-@pytest.mark.parametrize("distance", GROUNDS.values(), ids=GROUNDS)
+@pytest.mark.parametrize(
+    "distance", [EVERYWHERE, NEAR_PATHS], ids=["everywhere", "near paths"]
+)
 def test_fractions_of_closed_forms(distance):
-    distance = distance()
-
-    def split(force):
-        return helmholtz_split(FieldMap(AXIS, AXIS, force, distance))
-
-    assert split(GRADIENT).rotational_fraction < 1e-3
-    assert split(GRADIENT).least_fraction < 1e-6
-    assert split(SWIRL).rotational_fraction > 0.999
-    assert split(SWIRL).greatest_fraction > 1 - 1e-6
-    both = split(GRADIENT + SWIRL)
+    potential, stream, both = (
+        split(force, distance) for force in (GRADIENT, SWIRL, GRADIENT + SWIRL)
+    )
+    assert potential.rotational_fraction < 1e-3
+    assert potential.least_fraction < 1e-6
+    assert stream.rotational_fraction > 0.999
+    assert stream.greatest_fraction > 1 - 1e-6
     squares = [(part[both.region] ** 2).sum() for part in (GRADIENT, SWIRL)]
     true = squares[1] / sum(squares)
     assert both.rotational_fraction == pytest.approx(true, rel=0.01)
@@ -62,53 +59,42 @@ def test_fractions_of_closed_forms(distance):
 
 
 def test_potential_is_found_up_to_a_constant():
-    found = helmholtz_split(FieldMap(AXIS, AXIS, GRADIENT + SWIRL, everywhere()))
+    found = split(GRADIENT + SWIRL)
     assert found.potential.min() == 0.0
     assert np.ptp(found.potential - POTENTIAL) < 0.03
     assert np.ptp(found.stream - STREAM) < 0.03
 
 
 def test_a_constant_force_is_ambiguous():
-    constant = np.ones_like(GRID)
-    found = helmholtz_split(FieldMap(AXIS, AXIS, constant, everywhere()))
+    found = split(np.ones_like(GRID))
     assert found.least_fraction < 1e-3
     assert found.greatest_fraction > 0.999
     assert 0.05 < found.rotational_fraction < 0.95
 
 
 def test_what_lies_far_from_the_data_has_no_say():
-    distance = near_paths()
-    wild = np.where((distance > 1.0)[..., None], 1e3, GRADIENT)
-    found = helmholtz_split(FieldMap(AXIS, AXIS, wild, distance))
-    assert found.rotational_fraction < 1e-3
+    wild = np.where((NEAR_PATHS > 1.0)[..., None], 1e3, GRADIENT)
+    assert split(wild, NEAR_PATHS).rotational_fraction < 1e-3
 
 
 def test_the_split_does_not_depend_on_rounding():
     """On coarse grids kernels lie just within reach of the samples, or just beyond."""
-    axes = [np.linspace(-0.5, 22.7, 15), np.linspace(-6.0, 17.2, 15)]
-    points = np.stack(np.meshgrid(*axes), axis=-1)
+    x, y = np.linspace(-0.5, 22.7, 15), np.linspace(-6.0, 17.2, 15)
+    points = np.stack(np.meshgrid(x, y), axis=-1)
     force = np.stack([np.cos(points[..., 1] / 3), np.sin(points[..., 0] / 4)], axis=-1)
     distance = np.where(np.abs(points[..., 0] - points[..., 1]) < 4.0, 0.0, np.inf)
-    fractions = {
-        round(
-            helmholtz_split(
-                FieldMap(axes[0] + shift, axes[1] - shift, force, distance)
-            ).rotational_fraction,
-            6,
-        )
+    fields = [
+        FieldMap(x + shift, y - shift, force, distance)
         for shift in 1e-12 * np.arange(-5, 6)
-    }
-    assert len(fractions) == 1
+    ]
+    assert len({round(helmholtz_split(f).rotational_fraction, 6) for f in fields}) == 1
 
 
 def test_fractions_of_samples_are_those_of_each():
-    field = FieldMap(AXIS, AXIS, GRADIENT, near_paths())
     forces = np.stack([GRADIENT, SWIRL, GRADIENT - SWIRL])
-    each = [
-        helmholtz_split(FieldMap(AXIS, AXIS, force, field.distance)) for force in forces
-    ]
-    fractions = rotational_fractions(field, forces)
-    assert np.allclose(fractions, [one.rotational_fraction for one in each], atol=1e-9)
+    each = [split(force, NEAR_PATHS).rotational_fraction for force in forces]
+    field = FieldMap(AXIS, AXIS, GRADIENT, NEAR_PATHS)
+    assert np.allclose(rotational_fractions(field, forces), each, atol=1e-9)
 
 
 def test_sampled_forces_have_the_posterior_s_mean_and_spread():
@@ -124,10 +110,7 @@ def test_sampled_forces_have_the_posterior_s_mean_and_spread():
     assert forces.shape == (400, 3, 3, 2)
 
 
-def test_bad_fields_are_refused():
-    field = FieldMap(AXIS, AXIS, GRADIENT, everywhere() + 5.0)
-    with pytest.raises(InputError, match="no finite force within 1 of a sample"):
-        helmholtz_split(field)
-    zero = FieldMap(AXIS, AXIS, np.zeros_like(GRADIENT), everywhere())
-    with pytest.raises(InputError, match="the force is zero near the data"):
-        helmholtz_split(zero)
+test_bad_fields_are_refused = refusals(
+    (lambda: split(GRADIENT, EVERYWHERE + 5.0), "no finite force within 1 of a sample"),
+    (lambda: split(np.zeros_like(GRADIENT)), "the force is zero near the data"),
+)

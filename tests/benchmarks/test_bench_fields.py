@@ -26,9 +26,6 @@ def test_the_table_says_what_was_found_and_whether_rightly(tmp_path):
     assert "1 of 2" in summary([measurement(), wrong])
     draw([measurement(), wrong], tmp_path)
     assert (tmp_path / "fields.svg").is_file()
-
-
-def test_columns_of_networks_say_what_structure_taught_them():
     assert {"network", "ude"} <= set(Options().columns) < set(COLUMNS)
     for column in ("structured", "network", "ude", "neural-potential"):
         assert "1 of 1" in summary([measurement(column=column)])

@@ -28,14 +28,11 @@ def measurement(**changed):
     return table.Measurement(**(seconds | other | scores | changed))
 
 
-def test_a_spread_is_median_best_and_worst():
+def test_rows_hold_spreads_and_ratios_of_medians():
     spread = table.Spread.of([3.0, 1.0, 10.0])
     assert spread == (3.0, 1.0, 10.0)
     assert spread.text(".0f") == "3 (1 to 10)"
     assert table.Spread.of([2.0]).text(".0f") == "2"
-
-
-def test_ratios_are_those_of_medians():
     ours = table.row(BY_NAME["ude"], [measurement()])
     rmses = (1e-3, 2e-3, 9e-3)
     other = table.row(
@@ -49,9 +46,12 @@ def test_ratios_are_those_of_medians():
         [table.row(BY_NAME["paper-recipe"], [measurement()]), ours]
     )
     assert "MISSES" in line
+    ours = table.row(BY_NAME["positions-learn"], [measurement(force=0.01)])
+    sfi = table.row(BY_NAME["sfi"], [measurement(force=0.04, rmse=7.0)])
+    assert table.ratios(sfi, ours).error == pytest.approx(4.0)
 
 
-def test_an_extrapolated_time_is_marked_and_leaves_out_nothing():
+def test_tables_hold_every_figure_and_mark_extrapolated_times():
     cut = measurement(full_seconds=100.0, note="cut short: 1 of 2 steps were run")
     row = table.row(BY_NAME["paper-torch"], [cut])
     assert row.fit_seconds.median == 100.0
@@ -61,15 +61,6 @@ def test_an_extrapolated_time_is_marked_and_leaves_out_nothing():
     assert "~102.0" in printed
     assert "~ extrapolated" in printed
     assert "cut short" in printed
-
-
-def test_noisy_data_are_compared_by_their_force():
-    ours = table.row(BY_NAME["positions-learn"], [measurement(force=0.01)])
-    sfi = table.row(BY_NAME["sfi"], [measurement(force=0.04, rmse=7.0)])
-    assert table.ratios(sfi, ours).error == pytest.approx(4.0)
-
-
-def test_the_csv_holds_every_figure():
     rows = [table.row(BY_NAME["ude"], [measurement()])]
     (values,) = csv.DictReader(table.as_csv(rows).splitlines())
     assert float(values["rmse_worst"]) == 1e-5
@@ -171,16 +162,12 @@ def data(tmp_path_factory):
     }
 
 
-def test_networks_survive_the_way_to_the_parent():
+def test_what_goes_to_the_parent_is_the_same_model_there():
     known = scenario("paper").truth
     model = known.with_environment(paper_force(jax.random.key(3)))
     layers = [(layer.weight, layer.bias) for layer in model.environment.network.layers]
     again = scores.rebuilt(known, problem.network_arrays(layers))
     assert eqx.tree_equal(again.environment, model.environment)
-
-
-def test_a_learned_thrust_becomes_a_gain():
-    known = scenario("paper").truth
     kernel = {"weights": np.zeros(1), "centers": np.zeros((1, 2)), "width": 1.0}
     arrays = {name: np.asarray(value) for name, value in kernel.items()}
     arrays |= {"damping": np.asarray(0.5), "thrust": np.asarray(0.034)}

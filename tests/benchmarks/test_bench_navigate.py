@@ -9,10 +9,12 @@ import pytest
 from benchmarks.navigate import main
 from benchmarks.navigate.gaussian_process import gaussian_process
 from benchmarks.navigate.strategies import compare_strategies
+from tests.samples import sample
 
+from pinav.codec import encode
 from pinav.errors import InputError
+from pinav.navigation import FlightOutcome, Interval
 from pinav.navigation.task import catalogue as tasks
-from pinav.navigation.task.task import steered_swimmer
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.trajectories import FrameLoss, degrade
@@ -20,33 +22,13 @@ from pinav.trajectories import FrameLoss, degrade
 KEY = jax.random.key(0)
 
 
-def row(regret):
-    share = {"value": 1.0, "lower": 0.8, "upper": 1.0}
-    return {
-        "runs": 2,
-        "success": share,
-        "in_time": share,
-        "violation": share,
-        "arrival": {"low": 5.0, "median": 5.5, "high": 6.0},
-        "regret": regret,
-        "clearance": 0.4,
-        "force_error": 0.1,
-        "cover": 0.9,
-        "consistency": 1.1,
-        "changed": 0.0,
-        "frame_time": 0.002,
-        "command_time": 0.004,
-        "replan_time": 0.05,
-        "memory": 1e6,
-    }
-
-
 def test_finished_tasks_are_read(tmp_path, capsys):
     out = tmp_path / "bench"
     config = {"run": {"command": "bench-navigate-learn-online"}, "seeds": 2}
     folder = RunFolder.resume(out, config)
-    certain = row({"value": 1.25, "lower": 1.2, "upper": 1.3})
-    rows = {"oracle": row(None), "certain": certain}
+    certain = sample(FlightOutcome, regret=Interval(1.25, 1.2, 1.3))
+    outcomes = {"oracle": sample(FlightOutcome), "certain": certain}
+    rows = {name: encode(one).document for name, one in outcomes.items()}
     folder.write_json("learn-online-vortex.json", rows)
     compare_strategies(out, ["vortex"], 2)
     assert "1.250 (1.200–1.300)" in capsys.readouterr().out
@@ -63,21 +45,6 @@ def test_a_learned_current_serves_a_follower(tmp_path):
     main(["--tasks", "follow-line", "--fits", "1", "--seeds", "2", "--out", str(out)])
     rows = json.loads((out / "task-follow-line.json").read_text())["controllers"]
     assert rows["learned"]["tracking"] < rows["physics only"]["tracking"] / 3
-
-
-@pytest.mark.slow
-def test_gaussian_process_finds_the_current():
-    """And does not take the propulsion, which is known, for it."""
-    task = tasks.task("vortex")
-    data = tasks.training("vortex", KEY)
-    found = steered_swimmer(task, gaussian_process(task.truth.dynamics, data))
-    points = jnp.asarray(data.states[:, 10::20].reshape(-1, 2))
-    learned, true = (
-        jax.vmap(lambda x, m=model: m(0.0, x, jnp.zeros(2)))(points)
-        for model in (found, task.truth)
-    )
-    assert jnp.sqrt(jnp.mean((learned - true) ** 2)) < 0.06
-    assert jnp.sqrt(jnp.mean(true**2)) > 0.3
 
 
 @pytest.mark.slow

@@ -12,14 +12,11 @@ def measurement(**changes):
     return Measurement(**(values | {"outcome": "converged"} | drawn | changes))
 
 
-def test_no_system_is_both_for_development_and_for_judging():
+def test_cells_are_those_of_the_keys_columns_and_seeds():
     assert not set(DEVELOPMENT) & set(JUDGED)
     assert len(DEVELOPMENT) == len(JUDGED) == 30
     assert not any(key % 2 for key in DEVELOPMENT)
     assert all(key % 2 for key in JUDGED)
-
-
-def test_kernels_are_fitted_once_and_networks_for_each_seed():
     options = Options(keys=(4,), columns=("network", "kernel"), seeds=(0, 1))
     asked = [cell.label for cell in cells(options)]
     assert asked == ["network 4 0", "network 4 1", "kernel 4 0"]
@@ -35,15 +32,12 @@ def test_a_system_is_drawn_by_its_key_alone(key):
     assert 19.8 <= float(one.system.times[-1]) <= 50.0
 
 
-def test_the_table_gives_quantiles_of_each_column():
+def test_the_table_gives_quantiles_and_counts_causes():
     several = [measurement(rmse=10.0**-power) for power in range(3, 8)]
     assert "1.0e-05" in summary(several)
     assert "1.0e-03" in summary(several)
     assert "turn" in line(several[0])
     assert "converged" in line(several[0])
-
-
-def test_the_table_counts_the_causes_that_failed_fits_name():
     causes = {1e-1: "physics", 1e-2: "", 1.0: "search"}
     several = [
         measurement(column="wrong-drag", rmse=rmse, cause=cause)
@@ -64,4 +58,6 @@ def test_a_column_that_must_fail_changes_what_the_fit_is_told_or_what_is_observe
     (barrier, swirl) = COLUMNS["swirl"].truth(drawn).environment.terms
     assert barrier is drawn.system.environment
     places = drawn.system.starts[0, :2] + 0.1
-    assert abs(float(swirl(0.0, places, places) @ (places - swirl.center))) < 1e-12
+    assert (
+        abs(float(swirl(0.0, places, places) @ (places - swirl.constants[1:3]))) < 1e-12
+    )

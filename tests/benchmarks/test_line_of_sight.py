@@ -12,11 +12,9 @@ from pinav.forces import Advection, UniformFlow
 from pinav.navigation.task import catalogue as tasks
 from pinav.navigation.task.steering import CommandLimits, RollingActuator, physics_only
 from pinav.navigation.task.task import ReachGoal
-from pinav.navigation.trials import metrics
-from pinav.navigation.trials.closed_loop import run, run_many
+from pinav.navigation.trials.closed_loop import run
 
 KEY = jax.random.key(0)
-KEYS = jax.random.split(KEY, 10)
 UNEQUAL = RollingActuator(
     jnp.array([[0.9, -0.2], [0.15, 1.1]]), SaturatingResponse(3.0)
 )
@@ -57,15 +55,3 @@ def test_cruising_speed_is_thrust_over_drag():
     carried = open_water(environment=Advection(UniformFlow([0.0, 0.3])))
     speed = cruising_speed(carried.truth, carried)
     np.testing.assert_allclose(speed, 1.0)
-
-
-@pytest.mark.slow
-def test_paths_are_followed_with_the_true_model_in_spite_of_the_drift():
-    """And with physics alone three times as badly at least."""
-    task = tasks.task("follow-circle")
-    known, blind = (
-        metrics.summary(run_many(task, LineOfSight.of(task, model), KEYS), task)
-        for model in (task.truth, physics_only(task.truth))
-    )
-    assert known.success.value == 1.0
-    assert known.tracking < blind.tracking / 3

@@ -5,9 +5,9 @@ import pytest
 import sympy
 from benchmarks.open_forms import search_radial_law
 
+from pinav.analysis.discovery.candidates import GAUSSIAN, GAUSSIAN_SWIRL
 from pinav.analysis.discovery.force_sample import ForceSample
 from pinav.analysis.discovery.law_regression import law_force
-from pinav.analysis.discovery.potentials import GAUSSIAN, GAUSSIAN_SWIRL
 from pinav.errors import InputError
 
 POSITIONS = np.random.default_rng(0).uniform(0.0, 8.0, (60, 2))

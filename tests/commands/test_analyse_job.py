@@ -3,6 +3,7 @@ import json
 
 import numpy as np
 import pytest
+from tests.fitted_runs import trap_system
 
 from pinav import cli
 from pinav.analysis import (
@@ -13,16 +14,13 @@ from pinav.analysis import (
     helmholtz_split,
 )
 from pinav.analysis.effects import produce_entropy
-from pinav.commands.analyse.job import (
-    entropy_sentence,
-    growth_sentence,
-    rotation_sentence,
-)
+from pinav.commands.analyse import job
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap, Regions
 from pinav.fitting import Estimate
 from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
+from pinav.systems import write_system
 
 SMALL = ["--points", "21", "--draws", "4", "--samples", "8"]
 
@@ -60,7 +58,7 @@ def test_the_analysis_of_a_posterior_is_whole(inferred):
 
 
 @pytest.mark.slow
-def test_tables_say_what_the_result_says(inferred):
+def test_tables_and_figures_say_what_the_result_says(inferred):
     found = RunFolder.open(inferred).load("analysis", Analysis)
     counts = {"influence": 4, "constants": 2, "sobol": found.sobol.total.size}
     for name, count in counts.items():
@@ -70,10 +68,6 @@ def test_tables_say_what_the_result_says(inferred):
     with open(inferred / "analysis-influence.csv", newline="") as file:
         cells = [float(row["Cook's distance"]) for row in csv.DictReader(file)]
     assert cells == [row.cook for row in found.influence]
-
-
-@pytest.mark.slow
-def test_the_report_has_the_figures(inferred):
     page = (inferred / "report.html").read_text(encoding="utf-8")
     for title in ("was learned", "the field depends on", "a rollout depends on"):
         assert f"What {title}" in page
@@ -120,52 +114,25 @@ def analysis(units, separation=2.0):
 def test_the_findings_are_stated_in_the_units_of_the_data():
     found = analysis({"x": "um", "t": "s"})
     words = "of the learned field within 31.2 um of the data."
-    assert words in rotation_sentence(found)
-    assert "within 31.2 of the data." in rotation_sentence(analysis({}))
-    assert "over 10.2 s; median" in growth_sentence(found.lyapunov, "s")
+    assert words in job.rotation_sentence(found)
+    assert "within 31.2 of the data." in job.rotation_sentence(analysis({}))
+    assert "over 10.2 s; median" in job.growth_sentence(found.lyapunov, "s")
     missing = analysis({}, separation=np.nan)
-    assert "no finite growth" in growth_sentence(missing.lyapunov, "s")
-
-
-def test_what_cannot_be_analysed_is_refused(tiny_fit, tmp_path, refused):
-    run = str(tiny_fit[0])
-    refused(["analyse", run, "--reference", "1"], "--reference: expected 0 to 0")
-    other = tmp_path / "other"
-    RunFolder.create(other, {"run": {"command": "reproduce"}}, overwrite=False)
-    refused(["analyse", str(other)], "holds no fitted")
+    assert "no finite growth" in job.growth_sentence(missing.lyapunov, "s")
+    assert job.entropy_sentence(production(2.0)) == (
+        "Entropy production of a steady state: 2 ± 0.3 (sd) k_B per unit of time: out "
+        "of equilibrium; current velocity 1.4 (rms)."
+    )
+    assert "equilibrium is not excluded" in job.entropy_sentence(production(0.5))
 
 
 @pytest.mark.slow
-def test_a_model_without_a_learned_force_is_refused(fitted_run, refused):
+def test_what_cannot_be_analysed_is_refused(tiny_fit, fitted_run, refused):
+    refused(
+        ["analyse", tiny_fit[0], "--reference", "1"], "--reference: expected 0 to 0"
+    )
     run, _ = fitted_run("identified")
     refused(["analyse", run], "has no learned force of the environment")
-
-
-TRAP = """
-name = "trap"
-dimension = 2
-order = 1
-mobility = 1.0
-
-[thermal]
-energy = 1.0
-
-[unknown]
-model = "kernel-force"
-
-[truth]
-kind = "harmonic-trap"
-stiffness = 1.0
-center = [0.0, 0.0]
-
-[starts]
-states = [[0.0, 0.0]]
-
-[times]
-first = 0.0
-last = 40.0
-samples = 2001
-"""
 
 
 def production(rate):
@@ -173,19 +140,18 @@ def production(rate):
     return EntropyProduction(Estimate(rate, 0.3), 0.1, 0.0 * current, current)
 
 
-def test_the_sentence_says_whether_equilibrium_is_excluded():
-    assert entropy_sentence(production(2.0)) == (
-        "Entropy production of a steady state: 2 ± 0.3 (sd) k_B per unit of time: out "
-        "of equilibrium; current velocity 1.4 (rms)."
-    )
-    assert "equilibrium is not excluded" in entropy_sentence(production(0.5))
-
-
 @pytest.mark.slow
 def test_a_trap_is_not_out_of_equilibrium_and_a_potential_is_left_out(
     tmp_path, printed
 ):
-    (tmp_path / "trap.toml").write_text(TRAP)
+    trap = trap_system(
+        stiffness=2.0,
+        thermal_energy=2.0,
+        model="kernel-force",
+        starts=np.zeros((1, 2)),
+        times=np.linspace(0.0, 40.0, 2001),
+    )
+    write_system(trap, tmp_path / "trap.toml")
     data, run = tmp_path / "data.npz", tmp_path / "run"
     printed("simulate", tmp_path / "trap.toml", "--out", data)
     printed("fit", data, "--out", run)

@@ -4,22 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav import cli
-from pinav.commands.compare import CompareSettings
-from pinav.commands.compare.job import (
-    ComparedModel,
-    Comparison,
-    check_settings,
-    sections,
-    table,
-    verdicts,
-)
+from pinav.commands.compare import CompareSettings, job
 from pinav.errors import InputError
 from pinav.fitting import ModelEvidence
 from pinav.fitting.environments.catalogue import mean_drag, with_tensor_drag
-from pinav.fitting.environments.summary import (
-    summarise_data,
-)
+from pinav.fitting.environments.summary import summarise_data
 from pinav.forces import tensor_matrix
 from pinav.learning.learned import Learned
 from pinav.report import sections_text
@@ -30,18 +19,18 @@ from pinav.trajectories import Trajectories
 
 def row(value, outcome="converged"):
     evidence = None if value is None else ModelEvidence(value + 1.0, 1.0)
-    return ComparedModel(outcome, evidence, reason="no")
+    return job.ComparedModel(outcome, evidence, reason="no")
 
 
 def test_a_verdict_names_the_model_of_higher_evidence_and_by_how_much():
     rows = {"kernel-potential": row(100.0), "kernel-force": row(112.3)}
-    (verdict,) = verdicts(rows)
+    (verdict,) = job.verdicts(rows)
     assert verdict.difference == pytest.approx(12.3)
     assert verdict.text == (
         "The evidence prefers a free force to a potential by 12.3 nats: decisive."
     )
     rows["kernel-force"] = row(98.0, "diverged")
-    (verdict,) = verdicts(rows)
+    (verdict,) = job.verdicts(rows)
     assert (
         "prefers a potential to a free force by 2.0 nats: not decisive" in verdict.text
     )
@@ -50,13 +39,13 @@ def test_a_verdict_names_the_model_of_higher_evidence_and_by_how_much():
 
 def test_a_model_without_evidence_gets_no_verdict_but_a_row():
     rows = {"isotropic-drag": row(None, "failed"), "anisotropic-drag": row(5.0)}
-    (verdict,) = verdicts(rows)
+    (verdict,) = job.verdicts(rows)
     assert verdict.difference is None
     assert "No verdict on isotropic drag or anisotropic drag" in verdict.text
-    found = Comparison(rows, (verdict,))
-    names = [cells[0] for cells in table(found).rows]
+    found = job.Comparison(rows, (verdict,))
+    names = [cells[0] for cells in job.table(found).rows]
     assert names == ["anisotropic-drag", "isotropic-drag"]
-    assert "no" in sections_text(sections(found))
+    assert "no" in sections_text(job.sections(found))
 
 
 def positions(name, channels=("x", "y")):
@@ -82,12 +71,7 @@ def positions(name, channels=("x", "y")):
 def test_candidates_that_cannot_be_had_are_refused(models, name, channels, message):
     data = positions(name, ("x", "y", "vx", "vy")[:channels])
     with pytest.raises(InputError, match=message):
-        check_settings(CompareSettings(models=models), data)
-
-
-def test_one_model_is_nothing_to_compare():
-    with pytest.raises(InputError, match="--models: expected at least 2 different"):
-        CompareSettings(models=("kernel-force",)).check()
+        job.check_settings(CompareSettings(models=models), data)
 
 
 def test_a_drag_to_learn_starts_isotropic_with_the_mean_of_the_known_one():
@@ -101,21 +85,15 @@ def test_a_drag_to_learn_starts_isotropic_with_the_mean_of_the_known_one():
 
 @pytest.mark.slow
 def test_comparison_of_stochastic_paths_from_the_command_line(
-    tmp_path, capsys, refused
+    fitted_run, tmp_path, printed, refused
 ):
-    data, run = tmp_path / "data.npz", tmp_path / "run"
-    argv = ["simulate", "brownian", "--count", "3", "--out", str(data)]
-    assert cli.run(argv) == 0
-    models = ["--models", "kernel-potential", "kernel-force"]
-    assert cli.run(["compare", str(data), "--out", str(run), *models]) == 0
-    printed = capsys.readouterr().out
-    assert "The evidence prefers" in printed
-    found = RunFolder.open(run).load("metrics", Comparison)
+    fitted, data = fitted_run("langevin")
+    learned = Learned.open(fitted).constants
+    assert learned["diffusion"].value == pytest.approx(0.245, rel=0.2)
+    words, run = ["--models", "kernel-potential", "kernel-force"], tmp_path / "run"
+    assert "The evidence prefers" in printed("compare", data, "--out", run, *words)
+    found = RunFolder.open(run).load("metrics", job.Comparison)
     assert found.models.keys() == {"kernel-potential", "kernel-force"}
     assert "nats" in (run / "report.html").read_text()
-    langevin = ["--recipe", "langevin", "--out", str(tmp_path / "fit")]
-    assert cli.run(["fit", str(data), *langevin]) == 0
-    learned = Learned.open(tmp_path / "fit").constants
-    assert learned["diffusion"].value == pytest.approx(0.245, rel=0.2)
-    words = ["fit", data, *langevin[:-1], run, "--system", "paper"]
+    words = ["fit", data, "--recipe", "langevin", "--out", run, "--system", "paper"]
     refused(words, "expected a system without inertia")

@@ -17,10 +17,10 @@ import pytest
 from benchmarks.fit import compare
 from benchmarks.fit.contestants import Effort
 from tests.benchmarks.test_bench_fit import measurement
-from tests.commands.test_heat import small
 from tests.commands.test_interruptions import one_line
 from tests.damage import damage
 from tests.fitted_runs import SHORT, STUDY, blank_figures
+from tests.heat_cases import small
 from tests.live.sessions import HELLO, frame_line
 from tests.validation.test_truth import trap_folder
 from validation.truth import __main__ as truth
@@ -102,7 +102,7 @@ def run_of(name: str) -> Callable[[Path, Callable[[str, Path], object]], object]
 
 
 def case(folder: Path, copy: Callable) -> None:
-    small("tumour", folder, learn={"data": "probes.csv"})
+    small("tumour", folder, {"learn": {"data": "probes.csv"}})
     rows = [f"a,{t},0.0,{37 + 0.01 * t}" for t in range(0, 200, 20)]
     (folder / "probes.csv").write_text("\n".join(["probe,t,r,T", *rows, ""]))
 

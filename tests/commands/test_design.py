@@ -1,62 +1,20 @@
-"""`pinav design`: refusals, words, and runs from end to end."""
+"""`pinav design`: its words, and runs from end to end."""
 
 import csv
 import dataclasses
 import json
 
-import jax
 import numpy as np
 import pytest
+from tests.samples import sample
 
-from pinav import cli
-from pinav.codec import decode, encode
 from pinav.commands.design.job import sections
-from pinav.evaluation import FieldMap
-from pinav.navigation import Course, ForceMaps, Suggestion
+from pinav.navigation import Suggestion
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.motion import OverdampedMotion
 from pinav.navigation.design.campaign import Campaign, Decision
-from pinav.navigation.design.result import (
-    CampaignSummary,
-    DesignResult,
-)
+from pinav.navigation.design.result import CampaignSummary, DesignResult
 from pinav.report import sections_text
-
-PLACES = ("--from=1,1", "--to=9,9")
-
-REFUSALS = {
-    "no places": (["paper"], "--from, --to: expected the places"),
-    "an unknown system": (["maze", *PLACES], "maze"),
-    "a system in space": (["wall", *PLACES], "expected a swimmer in the plane"),
-    "a release that is no rectangle": (
-        ["paper", *PLACES, "--release", "3,3,1,1"],
-        "--release: expected X0,Y0,X1,Y1 with X0 < X1",
-    ),
-    "a release outside": (
-        ["paper", *PLACES, "--release=-50,0,1,1"],
-        "--release: expected a rectangle inside of the arena",
-    ),
-    "no design": (["paper", *PLACES, "--designs"], "--designs"),
-    "a short trajectory": (
-        ["paper", *PLACES, "--duration", "0.1"],
-        "--duration: expected two steps or more",
-    ),
-    "an accuracy of one": (["paper", *PLACES, "--accuracy", "1"], "--accuracy"),
-    "data that are not there": (
-        ["paper", *PLACES, "--data", "nowhere.csv"],
-        "nowhere.csv",
-    ),
-}
-
-
-def run(words):
-    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        return cli.run(words)
-
-
-@pytest.mark.parametrize(("words", "message"), REFUSALS.values(), ids=REFUSALS)
-def test_what_makes_no_sense_is_refused(words, message, tmp_path, refused):
-    refused(["design", *words, "--out", tmp_path / "out"], message)
 
 
 def campaign(bounds, errors, accuracy=0.1):
@@ -90,19 +48,8 @@ NOTHING = Decision(np.zeros((3, 2)), arrives=True, error=0.3)
 
 
 def words(decision=NOTHING, paths=None, **parts):
-    field = FieldMap(*np.eye(2), np.zeros((2, 2, 2)), np.zeros((2, 2)))
-    result = DesignResult(
-        system="mine",
-        accuracy=0.1,
-        course=Course(np.eye(2), np.zeros(2), np.ones(2), 0.3, np.zeros((0, 3))),
-        maps=ForceMaps(field, sd=np.zeros((2, 2, 2))),
-        decision=decision,
-        thrust=1.0,
-        paths={} if paths is None else paths,
-        **parts,
-    )
-    again = decode(DesignResult, *encode(result))
-    return sections_text(sections(again))
+    parts |= {"decision": decision, "paths": paths or {}, "accuracy": 0.1}
+    return sections_text(sections(sample(DesignResult, **parts)))
 
 
 def test_the_words_compare_designs():
@@ -116,7 +63,7 @@ def test_the_words_compare_designs():
 
 def test_the_words_say_what_to_record_next():
     recorded = {"recorded": (np.zeros((2, 2)),) * 8}
-    advice = Suggestion(0.1, 0.06, (1.0, 2.0), *np.zeros((3, 2)))
+    advice = sample(Suggestion, sd=0.1, sd_after=0.06, start=(1.0, 2.0))
     found = words(paths=recorded, next=advice)
     assert "After 8 trajectories the force" in found
     assert "known to 30 % with a probability of 95 %. Record next" in found
@@ -130,21 +77,18 @@ def test_the_words_say_what_to_record_next():
 
 
 @pytest.mark.slow
-def test_designs_are_compared_and_recordings_are_continued(tmp_path, capsys):
+def test_designs_are_compared_and_recordings_are_continued(tmp_path, printed):
     ends = ("--from=1,5", "--to=9,5", "--tolerance", "0.5", "--thrust", "1.5")
+    words = ("design", "shear", *ends, "--arena=0,0,10,10")
     few = ("--seeds", "1", "--most", "2", "--duration", "2", "--designs", "informed")
-    out = str(tmp_path / "campaigns")
-    words = ["design", "shear", *ends, *few, "--arena=0,0,10,10", "--json"]
-    assert run([*words, "--out", out]) == 0
-    row = json.loads(capsys.readouterr().out)["designs"]["informed"]
-    assert row["campaigns"] == 1
+    found = json.loads(printed(*words, *few, "--json", "--out", tmp_path / "campaigns"))
+    assert found["designs"]["informed"]["campaigns"] == 1
     assert (tmp_path / "campaigns" / "report.html").exists()
 
-    data, out = str(tmp_path / "data.csv"), tmp_path / "next"
-    assert run(["simulate", "shear", "--out", data, "--noise", "0.02"]) == 0
-    words = ["design", "shear", "--data", data, *ends, "--out", str(out)]
-    assert run([*words, "--arena=0,0,10,10"]) == 0
-    assert "trajectories the force" in capsys.readouterr().out
+    data, out = tmp_path / "data.csv", tmp_path / "next"
+    printed("simulate", "shear", "--out", data, "--noise", "0.02")
+    said = printed(*words, "--data", data, "--out", out)
+    assert "trajectories the force" in said
     with (out / "next.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["t", "frequency", "heading"]

@@ -5,72 +5,65 @@ import equinox as eqx
 import numpy as np
 import pytest
 from matplotlib.mathtext import MathTextParser
+from tests.fitted_runs import trap_system
+from tests.samples import sample
 
-from pinav.analysis import (
-    Candidate,
-    CentralTest,
-    Discovery,
-    EstimatedConstant,
-    ForceSample,
-    Verdict,
-)
-from pinav.analysis.discovery.geometries import Center, ProfileLaw
-from pinav.analysis.discovery.laws import latex
-from pinav.analysis.discovery.potentials import (
-    GAUSSIAN,
-    GAUSSIAN_SWIRL,
-    POTENTIALS,
-    SADDLE,
-)
+from pinav import analysis
+from pinav.analysis.discovery import candidates
 from pinav.commands import DISCOVER
 from pinav.commands.discover.job import central_sentence, sections, sentences
 from pinav.commands.results import sections_of
 from pinav.figures.images import save_pictures
 from pinav.fitting import Outcome
+from pinav.forces.geometries import Center
+from pinav.forces.laws import ProfileLaw, latex
 from pinav.forces.profiles import Yukawa
 from pinav.report import sections_text
 from pinav.runs import RunFolder
+from pinav.systems import Observation, UniformStarts, write_system
 
 
 def constant(name, value, sd=np.inf):
-    ends = {"low": value - 1.96 * sd, "high": value + 1.96 * sd}
-    words = {"name": name, "symbol": name[0], "unit": "1"}
-    known = bool(np.isfinite(sd))
-    return EstimatedConstant(**words, value=value, sd=sd, **ends, identifiable=known)
+    return sample(
+        analysis.EstimatedConstant,
+        name=name,
+        unit="1",
+        value=value,
+        sd=sd,
+        low=value - 1.96 * sd,
+        high=value + 1.96 * sd,
+        identifiable=bool(np.isfinite(sd)),
+    )
 
 
 def law(law, delta, *constants):
     fits = bool(np.isfinite(delta))
-    return Candidate(
+    return sample(
+        analysis.Candidate,
         name=law.name,
         law=law,
         constants=constants,
-        bic=delta - 100.0,
         delta_bic=delta,
-        field_bic=3.0,
-        noise=0.02,
         outcome=Outcome.CONVERGED if fits else Outcome.DIVERGED,
         fits=fits,
-        extends_best=False,
         latex="U = U_0",
-        sympy="(0, 0)",
     )
 
 
 FORCE = np.linspace(-1.0, 1.0, 20).reshape(10, 2)
-FOUND = Discovery(
+FOUND = analysis.Discovery(
     candidates=(
-        law(GAUSSIAN, 0.0, constant("height", 5.25, 0.01)),
+        law(candidates.GAUSSIAN, 0.0, constant("height", 5.25, 0.01)),
         law(ProfileLaw(Yukawa(), Center()), 3.0, constant("core", 7.0)),
-        law(GAUSSIAN + SADDLE, 800.0, constant("edge", 1.0, 0.1)),
-        law(GAUSSIAN_SWIRL, np.inf, constant("height", 1.0, 0.1)),
+        law(candidates.GAUSSIAN + candidates.SADDLE, 800.0, constant("edge", 1.0, 0.1)),
+        law(candidates.GAUSSIAN_SWIRL, np.inf, constant("height", 1.0, 0.1)),
     ),
     screened=(("Gaussian", 1.5),),
-    verdict=Verdict.IDENTIFIED,
-    central=CentralTest((5.0, 5.0), (0.1, 0.1), 0.01, 0.02, 0.7, 8.0),
+    verdict=analysis.Verdict.IDENTIFIED,
+    central=analysis.CentralTest((5.0, 5.0), (0.1, 0.1), 0.01, 0.02, 0.7, 8.0),
     learned_noise=0.02,
     num_effective=9.0,
-    sample=ForceSample(FORCE, FORCE, 0.01 * np.eye(20), 9.0),
+    sample=analysis.ForceSample(FORCE, FORCE, 0.01 * np.eye(20), 9.0),
     best_force=1.1 * FORCE,
 )
 
@@ -85,32 +78,29 @@ def test_text_lists_the_close_laws_with_their_intervals():
     assert re.search(r"core .* not identifiable", printed)
     assert "edge" not in printed
     assert "p = 0.7" in printed
-
-
-@pytest.mark.parametrize(
-    ("verdict", "words"),
-    [
-        (Verdict.IDENTIFIED, "Law: Gaussian, Yukawa"),
-        (Verdict.NOT_IDENTIFIABLE, "identifiable from these data (Gaussian, Yukawa)"),
-        (Verdict.NO_LAW_FITS, "no candidate explains the data"),
-    ],
-)
-def test_every_verdict_is_a_sentence(verdict, words):
-    assert words in sentences(dataclasses.replace(FOUND, verdict=verdict))[0]
-
-
-def test_a_law_that_extends_the_best_one_is_no_rival():
     best, second, *others = FOUND.candidates
     laws = (best, dataclasses.replace(second, extends_best=True), *others)
     found = dataclasses.replace(FOUND, candidates=laws)
     assert [law.name for law in found.close] == ["Gaussian"]
     assert "core" not in text(found)
-
-
-def test_the_candidates_are_those_of_the_structure():
     assert "has no structure" in text(FOUND)
     structured = dataclasses.replace(FOUND, structure=("wall", "central"))
     assert "the structure of the fit (wall + central)" in text(structured)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        (analysis.Verdict.IDENTIFIED, "Law: Gaussian, Yukawa"),
+        (
+            analysis.Verdict.NOT_IDENTIFIABLE,
+            "identifiable from these data (Gaussian, Yukawa)",
+        ),
+        (analysis.Verdict.NO_LAW_FITS, "no candidate explains the data"),
+    ],
+)
+def test_every_verdict_is_a_sentence(verdict, words):
+    assert words in sentences(dataclasses.replace(FOUND, verdict=verdict))[0]
 
 
 def test_a_force_that_is_not_central_has_no_centre():
@@ -129,7 +119,7 @@ def folder(tmp_path):
 
 def test_a_discovery_comes_back_as_it_was(folder):
     folder.store(DISCOVER.file, FOUND)
-    found = folder.load(DISCOVER.file, Discovery)
+    found = folder.load(DISCOVER.file, analysis.Discovery)
     assert eqx.tree_equal(found, FOUND)
     assert [one.law for one in found.candidates] == [c.law for c in FOUND.candidates]
     assert text(found) == text(FOUND)
@@ -145,44 +135,31 @@ def test_report_section_holds_figure_and_tables(folder):
         assert (folder.path / "figures" / f"{name}.svg").is_file()
 
 
-def test_a_run_that_was_not_fitted_is_refused(folder, refused):
-    refused(["discover", folder.path], "holds no fitted")
-    refused(["discover", folder.path.parent], "holds no run")
-
-
 @pytest.mark.parametrize(
-    "law", [*POTENTIALS, GAUSSIAN + GAUSSIAN], ids=lambda law: law.name
+    "law",
+    [*candidates.POTENTIALS, candidates.GAUSSIAN + candidates.GAUSSIAN],
+    ids=lambda law: law.name,
 )
 def test_every_formula_can_be_drawn(law):
     parsed = MathTextParser("path").parse(f"${latex(law)}$")
     assert parsed.width > 10
 
 
-TRAP = """
-name = "trap"
-dimension = 2
-order = 1
-mobility = 0.5
-observation = {noise = 0.01}
-truth = {kind = "harmonic-trap", stiffness = 2.0, center = [1.0, -0.5]}
-times = {first = 0.0, last = 3.0, samples = 61}
-
-[starts]
-kind = "uniform-starts"
-lower = [-2.0, -2.0]
-upper = [3.0, 3.0]
-count = 6
-"""
-
-
 @pytest.mark.slow
 def test_the_law_of_a_swimmer_without_inertia_is_a_force(tmp_path, printed):
-    (tmp_path / "trap.toml").write_text(TRAP)
+    trap = trap_system(
+        stiffness=2.0,
+        center=[1.0, -0.5],
+        observation=Observation(noise=0.01),
+        rule=UniformStarts((-2.0, -2.0), (3.0, 3.0), count=6),
+        times=np.linspace(0.0, 3.0, 61),
+    )
+    write_system(trap, tmp_path / "trap.toml")
     data, run = tmp_path / "trap.npz", tmp_path / "run"
     printed("simulate", tmp_path / "trap.toml", "--out", data)
     printed("fit", data, "--out", run)
     printed("discover", run, "--refits", "2")
-    best = RunFolder.open(tmp_path / "run").load("laws", Discovery).best
+    best = RunFolder.open(tmp_path / "run").load("laws", analysis.Discovery).best
     assert best.name == "harmonic"
     stiffness = best.constants[0]
     assert stiffness.low < 2.0 < stiffness.high

@@ -4,19 +4,20 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from tests.samples import sample
 
 from pinav import cli
 from pinav.commands import EVALUATE
 from pinav.commands.evaluate.job import sections
 from pinav.commands.results import sections_of
 from pinav.errors import InputError
-from pinav.evaluation import Evaluation, Regions, evaluate, held_out
+from pinav.evaluation import Evaluation, evaluate, held_out
 from pinav.evaluation.setting import true_system
 from pinav.learning.learned import Learned
 from pinav.report import Table, as_text, sections_text
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings, scenario
-from pinav.trajectories import Trajectories, load, save, simulate
+from pinav.trajectories import load, save, simulate
 
 pytestmark = pytest.mark.slow
 
@@ -28,15 +29,7 @@ def short_shots(key, columns, samples=51):
     shots = barrier_crossings(jax.random.key(key), 4)
     shots = eqx.tree_at(lambda s: s.times, shots, shots.times[:samples])
     data = simulate(shots, key=jax.random.key(key + 100))
-    if columns == 4:
-        return data
-    return Trajectories.from_arrays(
-        list(data.times),
-        [states[:, :columns] for states in data.states],
-        channels=data.channels[:columns],
-        units={name: "1" for name in ("x", "y", "t")},
-        provenance=data.provenance,
-    )
+    return data.only(data.channels[:columns])
 
 
 @pytest.fixture(scope="module")
@@ -59,15 +52,12 @@ def metrics(judged):
     return RunFolder.open(judged).read_json("evaluation.json")["value"]
 
 
-def test_noisy_positions_get_estimated_starts(metrics):
+def test_rollouts_begin_at_estimated_starts_and_are_told_apart_at_the_horizon(metrics):
     assert metrics["has_estimated_starts"]
     row = metrics["rmse"]["model"]
     assert "vx" not in row
     assert 0.015 < row["position"] < 0.2
     assert row["diverged"] == 0
-
-
-def test_rollouts_are_told_apart_at_the_training_horizon(metrics):
     assert metrics["horizon"] == pytest.approx(5.0)
     sources = metrics["rollouts"]["model"]
     assert sources.keys() == {"data", "clean starts"}
@@ -103,9 +93,6 @@ def test_bands_residuals_and_constants_are_judged(metrics):
     expected = (damping["value"] - 0.36) / damping["sd"]
     assert damping["z"] == pytest.approx(expected)
     assert abs(expected) < 4
-
-
-def test_four_trajectories_are_too_few_for_a_conformal_band(metrics):
     found = metrics["calibration"]
     assert "4 calibration trajectories are too few" in found["says"]
     assert (found["band"]["count"], found["covered"]) == (4, 1.0)
@@ -145,8 +132,6 @@ def test_data_of_other_channels_are_refused(judged, tmp_path):
     fit = Learned.open(judged)
     with pytest.raises(InputError, match="expected the channels x, y, vx, vy of the"):
         evaluate(fit, load(path))
-    with pytest.raises(InputError, match="expected 0 < visited < near"):
-        evaluate(fit, fit.data, regions=Regions(2.0, 1.0))
 
 
 def test_data_of_a_system_with_another_state_are_(refused):
@@ -164,6 +149,10 @@ def test_held_out_starts_are_clean_and_their_own():
     assert np.abs(held.states[:, 0] - shots).min() > 1e-3
     paper = held_out(scenario("paper"), until=1.0, count=3)
     np.testing.assert_array_equal(paper.states[:, 0], held.states[:, 0])
+    held, again = (held_out(scenario("brownian"), until=1.0, count=3) for _ in "ab")
+    assert held.states.shape[0] == 3
+    assert np.isfinite(held.states).all()
+    np.testing.assert_array_equal(held.states, again.states)
 
 
 def test_a_table_is_aligned_on_a_terminal():
@@ -177,19 +166,13 @@ def test_a_table_is_aligned_on_a_terminal():
 
 
 def evaluation_of(seen):
-    return Evaluation(
-        data="data.npz",
+    return sample(
+        Evaluation,
         trajectories=4,
-        has_estimated_starts=False,
-        regions=Regions(),
-        domain=3.0,
-        horizon=2.0,
         rmse={"model": {"x": 0.1}},
         rollouts={"model": {"data": {}}},
         curves={"model": {"data": {}}},
-        force={},
         num_training=seen,
-        units={},
     )
 
 
@@ -197,11 +180,7 @@ def evaluation_of(seen):
     ("seen", "name", "words"),
     [
         (0, "held-out error", "none of those that it was fitted to"),
-        (
-            1,
-            "error, in part on training",
-            "the run was fitted to 1",
-        ),
+        (1, "error, in part on training", "the run was fitted to 1"),
         (4, "training error", "These are the training data"),
     ],
 )
@@ -220,10 +199,3 @@ def test_evaluating_the_file_that_was_fitted_is_a_training_error(
     assert "not fitted to" not in page
     words = ["evaluate", run, data, "--calibrate", data]
     refused(words, "training data of the run")
-
-
-def test_a_stochastic_truth_has_held_out_realisations():
-    held, again = (held_out(scenario("brownian"), until=1.0, count=3) for _ in "ab")
-    assert held.states.shape[0] == 3
-    assert np.isfinite(held.states).all()
-    np.testing.assert_array_equal(held.states, again.states)

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from tests.commands.test_heat import small
 from tests.fitted_runs import blank_figures
+from tests.heat_cases import small
 
 from pinav import analysis
 from pinav.analysis import effects
 from pinav.analysis.discovery import discovery, law_regression
-from pinav.analysis.discovery.potentials import POTENTIALS, ROTATIONS
+from pinav.analysis.discovery.candidates import POTENTIALS, ROTATIONS
 from pinav.commands import COMMANDS
 from pinav.runs import RunFolder
 
@@ -24,7 +24,7 @@ WORDS = {
     "compare": "{kernel}/data.npz --models physics-only kernel-potential "
     "--out {folder}/out",
     "discover": "{kernel}/run --refits 1",
-    "study": "noise --models physics-only --count 1 --out {folder}/out",
+    "study": "noise --models physics-only --count 1 --sigmas 0.1 --out {folder}/out",
     "data": "list",
     "heat": "simulate {folder}/tumour.toml --out {folder}/out",
     "navigate": "{kernel}/run --from 1,1 --to 2,2 --thrust 1 --time-limit 8 --step 0.5 "
@@ -68,8 +68,7 @@ def little_work(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "command",
-    [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in WORDS],
+    "command", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in WORDS]
 )
 def test_a_command_ends_with_success(command, tmp_path, fitted_run, printed):
     assert printed(command, *words_of(command, tmp_path, fitted_run))

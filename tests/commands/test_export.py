@@ -14,10 +14,6 @@ from pinav.dynamics import paper_black_box
 from pinav.errors import InputError
 from pinav.learning.learned import Learned
 from pinav.recordings import read_recording
-from pinav.scenarios import scenario
-from pinav.systems import Units
-from pinav.trajectories import simulate
-from pinav.units import force_unit, with_order
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +37,7 @@ def test_a_spot_has_the_force_of_the_model_and_its_deviation(kernel_run):
     assert len(table.time) == run.data.observed[..., :2].all(-1).sum()
 
 
-def test_napari_reads_frames_in_whole_numbers_and_y_before_x(kernel_run, tmp_path):
+def test_trackers_get_frames_in_whole_numbers_and_y_before_x(kernel_run, tmp_path):
     out = tmp_path / "tracks.csv"
     assert export(kernel_run, "napari", out) == 0
     with open(out, encoding="utf-8") as file:
@@ -51,9 +47,6 @@ def test_napari_reads_frames_in_whole_numbers_and_y_before_x(kernel_run, tmp_pat
     assert [int(row["T"]) for row in rows] == table.frame.tolist()
     assert [float(row["Y"]) for row in rows] == table.position[:, 1].tolist()
     assert [float(row["force_x"]) for row in rows] == table.force[:, 0].tolist()
-
-
-def test_spots_of_trackmate_are_read_back_as_they_were(kernel_run, tmp_path):
     out = tmp_path / "spots.csv"
     assert export(kernel_run, "trackmate", out) == 0
     back = read_recording(out)
@@ -83,19 +76,6 @@ def test_the_deviation_of_a_static_force_does_not_depend_on_time(kernel_run):
     early, late = (force_sds(run.posterior, force, points, t) for t in np.zeros((2, 2)))
     np.testing.assert_array_equal(early, late)
     assert np.isnan(force_sds(None, force, points, np.zeros(2))).all()
-
-
-def test_a_force_is_shown_in_the_unit_of_the_system():
-    system = scenario("brownian")
-    data = simulate(system.with_starts(count=1), key=jax.random.key(0))
-
-    def units(known):
-        return with_order(data.units, known.order, known.base_units.force)
-
-    assert force_unit(units(system)) == "pN"
-    assert force_unit(units(scenario("wall"))) == "pN"
-    free = dataclasses.replace(system, base_units=Units("um", "s"))
-    assert force_unit(units(free)) == "um s⁻¹"
 
 
 def test_a_run_is_not_read_in_single_precision(kernel_run):
@@ -132,17 +112,13 @@ def test_a_tree_of_datasets_comes_back_as_it_was(kernel_run, tmp_path):
 
 
 @pytest.mark.extras("xarray", "h5netcdf", "arviz_base", "arviz_stats")
-def test_arviz_reads_the_file_and_summarises_the_posterior(kernel_run, tmp_path):
+def test_arviz_summarises_the_posterior(kernel_run):
     import arviz_base
     import arviz_stats
-    import xarray
 
-    out = tmp_path / "run.nc"
-    more = ("--draws", "400", "--points", "4", "--seed", "3")
-    assert export(kernel_run, "netcdf", out, *more) == 0
-    with xarray.open_datatree(out, engine="h5netcdf") as tree:
-        drawn = arviz_base.extract(tree, var_names="damping")
-        row = arviz_stats.summary(tree, var_names="damping", round_to="none").iloc[0]
+    tree = datatree_of(Learned.open(kernel_run), draws=400, points=4, seed=3)
+    drawn = arviz_base.extract(tree, var_names="damping")
+    row = arviz_stats.summary(tree, var_names="damping", round_to="none").iloc[0]
     assert drawn.sizes["sample"] == 400
     damping = Learned.open(kernel_run).constants["damping"]
     assert abs(row["mean"] - damping.value) < 4 * damping.sd / 20

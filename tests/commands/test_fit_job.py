@@ -103,14 +103,6 @@ def test_positions_alone_give_a_force_and_its_uncertainty(inferred):
     assert "Constants learned" in page
 
 
-def test_the_stored_posterior_is_that_of_the_fit(inferred):
-    fitted = Learned.open(inferred)
-    posterior = fitted.posterior
-    damping = fitted.findings.constants["damping"].value
-    assert float(posterior.model.drag.damping) == pytest.approx(damping, rel=1e-12)
-    assert len(posterior.samples(3, key=jax.random.key(0))) == 3
-
-
 def test_an_inferred_run_is_resumed_without_fitting_again(inferred, capsys):
     config = ["--config", str(inferred / "config.toml"), "--resume"]
     data = inferred.parent / "data.npz"
@@ -122,10 +114,10 @@ def test_an_inferred_run_is_resumed_without_fitting_again(inferred, capsys):
 
 
 @pytest.mark.slow
-def test_evaluation_shows_the_force_error_where_the_truth_is_known(tmp_path, printed):
-    data = tmp_path / "data.npz"
-    printed("simulate", "barrier-crossings", "--out", data)
-    out = printed("fit", data, "--out", tmp_path / "run")
+def test_a_fit_says_the_force_error_where_the_truth_is_known(fitted_run, printed):
+    run, data = fitted_run("kernel")
+    config = ["--config", run / "config.toml", "--resume"]
+    out = printed("fit", data, "--out", run, *config)
     assert "visited (%)  near (%)" in out
     assert "Relative L2 error of the force against the system's truth" in out
 

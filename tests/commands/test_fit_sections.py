@@ -65,16 +65,13 @@ def test_a_fit_says_whether_the_evidence_supports_a_field(content_with):
     assert table.rows[0][0] == 2.5
 
 
-def test_structure_and_rotation_are_two_paragraphs(content_with):
+def test_a_section_has_its_paragraphs_in_order(content_with):
     structure = FoundStructure((), gain=None, rotation=-3.2)
     first, second = content_with(section=1, structure=structure)
     assert isinstance(first, Paragraph)
     assert isinstance(second, Paragraph)
     assert first.text.startswith("structure: free kernels")
     assert second.text.startswith("force: a potential")
-
-
-def test_remarks_are_said_first(content_with):
     assert content_with(remarks=("The kernels are coarse.",))[0].text.startswith(
         "The k"
     )
@@ -119,10 +116,7 @@ def test_a_term_is_named_with_its_numbers_and_its_law(words, named):
         (FoundStructure((CENTRE,), gain=-4.0), "tell from it (−4.00 nats over them)"),
         (FoundStructure((CENTRE,), None), "; a fit of free kernels alone diverges"),
         (FoundStructure((), None), "no structure tried explains the data"),
-        (
-            FoundStructure((), None, sought=False),
-            "6 trajectories and 600 numbers",
-        ),
+        (FoundStructure((), None, sought=False), "6 trajectories and 600 numbers"),
         (FoundStructure((), -4.4), "differs by −4.40 nats"),
     ],
 )

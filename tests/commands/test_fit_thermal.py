@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.fitted_runs import DATA, simulate
 
 from pinav import cli
 from pinav.commands.fit.job import thermal_sentences
@@ -34,11 +35,10 @@ def test_fields_and_a_reference_have_sentences_of_their_own():
 def run(tmp_path_factory):
     """Twenty paths of a bead with an error of a seventh of a step."""
     path = tmp_path_factory.mktemp("thermal")
-    data, run = str(path / "data.npz"), path / "run"
-    drawn = ["--count", "20", "--noise", "0.02", "--seed", "0"]
-    assert cli.run(["simulate", "brownian", "--out", data, *drawn]) == 0
+    simulate("brownian", path, "--count", "20", "--noise", "0.02", "--seed", "0")
     learn = ["--recipe", "langevin", "--observation", "learn"]
-    assert cli.run(["fit", data, "--out", str(run), *learn]) == 0
+    run = path / "run"
+    assert cli.run(["fit", str(path / DATA), "--out", str(run), *learn]) == 0
     return Learned.open(run)
 
 
@@ -61,16 +61,3 @@ def test_a_run_keeps_and_shows_diffusion_blur_error_and_checks(run):
     assert "um of an observed position of the training data" in page
     assert checks.statement in page
     assert "diffusion of every 2 samples over that of all, along x, y" in page
-
-
-@pytest.mark.slow
-def test_bands_hold_the_force_in_spite_of_localisation_error(run):
-    """Far from the barrier there is no force, and no band to speak of."""
-    maps = run.findings.force
-    near = maps.learned.distance < 0.35
-    truth, sd = maps.true[near], maps.sd[near]
-    miss = np.abs(maps.learned.force[near] - truth)
-    size = np.sqrt(np.mean(truth**2))
-    acts = np.linalg.norm(truth, axis=1) > 0.1 * size
-    assert np.mean(miss[acts] < 1.96 * sd[acts]) > 0.8
-    assert np.median(sd[acts]) > 0.02 * size

@@ -8,14 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from pinav import fitting
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
-from pinav.fitting import (
-    ConstantDiffusion,
-    KernelDiffusion,
-    LearnedObservation,
-    Observation,
-)
 from pinav.forces import KernelTensor, ZeroForce
 from pinav.learning.learned import Learned
 from pinav.learning.plan import plan_fit
@@ -50,13 +45,13 @@ def test_words_become_values():
     chosen = plan(
         diffusion="tensor", coordinates=("z",), warp=("z",), reference="z"
     ).thermal
-    assert isinstance(chosen.diffusion, KernelDiffusion)
+    assert isinstance(chosen.diffusion, fitting.KernelDiffusion)
     assert chosen.diffusion.groups == ((0, 1), (2,))
     assert [axis.index for axis in chosen.axes] == [2]
     assert chosen.axes[0].warp is not None
     assert chosen.reference.axis == 2
     assert chosen.einstein
-    assert isinstance(chosen.observation, LearnedObservation)
+    assert isinstance(chosen.observation, fitting.LearnedObservation)
 
 
 def test_without_a_thermal_energy_the_drift_is_free():
@@ -69,7 +64,7 @@ def test_without_a_thermal_energy_the_drift_is_free():
 
 def test_a_period_makes_increments_of_a_constant_diffusion_short():
     chosen = plan(period=("x=2.5",), observation="exact").thermal
-    assert isinstance(chosen.diffusion, ConstantDiffusion)
+    assert isinstance(chosen.diffusion, fitting.ConstantDiffusion)
     assert [axis.period for axis in chosen.axes] == [2.5, None, None]
     assert not chosen.is_plain
     assert plan(observation="exact").thermal.is_plain
@@ -80,7 +75,7 @@ def test_a_known_camera_is_that_of_the_system():
 
     known = system(observation=Camera(noise=0.02, exposure=0.01))
     chosen = plan(known, observation="known").thermal
-    assert chosen.observation == Observation(0.01, 0.02)
+    assert chosen.observation == fitting.Observation(0.01, 0.02)
 
 
 FILE = """
@@ -165,78 +160,32 @@ def test_what_does_not_go_together_is_refused(options, message):
         plan(**options)
 
 
-def test_inertia_has_no_thermal_motion():
+def test_one_coordinate_has_no_tensor_and_inertia_no_thermal_motion():
     text = 'dimension = 2\norder = 2\ndrag = 1.0\n[unknown]\ndiffusion = "field"\n'
     with pytest.raises(InputError, match="unknown.diffusion: thermal motion needs ord"):
         parse_system(text)
-
-
-def test_one_coordinate_has_no_tensor():
     with pytest.raises(InputError, match="tensor: one coordinate has no directions"):
         plan(system(1), walk(1), diffusion="tensor")
 
 
-RING = """
-name = "ring"
-dimension = 1
-order = 1
-
-[units]
-length = "um"
-time = "s"
-force = "pN"
-
-[thermal]
-temperature = 293.15
-radius = 1.0
-viscosity = 0.8
-
-[observation]
-noise = 0.012
-exposure = 0.004
-
-[unknown]
-period = { x = 12.0 }
-
-[[truth]]
-kind = "constant-force"
-force = [0.053]
-
-[[truth]]
-kind = "plane-waves"
-amplitudes = [0.09]
-wave_vectors = [[0.5235987755982988]]
-phases = [0.0]
-
-[starts]
-states = [[0.0], [3.0], [6.0], [9.0]]
-
-[times]
-first = 0.0
-last = 20.0
-samples = 3001
-"""
-
-
 @pytest.mark.slow
-def test_a_ring_is_fitted_by_a_system_file_and_known_blur(tmp_path, printed):
-    """D = 0.268 um²/s everywhere; the force repeats, in data that are not wrapped."""
-    (tmp_path / "ring.toml").write_text(RING)
+def test_a_ring_is_fitted_with_its_period_and_known_blur(tmp_path, printed):
+    """D = 0.273 um²/s everywhere; the force repeats, in data that are not wrapped."""
     data, run = tmp_path / "data.npz", tmp_path / "run"
-    printed("simulate", tmp_path / "ring.toml", "--out", data)
-    learn = ["--observation", "known", "--diffusion", "field"]
+    printed("simulate", "ring", "--count", "3", "--out", data)
+    learn = ["--observation", "known", "--diffusion", "field", "--period", "x=25.8867"]
     printed("fit", data, "--out", run, *learn)
     fitted = Learned.open(run)
     metrics = fitted.findings
     diffusion = metrics.constants["diffusion"]
-    assert abs(diffusion.value - 0.2684) < 3 * diffusion.sd < 0.03
+    assert abs(diffusion.value - 0.273) < 3 * diffusion.sd < 0.03
     assert metrics.force_error["at the samples"] < 0.15
     assert metrics.thermal.observed[0].exposure.value == pytest.approx(0.6)
     page = (run / "report.html").read_text()
     assert "Diffusion along x through the middle of the data" in page
     force = jax.vmap(lambda x: fitted.model.environment(0.0, x, x))
-    places = jnp.linspace(0.0, 12.0, 20)[:, None]
-    np.testing.assert_allclose(force(places), force(places + 24.0), atol=1e-9)
+    places = jnp.linspace(0.0, 25.0, 20)[:, None]
+    np.testing.assert_allclose(force(places), force(places + 2 * 25.8867), atol=1e-9)
     assert isinstance(fitted.model.mobility, KernelTensor)
     again = fitted.posterior.force_sd(np.asarray(places))
     np.testing.assert_array_less(0, again)

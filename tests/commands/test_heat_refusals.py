@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from tests.heat_cases import GONE, PLANE, ball, change, refusal, refuse, write
+from tests.heat_cases import GONE, PLANE, ball, change, refuse, write
 
 from pinav.errors import FitError
 from pinav.thermal.case import read_case
@@ -43,21 +43,21 @@ CASES = [
     # grid
     *bad_numbers("grid.kind", "torus", GONE, words="grid"),
     *bad_numbers(
-        "grid.radius", 0.0, -0.05, NAN, INF, 50.0, "5 cm", GONE, words="radius"
+        "grid.radius", 0.0, -0.05, NAN, INF, 10.01, "5 cm", GONE, words="radius"
     ),
-    *bad_numbers("grid.cells", 2, 0, -5, 10_000_000, 24.5, words="grid.cells"),
+    *bad_numbers("grid.cells", 2, 0, -5, 100_001, 24.5, words="grid.cells"),
     ({"grid": {"kind": "box", "cells": [24], "size": 1e-3}}, "two or three numbers"),
     ({"grid": {"kind": "box", "cells": [24] * 4, "size": 1e-3}}, "two or three"),
     ({"grid": {"kind": "box", "cells": [4000] * 3, "size": 1e-5}}, "memory of this"),
     *bad_numbers("grid.size", 0.0, -1e-3, NAN, 1e3, base=PLANE),
     # tissue
-    *bad_numbers("tissue.conductivity", -1.0, 0.0, NAN, INF, 1e15),
+    *bad_numbers("tissue.conductivity", -1.0, 0.0, NAN, INF, 1001.0),
     *bad_numbers(
         "tissue.conductivity", GONE, words="expected a preset or conductivity"
     ),
-    *bad_numbers("tissue.density", 0.0, NAN, 1e9, GONE, words="density"),
-    *bad_numbers("tissue.specific_heat", -1.0, 3.4, NAN, GONE, words="specific_heat"),
-    *bad_numbers("tissue.metabolic", -700.0, NAN, 1e12),
+    *bad_numbers("tissue.density", 49.9, NAN, 30_001.0, GONE, words="density"),
+    *bad_numbers("tissue.specific_heat", 9.9, 50_001.0, NAN, GONE, words="specific_h"),
+    *bad_numbers("tissue.metabolic", -0.1, NAN, 1.01e7),
     *bad_numbers("tissue.preset", "bone", words="tissue preset 'bone' is unknown"),
     *bad_numbers("tissue.colour", 1, words="tissue: .*unknown field `colour`"),
     *bad_numbers(FLOW, {}, {"value": 0.5}, {"unit": "1/s"}, words="expected a law, or"),
@@ -97,7 +97,7 @@ CASES = [
         words="damage: expected the keys log_factor and energy; .* law, one of skin",
     ),
     *bad_numbers("damage", {"law": "bone"}, {"log_factor": 1.0}, words="damage"),
-    *bad_numbers("damage.energy", 628.0, NAN, base={"damage.log_factor": 100.0}),
+    *bad_numbers("damage.energy", 9.9e3, 2.1e6, NAN, base={"damage.log_factor": 100.0}),
     # tumour
     *bad_numbers("tumour.radius", 0.0, -0.01, NAN, 0.06, 1e-4, GONE, words="radius"),
     *bad_numbers("tumour.center", [0.01], words="expected none on a sphere"),
@@ -108,28 +108,28 @@ CASES = [
     *bad_numbers("tumour.tissue", GONE, words="tissue"),
     # heating
     *bad_numbers("heating.kind", "laser", words="heating"),
-    *bad_numbers("heating.density", -1.0, NAN, INF, 1e14),
-    *bad_numbers("heating.reference", 0.0, -1e4, NAN, 1e9),
-    *bad_numbers("heating.width", 0.0, NAN, 100.0),
+    *bad_numbers("heating.density", -1.0, NAN, INF, 1.1e10),
+    *bad_numbers("heating.reference", 0.0, -1e4, NAN, 1.1e6),
+    *bad_numbers("heating.width", 0.0, NAN, 10.1),
     ({"heating.width": 0.01, "heating.edge_weighted": True}, "width or edge_weighted"),
-    *bad_numbers("heating.diameter", 1.4e-8, 0.0, NAN, 1e4, base=PARTICLES),
-    *bad_numbers("heating.concentration", -5.0, NAN, 1e4, base=PARTICLES),
-    *bad_numbers("heating.spread", 0.0, -0.2, 5.0, base=PARTICLES),
-    *bad_numbers("heating.scale", -1.0, NAN, base=PARTICLES),
+    *bad_numbers("heating.diameter", 1.4e-8, 0.9, NAN, 1001.0, base=PARTICLES),
+    *bad_numbers("heating.concentration", -0.1, NAN, 5181.0, base=PARTICLES),
+    *bad_numbers("heating.spread", 0.0, -0.2, 1.01, base=PARTICLES),
+    *bad_numbers("heating.scale", -0.1, 100.1, NAN, base=PARTICLES),
     # field
-    *bad_numbers("field.frequency", 0.0, 100.0, NAN, 1e12),
+    *bad_numbers("field.frequency", 0.0, 999.0, NAN, 1.1e9),
     *bad_numbers("field.times", [0.0], [], [10.0, 20.0], [0.0, -5.0]),
     *bad_numbers("field.times", [0.0, 9.0, 9.0], [0.0, NAN], [0.0, INF]),
     *bad_numbers("field.times", [0.0, 1e-9, 1800.0], [0.0, 1e9], [0, "1 h"]),
-    *bad_numbers("field.amplitudes", [NAN], [-1e4], [1e8], [1e4] * 3, []),
+    *bad_numbers("field.amplitudes", [NAN], [-0.1], [1.1e6], [1e4] * 3, []),
     *bad_numbers("field.on", 5.0, words="expected on and off together"),
     *bad_numbers("field.off", 0.0, NAN, base=BURSTS),
     *bad_numbers(
         "field.on", 1e-4, base=BURSTS | {"field.off": 1e-4}, words="intervals"
     ),
     # sides, blood, eddy currents, limit, step
-    *bad_numbers("blood.arterial", NAN, 310.0, 0.0, -37.0),
-    *bad_numbers("wall.temperature", NAN, 293.15, -200.0),
+    *bad_numbers("blood.arterial", NAN, 45.1, 9.9, -37.0),
+    *bad_numbers("wall.temperature", NAN, 100.1, -50.1),
     (
         {"wall": {"temperature": 20.0, "exchange": 5.0, "ambient": 20.0}},
         "got temperature, ex",
@@ -140,7 +140,7 @@ CASES = [
         {"ambient": 20.0},
         words="wall: expected the keys temperature, or exchange and ambient",
     ),
-    *bad_numbers("wall.exchange", -5.0, 0.0, NAN, base={"wall": {"ambient": 20.0}}),
+    *bad_numbers("wall.exchange", 1.1e6, 0.0, NAN, base={"wall": {"ambient": 20.0}}),
     *bad_numbers("wall.ambient", 293.15, NAN, base={"wall": {"exchange": 20.0}}),
     *bad_numbers("blood.density", 1.05, NAN),
     *bad_numbers("arterial", 37.0, words="unknown field `arterial`"),
@@ -155,11 +155,11 @@ CASES = [
     ({"start": "steady", "field.ramp": [0, 1e4]}, "ramp: expected no amplitudes"),
     *bad_numbers("field.ramp", [1e4], [0, NAN], base={"field.amplitudes": GONE}),
     ({"heating.center": [0.0]}, "heating.center: expected a width with it"),
-    *bad_numbers("heating.anisotropy", 0.0, 23e3, NAN, base=PARTICLES),
-    *bad_numbers("heating.magnetisation", 446e3, -1.0, base=PARTICLES),
+    *bad_numbers("heating.anisotropy", 0.09, 1001.0, NAN, base=PARTICLES),
+    *bad_numbers("heating.magnetisation", 2001.0, 0.9, base=PARTICLES),
     *bad_numbers("heating.viscosity", 1e-3, 0.0, base=PARTICLES),
-    *bad_numbers("heating.coating", -1.0, base=PARTICLES),
-    *bad_numbers("heating.attempt_time", 1.0, base=PARTICLES),
+    *bad_numbers("heating.coating", -0.1, 1001.0, base=PARTICLES),
+    *bad_numbers("heating.attempt_time", 1.1e-7, 9e-14, base=PARTICLES),
     *bad_numbers("heating.slp", [[1.0], [2.0]], [1.0], [[-1.0]], base=MEASURED),
     *bad_numbers("heating.amplitudes", [0.0], [NAN], [], base=MEASURED),
     *bad_numbers("heating.frequencies", [2e5, 1e5], base=MEASURED),
@@ -169,7 +169,7 @@ CASES = [
         "eddy: expected a radius or an axis, got both",
     ),
     *bad_numbers("eddy.radius", 0.0, NAN, base={"eddy": {"conductivity": 0.4}}),
-    *bad_numbers("eddy.conductivity", -1.0, 1e6, base={"eddy": {"radius": 0.1}}),
+    *bad_numbers("eddy.conductivity", 0.0, 100.1, base={"eddy": {"radius": 0.1}}),
     *bad_numbers("limit", "ieee", words="limit.*ieee"),
     *bad_numbers("limit", "atkinson-brezovich", words="exceeds the Atkinson-Brezovich"),
     *bad_numbers("step", 0.0, -5.0, NAN),
@@ -183,8 +183,8 @@ CASES = [
     *bad_numbers("probes.every", 1e-4, words="at most 1,000,000 time steps"),
 ]
 TASKS = [
-    *(("learn", *row) for row in bad_numbers("learn.noise", -0.1, NAN, 1e3)),
-    *(("learn", *row) for row in bad_numbers("learn.seed", -1, 2**40, 1.5)),
+    *(("learn", *row) for row in bad_numbers("learn.noise", -0.1, NAN, 100.1)),
+    *(("learn", *row) for row in bad_numbers("learn.seed", -1, 2**32, 1.5)),
     *(("learn", *row) for row in bad_numbers("learn.kind", "forest")),
     *(("learn", *row) for row in bad_numbers("learn.held_out", [0.0], [NAN], [-1.0])),
     ("learn", {"learn.laws": []}, "expected something to learn"),
@@ -209,10 +209,10 @@ TASKS = [
         "held_out: expected no",
     ),
     ("optimise", {}, r"expected a table \[optimise\]"),
-    *(("optimise", *r) for r in bad_numbers("optimise.largest", NAN, 0.0, -1e4, 1e9)),
+    *(("optimise", *r) for r in bad_numbers("optimise.largest", NAN, 0.0, 1.1e6)),
     *(
         ("optimise", BEST | c, m)
-        for c, m in bad_numbers("optimise.start", 0.0, 2.0, NAN)
+        for c, m in bad_numbers("optimise.start", 0.0, 1.01, NAN)
     ),
     ("optimise", BEST | {"optimise.max_temperature": 36.0}, "above the arterial"),
     (
@@ -247,15 +247,6 @@ READINGS = [
     ("t,r,T\n1,-0.1,37\n", "probe at -0.1 m: expected between"),
     ("t,r,T\n5000,0,37\n", "saved time 5000 s: expected after"),
 ]
-COMMAND_LINES = [
-    ([], "Missing from pinav heat"),
-    (["melt"], "melt"),
-    (["simulate"], "CASE"),
-    (["simulate", "no.toml"], "no.toml: cannot be read"),
-    (["simulate", "."], "cannot be read"),
-    (["simulate", "case.toml", "--colour", "red"], "--colour"),
-    (["simulate", "case.toml", "case.toml"], "case.toml"),
-]
 FILES = [
     (b"", "title"),
     (b"\xff\xfe\x00", "cannot be read"),
@@ -286,25 +277,10 @@ def test_bad_readings(tmp_path, capsys, text, message):
     refuse(capsys, "learn", write(tmp_path, content, files), message)
 
 
-@pytest.mark.parametrize(("argv", "message"), COMMAND_LINES)
-def test_bad_command_lines(tmp_path, capsys, monkeypatch, argv, message):
-    write(tmp_path, ball())
-    monkeypatch.chdir(tmp_path)
-    line = refusal(capsys, *argv)
-    assert re.search(message, line), line
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["case.toml"]
-
-
 @pytest.mark.parametrize(("content", "message"), FILES)
 def test_bad_files(tmp_path, capsys, content, message):
     path = tmp_path / "case.toml"
     path.write_bytes(content)
-    refuse(capsys, "simulate", path, message)
-
-
-def test_a_step_that_is_not_stable_is_refused(tmp_path, capsys):
-    path = write(tmp_path, change(ball(), PLANE | {"step": 900.0}))
-    message = "RKL2.longest: .* stable on this grid, got 900 s"
     refuse(capsys, "simulate", path, message)
 
 

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 import tomli_w
-from tests.heat_cases import EXAMPLES, GONE, change, refuse, run, write
+from tests.heat_cases import EXAMPLES, change, run, write
 
 from pinav.runs import RunFolder
 from pinav.thermal.case import read_case
@@ -104,62 +104,6 @@ def test_a_phase_is_a_temperature(folder):
     expected = np.moveaxis(frames, -1, 0)
     assert np.allclose(data.values, expected, atol=1e-3, equal_nan=True)
     assert data.times[-1] == 720.0
-
-
-REFUSED = [
-    ("learn", {"learn.thermometry.readings": "no.npy"}, "no.npy: cannot be read"),
-    ("learn", {"learn.thermometry.readings": "labels.npy"}, "frames along a last axis"),
-    ("learn", {"learn.thermometry.readings": "flat.npy"}, "expected the shape"),
-    ("learn", {"learn.thermometry.readings": "inf.npy"}, "or NaN where a voxel is"),
-    ("learn", {"learn.thermometry.every": GONE}, "a time between frames with a unit"),
-    ("learn", {"learn.thermometry.every": 6e3}, "saved time .* up to 720 s"),
-    ("learn", {"learn.thermometry.noise": 0.0}, "noise: expected a number > 0"),
-    ("learn", {"learn.thermometry.noise": "bad.npy"}, "standard deviation of each"),
-    ("learn", {"learn.thermometry.turn": -1.0}, "turn: expected a number > 0"),
-    ("learn", {"learn.thermometry.drift": "cubic"}, "drift"),
-    ("learn", {"learn.thermometry.quantity": "phase"}, "magnet and echo with a phase"),
-    ("learn", {"learn.thermometry.magnet": 3.0}, "magnet and echo with a phase"),
-    (
-        "learn",
-        {
-            "learn.thermometry.quantity": "phase",
-            "learn.thermometry.magnet": 3.0,
-            "learn.thermometry.echo": 0.02,
-        },
-        "turn: expected none with a phase",
-    ),
-    ("learn", {"learn.data": "a.csv"}, "expected data or thermometry, got both"),
-    ("learn", {"learn.held_out": [1.3]}, "held_out: expected none with data"),
-    ("learn", {"learn.until": 30.0}, "a time after the first reading at 60 s"),
-    ("learn", {"learn.laws": ["bone"]}, "learn.laws: expected names of tissues"),
-    ("learn", {"learn.truth": "no.toml"}, "no.toml: cannot be read"),
-    ("learn", {"learn.thermometry": GONE}, "truth, until: expected with data"),
-    (
-        "learn",
-        {"learn.thermometry.turn": GONE, "learn.thermometry.readings": "kelvin.npy"},
-        "subtract 273.15",
-    ),
-    ("optimise", {"optimise.after": 100.0}, "a time at which constant amplitudes"),
-    ("optimise", {"learn.thermometry": GONE, "learn.truth": GONE}, "from which a plan"),
-    (
-        "optimise",
-        {"learn.laws": [], "learn.power_scale": False, "learn.spot": False},
-        "expected something to learn",
-    ),
-]
-
-
-@pytest.mark.parametrize(("task", "changes", "message"), REFUSED)
-def test_bad_frames(folder, capsys, task, changes, message):
-    frames = np.load(folder / "temperature.npy")
-    np.save(folder / "flat.npy", frames[:, :, 0])
-    np.save(folder / "inf.npy", np.where(np.isnan(frames), np.inf, frames))
-    np.save(folder / "bad.npy", np.zeros(frames.shape[:-1]))
-    np.save(folder / "kelvin.npy", frames + 273.15)
-    path = edit(
-        folder, "plan.toml" if task == "optimise" else "case.toml", changes, "bad.toml"
-    )
-    refuse(capsys, task, path, message)
 
 
 LAW = {"temperatures": [37.0, 45.0], "values": [0.8, 4.0], "unit": "kg/m3/s"}

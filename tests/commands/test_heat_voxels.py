@@ -6,17 +6,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.heat_cases import (
-    FLOW,
-    LABELS,
-    NUMBERS,
-    SHAPE,
-    SIZE,
-    change,
-    refuse,
-    run,
-    voxels,
-)
+from tests.heat_cases import LABELS, SHAPE, SIZE, change, refuse, run, voxels
 from tests.heat_cases import write as write_case
 
 from pinav.thermal.images import read_image
@@ -98,97 +88,6 @@ def test_a_plane_of_voxels_runs(tmp_path, capsys):
     assert metrics["T90"] > 38.0
     assert metrics["imbalance"] < 1e-10
     assert not list((tmp_path / "run").glob("*.nii.gz"))
-
-
-NAN = float("nan")
-UNKNOWN = np.where(LABELS == 9, 7, LABELS)
-REFUSED = [
-    ({}, {"labels": UNKNOWN}, r"labels.npy: .* got 7 in 35 voxels; add a table"),
-    ({"tissues.fat.label": 8}, {}, "labels of tissues, 1, 8, 4; got 9 in 35"),
-    ({"tissues.bone": NUMBERS | {"label": 2, "perfusion": FLOW}}, {}, "bone: .* got 2"),
-    ({"tissues.fat.label": 4}, {}, "a different label for each"),
-    ({"tissues": {}}, {}, "got no tissues"),
-    ({"target": []}, {}, "got no target"),
-    ({"target": ["bone"]}, {}, "target: expected names of tissues, .* 'bone'"),
-    ({"target": {"file": "s.npy"}}, {"s": np.full(SHAPE, 2.0)}, "share of the target"),
-    ({"target": {"file": "s.npy"}}, {"s": np.full(SHAPE, 0.1)}, "expected a target"),
-    ({"target": {"file": "s.npy"}}, {"s": np.ones((7, 6))}, "expected the shape"),
-    ({"tissue": {"preset": "fat", "perfusion": FLOW}}, {}, "expected none on a grid"),
-    ({"grid.labels": "no.npy"}, {}, "no.npy: cannot be read"),
-    ({"grid.labels": "labels.mat"}, {}, "labels.mat: expected a file that ends in"),
-    ({}, {"labels": LABELS + 0.5}, "expected labels, whole numbers"),
-    ({}, {"labels": LABELS * np.nan}, "expected labels, whole numbers"),
-    ({}, {"labels": LABELS.astype(str)}, "expected real numbers"),
-    ({}, {"labels": LABELS[:, :, :2]}, "three voxels or more, got shape"),
-    ({}, {"labels": LABELS[0, 0]}, "two or three axes"),
-    ({"grid": {"kind": "voxels", "labels": "labels.npy"}}, {}, "give grid.size in met"),
-    ({"grid.size": [2.0, 2.0, 4.0]}, {}, "grid.size.* <= 0.05, got 2.0; give metres"),
-    ({"grid.size": [2e-3, 2e-3]}, {}, "grid.size: expected 3 numbers"),
-    ({"grid.size": [2e-3, 0.0, 2e-3]}, {}, "grid.size.* got 0.0; give met"),
-    ({"sides.z": "open"}, {}, "sides.z"),
-    ({"probes.points": [[0.1, 0.1, 0.1]]}, {}, "probes.points"),
-    ({"heating.edge_weighted": True}, {}, "expected none on a grid of voxels"),
-    ({"optimise": {"largest": 2e4, "placement": 3}}, {}, "expected none on a grid of"),
-    ({"tissues.muscle.density": "m.npy"}, {"m": np.ones(SHAPE)}, "m.npy: .* >= 50"),
-    ({"tissues.muscle.density": "m.npy"}, {"m": np.ones((3, 3, 3))}, "the shape"),
-    (
-        {"tissues.muscle.density": "m.npy"},
-        {"m": np.full((*SHAPE, 4), 1e3)},
-        "got frames",
-    ),
-    ({"tissues.fat.density": "m.npy"}, {"m": np.full(SHAPE, NAN)}, "35 voxels without"),
-    (
-        {"tissues.fat.perfusion": {"file": "m.npy", "unit": "1/s"}},
-        {"m": np.ones(SHAPE)},
-        "check the unit",
-    ),
-    ({"tissues.fat.perfusion": {"file": "m.npy"}}, {}, "expected a law, or a value"),
-    (
-        {"heating": {"kind": "sar", "file": "m.npy", "reference": 1e4}},
-        {"m": np.full(SHAPE, -1.0)},
-        "m.npy: .*give W/kg",
-    ),
-    (
-        {"heating": {"kind": "particles", "concentration": "m.npy", "diameter": 14.0}},
-        {"m": np.full(SHAPE, 1e4)},
-        "give mg/cm³",
-    ),
-    ({"start": {"file": "m.npy"}}, {"m": np.full((3, 3), 37.0)}, "of shape"),
-]
-
-
-@pytest.mark.parametrize(("changes", "arrays", "message"), REFUSED)
-def test_bad_voxels(tmp_path, capsys, changes, arrays, message):
-    path = write(tmp_path, changes, **arrays)
-    refuse(capsys, "simulate", path, message)
-
-
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        (
-            {"tissues": {"fat": {"label": 1, "preset": "fat", "perfusion": FLOW}}},
-            "alone",
-        ),
-        ({"target": ["tumour"]}, "tissues, target: expected with a grid of voxels"),
-        ({"tissue.label": 1}, "tissue.label: expected with a grid of voxels"),
-        ({"tissue.density": "rho.npy"}, "got the file 'rho.npy'; maps need a grid"),
-    ],
-)
-def test_balls_have_no_voxels(tmp_path, capsys, table, message):
-    case = voxels() | {
-        "grid": {"kind": "box", "cells": [8, 8], "size": [2e-3, 3e-3]},
-        "tissue": NUMBERS | {"perfusion": FLOW},
-        "tumour": {"radius": 4e-3, "tissue": NUMBERS | {"perfusion": FLOW}},
-    }
-    del case["tissues"], case["target"]
-    refuse(capsys, "simulate", write_case(tmp_path, change(case, table)), message)
-
-
-def test_nifti_asks_for_its_package(tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "nibabel", None)
-    path = write(tmp_path, {"grid": {"kind": "voxels", "labels": "labels.nii.gz"}})
-    refuse(capsys, "simulate", path, r"pip install 'pinav\[mri\]'")
 
 
 # NIfTI itself

@@ -7,27 +7,19 @@ import numpy as np
 import pytest
 from tests.fitted_runs import circling, standard_promotion
 
-from pinav import cli
+from pinav import cli, identification
 from pinav.commands import IDENTIFY
 from pinav.commands.identify import IdentifyOptions
 from pinav.commands.identify.sections import estimate_row, gain_text, sections
 from pinav.commands.results import start_run
 from pinav.fitting import Estimate
-from pinav.identification import (
-    Coverage,
-    Errors,
-    Identification,
-    IdentifiedTrack,
-    Row,
-    identify,
-)
 from pinav.identification.identify import pooled_coverage
 from pinav.identification.parameters import ESTIMATED
 from pinav.identification.selection import RESIDUALS
 from pinav.recordings import Reading
 from pinav.report import sections_text
 from pinav.runs import RunFolder
-from pinav.trajectories import Trajectories, is_trajectories, save
+from pinav.trajectories import is_trajectories, save
 
 
 def identify_file(recording, folder, *more):
@@ -50,7 +42,7 @@ def run(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_table_has_every_candidate_and_baseline(run):
-    result = RunFolder.open(run).load("metrics", Identification)
+    result = RunFolder.open(run).load("metrics", identification.Identification)
     (track,) = result.tracks
     expected = {"drift only", "scalar gain", "gain matrix and drift", "least squares"}
     expected |= {"+ slipping", "+ delay", "+ lag", "+ time-dependent drift"}
@@ -75,46 +67,29 @@ def test_the_page_says_what_it_is_about(run):
     assert "median end-point error over the path" in page
 
 
-@pytest.mark.slow
-def test_resuming_a_finished_run_changes_nothing(run, capsys):
-    before = (run / "metrics.json").read_text()
-    identify_file(circling(), run.parent, "--resume")
-    assert (run / "metrics.json").read_text() == before
-    assert "gain (um per turn)" in capsys.readouterr().out
-
-
-def idle():
-    """As `circling`, with commands recorded that never asked for motion."""
-    drift = circling(commanded=False)
-    nothing = [np.zeros_like(drift.times[0])]
-    return Trajectories.from_arrays(
-        [drift.times[0]],
-        [drift.states[0]],
-        channels=drift.channels,
-        commands={"frequency": nothing, "heading": nothing},
-        units=drift.units,
-    )
-
-
 def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys):
-    out = identify_file(idle(), tmp_path, "--max-tracks", "0")
+    out = identify_file(circling(driven=False), tmp_path, "--max-tracks", "0")
     assert "The commands ask for no motion: gain" in capsys.readouterr().out
-    (track,) = RunFolder.open(out).load("metrics", Identification).tracks
+    (track,) = RunFolder.open(out).load("metrics", identification.Identification).tracks
     assert track.gain is None
     assert track.rows[0].name == "drift only"
     assert track.delay is None
 
 
 def test_a_recording_without_commands(tmp_path, capsys):
-    identify_file(circling(commanded=False), tmp_path, "--max-tracks", "0")
+    identify_file(circling(driven=False, recorded=False), tmp_path, "--max-tracks", "0")
     assert "No commands recorded: gain" in capsys.readouterr().out
 
 
 def test_tracks_that_are_done_are_not_fitted_again():
-    recording, fitted = circling(commanded=False), []
+    recording, fitted = circling(driven=False, recorded=False), []
     with standard_promotion():
-        first = identify(recording, on_track=lambda *done: fitted.append(done))
-        again = identify(recording, done={0: first.tracks[0]}, on_track=pytest.fail)
+        first = identification.identify(
+            recording, on_track=lambda *done: fitted.append(done)
+        )
+        again = identification.identify(
+            recording, done={0: first.tracks[0]}, on_track=pytest.fail
+        )
     ((place, track, fit),) = fitted
     assert (place, track) == (0, first.tracks[0])
     assert again.tracks == first.tracks
@@ -129,7 +104,10 @@ def test_a_run_names_the_files_that_decide_its_numbers(tmp_path):
     assert kept == {"commands": "log.csv", "units": {"heading": "rad"}}
 
 
-def test_files_of_pinav_are_told_from_recordings(tmp_path):
+def test_a_track_that_was_not_fitted_and_files_of_pinav_are_told(tmp_path):
+    track = identification.IdentifiedTrack("a/1", 3.0, reason="too short")
+    result = identification.Identification({"x": "um", "t": "s"}, None, (track,), {})
+    assert "Not fitted: too short" in sections_text(sections(result))
     table = tmp_path / "trackpy.csv"
     table.write_text("frame,particle,x,y\n0,1,2,3\n")
     assert not is_trajectories(table)
@@ -139,23 +117,19 @@ def test_files_of_pinav_are_told_from_recordings(tmp_path):
     assert not is_trajectories("book.xlsx")
 
 
-def test_a_track_that_was_not_fitted_is_told():
-    track = IdentifiedTrack("a/1", 3.0, reason="too short")
-    result = Identification({"x": "um", "t": "s"}, None, (track,), {})
-    assert "Not fitted: too short" in sections_text(sections(result))
-
-
 def test_a_summary_holds_gain_errors_and_pooled_bands():
     def track(inside, rollouts):
-        errors = {"10": Errors(relative=0.04, median=1.0, rollouts=rollouts)}
-        row = Row("model", 0.0, 0.0, errors, 0.9)
-        return IdentifiedTrack(
+        errors = {
+            "10": identification.Errors(relative=0.04, median=1.0, rollouts=rollouts)
+        }
+        row = identification.Row("model", 0.0, 0.0, errors, 0.9)
+        return identification.IdentifiedTrack(
             "a",
             9.0,
             chosen="model",
             gain=np.array([[1.0, -2.0], [2.0, 1.5]]),
             rows=(row,),
-            coverage=Coverage(inside, inside, rollouts),
+            coverage=identification.Coverage(inside, inside, rollouts),
         )
 
     several = {"a": track(0.9, 30), "b": track(0.7, 10), "c": track(np.nan, 0)}

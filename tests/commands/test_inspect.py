@@ -103,21 +103,6 @@ def test_paths_are_drawn_over_a_still_of_the_film(circles, tmp_path, printed, re
     refused(argv, "still.png: cannot be read as an image")
 
 
-@pytest.mark.parametrize(
-    ("word", "message"),
-    [
-        ("fps=a", "reading: Expected `float . null`, got `str` - at `..fps`"),
-        ("speed=1", "reading: Object contains unknown field `speed`"),
-        ("fps=", "expected a value after 'fps='"),
-        ("nowhere.toml", "nowhere.toml: expected NAME=VALUE, or a TOML file"),
-        ("delay=-1", "delay: expected 0 or more, got -1.0"),
-    ],
-)
-def test_a_word_of_a_reading_that_says_nothing_is_refused(word, message):
-    with pytest.raises(InputError, match=message):
-        Reading.of_words([word])
-
-
 @pytest.mark.parametrize("y", ["down", "up"])
 def test_positions_go_back_to_the_pixels_of_the_file(circles, y):
     data = read_recording(circles, Reading(mpp=0.345, y=y))

@@ -8,8 +8,7 @@ import pytest
 from tests.live.sessions import HELLO, frame_line
 
 from pinav import cli
-from pinav.commands.live import LiveOptions, LiveSettings
-from pinav.errors import InputError
+from pinav.commands.live import LiveSettings
 from pinav.live.messages import encode
 
 HEADER = "t_s,x_um,y_um,freq_hz,alpha_rad\n"
@@ -101,33 +100,9 @@ def test_commands_go_to_a_file_and_stop_with_watch(lines, tmp_path, capsys):
     assert b'"command"' in commands.read_bytes()
 
 
-REFUSED = {
-    "goal in a disc": (("--to=0,0", "--keep-out", "1,1,2"), "lies in the forbidden"),
-    "no radius": (("--keep-out", "1,1,0"), "--keep-out: expected a radius > 0, got 0"),
-    "speed": (("--replay", "--speed", "0"), "--speed: expected a number > 0 or max"),
-    "not a speed": (("--replay", "--speed", "x"), "--speed: expected a number > 0"),
-    "resume": (("--resume",), "--resume: needs the --out of a session"),
-    "answered replay": (("--replay", "--commands-to", "x"), "nobody listens"),
-    "goal": (("--to", "1"), "--to: expected 2 numbers with commas"),
-    "no file": (("--replay",), "nothing: no such file"),
-    "page": (("--page", "70000"), "--page: expected between -1 and 65536"),
-}
-
-
-@pytest.mark.parametrize(("words", "message"), REFUSED.values(), ids=REFUSED)
-def test_mistakes_are_one_line(words, message, tmp_path, refused):
-    refused(["live", str(tmp_path / "nothing"), *words], message)
-
-
-def test_a_short_secret_is_refused(tmp_path, refused):
+def test_a_short_secret_is_refused_and_watching_has_no_goal(tmp_path, refused):
     token = tmp_path / "token"
     token.write_text("short")
     words = ["live", "tcp://10.0.0.1:5000", "--token", str(token)]
     refused(words, "expected a secret of 8 to 200 characters")
-    refused(words[:2], "needs a shared secret")
-
-
-def test_watching_has_no_goal():
     assert LiveSettings(to="1,2", watch=True).goal() is None
-    with pytest.raises(InputError, match="--to: expected 2 numbers"):
-        LiveOptions(source="-", settings=LiveSettings(to="x")).check()

@@ -3,19 +3,12 @@
 import dataclasses
 import json
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.samples import sample
 
-from pinav import cli
-from pinav.actuation import (
-    AbstractProgramme,
-    AbstractResponse,
-    RollingActuator,
-    SaturatingResponse,
-)
-from pinav.codec import encode
+from pinav import actuation, forces, navigation
 from pinav.commands import NAVIGATE
 from pinav.commands.navigate import NavigateSettings
 from pinav.commands.navigate.cells import navigation_problem
@@ -27,27 +20,8 @@ from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.figures.images import save_pictures
 from pinav.fitting.environments.summary import ModelChoice
-from pinav.forces import (
-    AbstractCommandedForce,
-    Plane,
-    RollingPropulsion,
-    UniformFlow,
-    WallMobility,
-    ZeroForce,
-)
 from pinav.learning.learned import Learned
-from pinav.navigation import (
-    AbstractNavigation,
-    Course,
-    Interval,
-    Navigation,
-    Quantiles,
-    Suggestion,
-    Summary,
-    Way,
-    navigate,
-)
-from pinav.navigation.comparison import ComputingTimes, PlannedWay
+from pinav.navigation.comparison import PlannedWay
 from pinav.report import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System
@@ -67,61 +41,22 @@ def test_places_are_numbers_with_commas():
             NavigateSettings(start=bad, goal="1,2").check()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"thrust": 0.0}, "--thrust: expected > 0"),
-        ({"time_limit": -1.0}, "--time-limit: expected > 0"),
-        ({"delay": -0.1}, "--delay: expected 0 or more"),
-        ({"seeds": 0}, "--seeds: expected 1 or more"),
-        ({"samples": -1}, "--samples: expected 0 or more"),
-        ({"keep_out": ("1,2",)}, "--keep-out: expected 3 or 4 numbers"),
-        ({"arena": "1,2,3"}, "--arena: expected 4 or 6 numbers"),
-    ],
-)
-def test_settings_without_sense_are_refused(change, message):
-    with pytest.raises(InputError, match=message):
-        settings(**change).check()
-
-
 def share(value):
-    return Interval(value, max(value - 0.1, 0.0), min(value + 0.1, 1.0))
+    return navigation.Interval(value, max(value - 0.1, 0.0), min(value + 0.1, 1.0))
 
 
-ROW = Summary(
-    runs=20,
-    success=share(0.95),
-    violation=share(0.05),
-    arrival=Quantiles(5.0, 6.0, 7.0),
-    efficiency=0.9,
-    tracking=np.nan,
-    tracking_rms=np.nan,
-    clearance=0.4,
-    effort=3.0,
-    turning=2.0,
+ROW = sample(
+    navigation.Summary, success=share(0.95), violation=share(0.05), efficiency=0.9
 )
-FOUND = Navigation(
+FOUND = sample(
+    navigation.Navigation,
     truth="barrier-crossings",
-    plan=PlannedWay(5.5, 5.6, 0.25, np.zeros((2, 2)), np.zeros((3, 3))),
+    plan=sample(PlannedWay, time=5.5, unreachable=0.25),
     controllers={"learned": ROW, "physics only": ROW},
-    regret={"learned": Interval(1.02, 1.0, np.inf)},
+    regret={"learned": navigation.Interval(1.02, 1.0, np.inf)},
     refused={"oracle": "goal: expected a place that can be reached"},
-    computing=ComputingTimes(2.0, 0.003),
-    units={},
-    thrust=1.0,
     delay=0.0,
-    step=0.1,
-    course=Course(np.eye(2), np.zeros(2), np.ones(2), 0.3, np.zeros((0, 3))),
-    episodes={},
-    suggestion=Suggestion(
-        0.3,
-        0.1,
-        (1.0, 2.0),
-        np.array([0.0, 5.0]),
-        *np.zeros((2, 2)),
-        sd_after_random=0.2,
-        path=np.zeros((4, 2)),
-    ),
+    suggestion=sample(navigation.Suggestion, sd=0.3, sd_after=0.1, sd_after_random=0.2),
 )
 
 
@@ -147,27 +82,12 @@ def test_the_words_name_truth_regret_and_suggestion():
     assert "1.020 (1.000–∞)" in table
 
 
-def test_a_navigation_comes_back_from_its_files(tmp_path):
-    folder = RunFolder(tmp_path)
-    folder.store("metrics", FOUND)
-    again = folder.load("metrics", AbstractNavigation)
-    assert encode(again).document == encode(FOUND).document
-    assert isinstance(again, Navigation)
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("optimised")
-def test_a_run_from_a_fit_to_report(tmp_path, capsys, fitted_run):
-    def ran(*words):
-        with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-            return cli.run(words)
-
-    fit, out = str(fitted_run("kernel")[0]), str(tmp_path / "out")
+def test_a_run_from_a_fit_to_report(tmp_path, fitted_run, printed, refused):
     ends = ("--from", "0.5,1", "--to", "9.5,9.5")
-    words = ("navigate", fit, *ends, "--out", out, "--seeds", "3")
-    capsys.readouterr()
-    assert ran(*words, "--json") == 0
-    metrics = json.loads(capsys.readouterr().out)
+    words = ("navigate", fitted_run("kernel")[0], *ends, "--out", tmp_path / "out")
+    metrics = json.loads(printed(*words, "--seeds", "3", "--json"))
     assert metrics["controllers"]["learned"]["success"]["value"] == 1.0
     assert metrics["regret"]["learned"]["value"] < 1.3
     assert 0 <= metrics["plan"]["unreachable"] < 1
@@ -176,45 +96,44 @@ def test_a_run_from_a_fit_to_report(tmp_path, capsys, fitted_run):
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "data:image/gif;base64," in page
     assert (tmp_path / "out" / "suggestion.csv").exists()
-    assert ran(*words) == cli.USAGE_ERROR
-    assert "already holds a run" in capsys.readouterr().err
-    blocked = ("navigate", fit, *ends, "--out", out, "--overwrite")
-    assert ran(*blocked, "--keep-out", "0.5,1,0.4") == cli.USAGE_ERROR
-    assert "start: expected a free place" in capsys.readouterr().err
+    refused(words, "already holds a run")
+    blocked = (*words, "--overwrite", "--keep-out", "0.5,1,0.4")
+    refused(blocked, "start: expected a free place")
 
 
-def test_a_folder_without_a_fit_is_refused(tmp_path, refused):
-    words = ["--from", "0,0", "--to", "1,1", "--out", str(tmp_path / "out")]
-    refused(["navigate", str(tmp_path), *words], "holds no run")
-
-
-def rolling_run(tmp_path, **propulsion):
-    """The run of a robot that rolls, as far as navigation needs it."""
-    robot = OverdampedSwimmer(
-        RollingPropulsion(**propulsion),
-        ZeroForce(),
-        1.0,
-        UniformFlow(jnp.array([0.3, 0.0])),
-    )
+def run_of(folder, swimmer, dim=2):
+    """The run of a swimmer, as far as navigation needs it."""
+    channels = ("x", "y", "z")[:dim]
+    path = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 1.0], [2.0, 1.0, 0.0]])
     data = Trajectories.from_arrays(
         [np.arange(3.0)],
-        [np.array([[0.0, 0.0], [1.0, 0.5], [2.0, 1.0]])],
-        channels=("x", "y"),
-        units={"x": "um", "y": "um", "t": "s"},
+        [path[:, :dim]],
+        channels=channels,
+        units=dict.fromkeys((*channels, "t"), "1"),
     )
-    folder = RunFolder.create(
-        tmp_path / "run", {"run": {"command": "identify"}}, overwrite=True
-    )
-    system = System("robot", robot, 2)
-    choice = ModelChoice()
-    return Learned(folder, system, data, {"model": robot}, choice, None)
+    made = RunFolder.create(folder / "run", {"run": {"command": "fit"}}, overwrite=True)
+    system = System("robot", swimmer, dim)
+    return Learned(made, system, data, {"model": swimmer}, ModelChoice(), None)
+
+
+def rolling_run(folder, **propulsion):
+    """The run of a robot that rolls, in a drift along x."""
+    rolling = forces.RollingPropulsion(**propulsion)
+    drift = forces.UniformFlow(jnp.array([0.3, 0.0]))
+    return run_of(folder, OverdampedSwimmer(rolling, forces.ZeroForce(), 1.0, drift))
+
+
+def space_run(folder, mobility=1.0):
+    """The run of a swimmer in three dimensions, carried by a known flow."""
+    none, flow = forces.ZeroForce(), forces.UniformFlow([0.2, 0.0, 0.1])
+    return run_of(folder, OverdampedSwimmer(none, none, mobility, flow), 3)
 
 
 def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
     run = rolling_run(
         tmp_path,
         gain=jnp.array([[2.0, -0.5], [0.5, 2.0]]),
-        response=SaturatingResponse(4.0),
+        response=actuation.SaturatingResponse(4.0),
         delay=0.15,
         lag=0.05,
     )
@@ -226,24 +145,23 @@ def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
     effective = 3.0 / np.sqrt(1 + (3.0 / 4.0) ** 2)
     np.testing.assert_allclose(rate, [0.3 - 0.5 * effective, 2.0 * effective])
     assert problem.task.limits.max_frequency == 10.0
-    assert problem.fit.data.units["x"] == "um"
     assert problem.task.delay == pytest.approx(0.2)
     assert float(problem.task.keep_out[0].distance(jnp.array([4.0, 6.0]))) == 1.0
 
 
-class SquareResponse(AbstractResponse):
+class SquareResponse(actuation.AbstractResponse):
     def __call__(self, frequency):
         return frequency**2
 
 
-class SquarePropulsion(AbstractCommandedForce):
+class SquarePropulsion(forces.AbstractCommandedForce):
     """A propulsion of which no command knows: its speed grows with the square of f."""
 
-    programme: AbstractProgramme | None = None
+    programme: actuation.AbstractProgramme | None = None
 
     @property
     def actuator(self):
-        return RollingActuator(jnp.eye(2), SquareResponse())
+        return actuation.RollingActuator(jnp.eye(2), SquareResponse())
 
     @property
     def lateness(self):
@@ -257,35 +175,24 @@ class SquarePropulsion(AbstractCommandedForce):
 
 
 def test_a_propulsion_brings_its_own_actuator(tmp_path):
-    robot = OverdampedSwimmer(SquarePropulsion(), ZeroForce(), 1.0)
-    task = system_task(settings(), System("square", robot, 2, environment=ZeroForce()))
+    robot = OverdampedSwimmer(SquarePropulsion(), forces.ZeroForce(), 1.0)
+    task = system_task(
+        settings(), System("square", robot, 2, environment=forces.ZeroForce())
+    )
     rate = task.truth(0.0, jnp.zeros(2), jnp.array([3.0, 0.0]))
     np.testing.assert_allclose(rate, [9.0, 0.0])
     assert task.delay == 0.3
 
 
-def test_an_arena_that_is_not_given_holds_both_ends(tmp_path):
+def test_an_arena_holds_both_ends_and_not_the_wall(tmp_path):
     run = rolling_run(tmp_path, gain=jnp.eye(2))
     arena = navigation_problem(settings(), run).task.arena
     for place in ([0.5, 1.0], [9.5, 9.5]):
         assert float(arena.distance(jnp.array(place))) < -1.0
-
-
-def space_run(tmp_path, mobility=1.0):
-    """The run of a swimmer in three dimensions, carried by a known flow."""
-    flow = UniformFlow([0.2, 0.0, 0.1])
-    swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), mobility, flow)
-    data = Trajectories.from_arrays(
-        [np.arange(3.0)],
-        [np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 1.0], [2.0, 1.0, 0.0]])],
-        channels=("x", "y", "z"),
-        units={"x": "1", "y": "1", "z": "1", "t": "1"},
-    )
-    folder = RunFolder.create(
-        tmp_path / "run", {"run": {"command": "fit"}}, overwrite=True
-    )
-    system = System("water", swimmer, 3)
-    return Learned(folder, system, data, {"model": swimmer}, ModelChoice(), None)
+    mobility = forces.WallMobility(0.5, 1.0, forces.Plane([0.0, 0.0, 1.0], -1.0))
+    run = space_run(tmp_path, mobility)
+    wall = navigation_problem(NavigateSettings(**IN_SPACE), run).task.keep_out[-1]
+    np.testing.assert_allclose(wall.distance(jnp.array([3.0, 2.0, 1.0])), 1.5)
 
 
 IN_SPACE = {"start": "0,0,0", "goal": "2,1,1", "time_limit": 8.0}
@@ -302,13 +209,6 @@ def test_a_run_in_space_gives_a_task_in_space(tmp_path):
     np.testing.assert_allclose(upward, [0.2, 0.0, 1.6], atol=1e-9)
     for place in ([0.0, 0.0, 0.0], [2.0, 1.0, 1.0]):
         assert float(problem.task.arena.distance(jnp.array(place))) < 0
-
-
-def test_the_wall_of_the_mobility_must_not_be_touched(tmp_path):
-    mobility = WallMobility(0.5, 1.0, Plane([0.0, 0.0, 1.0], -1.0))
-    run = space_run(tmp_path, mobility)
-    wall = navigation_problem(NavigateSettings(**IN_SPACE), run).task.keep_out[-1]
-    np.testing.assert_allclose(wall.distance(jnp.array([3.0, 2.0, 1.0])), 1.5)
 
 
 @pytest.mark.parametrize(
@@ -331,8 +231,8 @@ def test_a_fit_in_space_is_navigated_from_plan_to_report(tmp_path):
     folder = RunFolder.create(
         tmp_path / "there", {"run": {"command": "navigate"}}, overwrite=True
     )
-    way = Way((0.0, 0.0, 0.0), (2.0, 1.0, 1.0), time_limit=8.0, noise=0.02)
-    result = navigate(space_run(tmp_path), way, seeds=2)
+    way = navigation.Way((0.0, 0.0, 0.0), (2.0, 1.0, 1.0), time_limit=8.0, noise=0.02)
+    result = navigation.navigate(space_run(tmp_path), way, seeds=2)
     assert result.controllers["learned"].success.value == 1.0
     keep(NAVIGATE, folder, result)
     drawn = [save_pictures(s, folder.path) for s in sections_of(NAVIGATE, folder)]
@@ -342,6 +242,8 @@ def test_a_fit_in_space_is_navigated_from_plan_to_report(tmp_path):
 
 def test_a_way_has_the_dimension_of_the_fit(tmp_path):
     with pytest.raises(InputError, match="Way: expected places of 3 coordinates, got"):
-        navigate(space_run(tmp_path), Way((0.0, 0.0), (1.0, 1.0)))
+        navigation.navigate(space_run(tmp_path), navigation.Way((0.0, 0.0), (1.0, 1.0)))
     with pytest.raises(InputError, match="Way: expected start and goal with as many"):
-        navigate(space_run(tmp_path), Way((0.0, 0.0, 0.0), (1.0, 1.0)))
+        navigation.navigate(
+            space_run(tmp_path), navigation.Way((0.0, 0.0, 0.0), (1.0, 1.0))
+        )

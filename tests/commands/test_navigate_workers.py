@@ -1,6 +1,5 @@
 """`pinav navigate --workers`: the same loops as cells, and what is done stays done."""
 
-import dataclasses
 import json
 import shutil
 
@@ -10,62 +9,22 @@ import numpy as np
 import pytest
 from tests.sweeps.here import here
 
-from pinav import cli
 from pinav.commands import NAVIGATE, sweep
 from pinav.commands.navigate import NavigateOptions, NavigateSettings, cells
 from pinav.commands.navigate.cells import navigation_problem, sweep_loops
 from pinav.commands.settings import WorkerSettings
 from pinav.commands.sweep import start_sweep
 from pinav.learning.learned import Learned
-from pinav.navigation import Episodes, Flight, SwimmerFlights
+from pinav.navigation import Episodes
 from pinav.navigation.comparison import try_model
 from pinav.navigation.problem import PHYSICS
-from pinav.runs import RunFolder
 from pinav.sweeps import CellStore
-
-
-def navigate(*words):
-    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        return cli.run(["navigate", *map(str, words)])
 
 
 @pytest.fixture
 def workers_here(monkeypatch):
     """Workers are this process, which has the programs compiled."""
     monkeypatch.setattr(sweep, "local_cluster", lambda count: here())
-
-
-RECORD = Flight(
-    path=np.array([[0.0, 1.0], [2.0, 3.0]]),
-    reached=True,
-    violated=False,
-    arrival_time=np.inf,
-    clearance=0.5,
-    consistency=1.1,
-    changed=3,
-    stalls=1,
-    learn_times=np.array([0.1, 0.2]),
-    command_times=np.array([0.2, 0.3]),
-    replan_times=np.zeros(0),
-    memory=1000,
-    force_error=0.2,
-    cover=0.9,
-)
-
-
-def test_flights_of_a_swimmer_survive_a_file(tmp_path):
-    flights = SwimmerFlights(
-        {"oracle": RECORD, "visit 1": dataclasses.replace(RECORD, reached=False)}
-    )
-    RunFolder(tmp_path).store("flights", flights)
-    again = RunFolder(tmp_path).load("flights", SwimmerFlights)
-    assert list(again.flights) == ["oracle", "visit 1"]
-    for name, record in flights.flights.items():
-        for field in dataclasses.fields(Flight):
-            stored = getattr(again.flights[name], field.name)
-            expected = getattr(record, field.name)
-            assert type(stored) is type(expected)
-            np.testing.assert_array_equal(stored, expected)
 
 
 def test_runs_are_selected_with_all_that_is_theirs():
@@ -120,19 +79,17 @@ def test_loops_of_cells_are_those_of_the_command(
 
 
 @pytest.mark.slow
-def test_a_killed_flight_is_flown_again_and_no_other(tmp_path, workers_here, capsys):
+def test_a_killed_flight_is_flown_again_and_no_other(tmp_path, workers_here, printed):
     out = tmp_path / "out"
-    words = ["--learn-online", "vortex", "--seeds", "2", "--visits", "1"]
+    words = ["navigate", "--learn-online", "vortex", "--seeds", "2", "--visits", "1"]
     words += ["--json", "--out", out]
-    assert navigate(*words) == 0
-    first = json.loads(capsys.readouterr().out)["controllers"]
+    first = json.loads(printed(*words))["controllers"]
     (out / "metrics.json").unlink()
     store = CellStore.of_run(out)
     stays, goes = sorted(store.path.glob("*/outcome.json"))
     before = stays.stat().st_mtime_ns
     shutil.rmtree(goes.parent)
-    assert navigate(*words, "--resume") == 0
-    second = json.loads(capsys.readouterr().out)["controllers"]
+    second = json.loads(printed(*words, "--resume"))["controllers"]
     for name in first:
         for part in ("arrival", "success", "force_error", "cover", "consistency"):
             assert first[name][part] == second[name][part]

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from tests.fitted_runs import standard_promotion
 
 from pinav import cli
@@ -32,10 +33,6 @@ def robot():
     )
 
 
-def read_evaluation(folder):
-    return json.loads((folder / "evaluation.json").read_text())["value"]
-
-
 @pytest.mark.slow
 def test_a_recording_goes_through_all_commands_on_the_same_runs(tmp_path, capsys):
     file, response, force = (str(tmp_path / n) for n in ("robot.csv", "I", "F"))
@@ -55,14 +52,13 @@ def test_a_recording_goes_through_all_commands_on_the_same_runs(tmp_path, capsys
     system = read_system(tmp_path / "I" / "system.toml")
     assert system.wandering is not None
     for name in ("I", "F"):
-        metrics = read_evaluation(tmp_path / name)
+        file = tmp_path / name / "evaluation.json"
+        metrics = json.loads(file.read_text())["value"]
         assert "whiteness" not in metrics
         assert metrics["coverage"]["observations of the data"]["visited"] > 0.8
     run = Learned.open(tmp_path / "I")
     assert run.posterior is not None
-    np.testing.assert_allclose(
-        run.model.propulsion.gain, system.swimmer.propulsion.gain
-    )
+    assert_allclose(run.model.propulsion.gain, system.swimmer.propulsion.gain)
 
 
 @pytest.mark.slow

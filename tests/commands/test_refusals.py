@@ -5,16 +5,15 @@ import shutil
 import subprocess
 import sys
 
-import jax
 import numpy as np
 import pytest
 
-from pinav import cli
 from pinav.errors import InputError
 from pinav.fitting.environments.summary import DataSummary
 from pinav.forces import KernelPotential
 from pinav.learning import plan
 from pinav.learning.plan import choose_system
+from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
 
 
@@ -66,6 +65,24 @@ def test_a_model_of_another_run_is_not_taken_for_ones_own(command, fitted_run, r
     refused((command, run), message)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "analyse {0}",
+        "discover {0}",
+        "explore {0}",
+        "evaluate {0} data.csv",
+        "export {0} --to napari --out a.csv",
+        "navigate {0} --from 1,1 --to 2,2 --out out",
+    ],
+)
+def test_a_run_that_was_not_fitted_is_refused(words, tmp_path, monkeypatch, refused):
+    (tmp_path / "data.csv").write_text("t,x,y\n0,0,0\n1,1,1\n")
+    RunFolder.create(tmp_path / "run", {"run": {"command": "heat"}}, overwrite=False)
+    monkeypatch.chdir(tmp_path)
+    refused(words.format("run").split(), "holds no fitted")
+
+
 def test_data_of_an_unknown_scenario_are_fitted_with_the_system_that_is_given():
     """Otherwise the whole fit runs before the name is refused."""
     data = Trajectories.from_arrays(
@@ -80,11 +97,8 @@ def test_data_of_an_unknown_scenario_are_fitted_with_the_system_that_is_given():
 
 
 @pytest.mark.slow
-def test_a_langevin_run_is_evaluated_on_its_own_data(fitted_run, capsys):
+def test_a_langevin_run_is_evaluated_on_its_own_data(fitted_run, printed):
     """Otherwise rollouts of a stochastic truth ask the user for a key of JAX."""
-    run, data = fitted_run("langevin")
-    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        assert cli.run(["evaluate", str(run), str(data)]) == 0
-    out = capsys.readouterr().out
+    out = printed("evaluate", *fitted_run("langevin"))
     assert "RMSE, training error" in out
     assert "do not trust it there" in out  # bands far from data rest on the prior

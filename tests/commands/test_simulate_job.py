@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from tests.fitted_runs import trap_system
 
 from pinav import cli
 from pinav.commands.simulate import job
 from pinav.scenarios import source_system
+from pinav.systems import Units, system_text
 from pinav.trajectories import load
 
 
@@ -30,51 +32,24 @@ def test_options_count_degrade_and_are_noted(tmp_path):
     assert steps == ["FrameLoss", "Unobserved"]
 
 
-def test_more_trajectories_begin_with_the_same(tmp_path):
-    one, three = (simulated(tmp_path, "--count", n) for n in ("1", "3"))
-    np.testing.assert_allclose(three.states[0], one.states[0], atol=1e-9)
-
-
 def test_positions_are_all_of_a_first_order_scenario(tmp_path):
     data = simulated(tmp_path, "--count", "1", "--positions-only", name="brownian")
     assert data.channels == ("x", "y")
     assert data.observed.all()
 
 
-MINE = """
-dimension = 1
-order = 1
-mobility = 0.5
-[units]
-length = "um"
-time = "s"
-[truth]
-kind = "harmonic-trap"
-stiffness = 4.0
-center = [0.0]
-[observation]
-noise = 0.01
-[starts]
-kind = "uniform-starts"
-lower = [-1.0]
-upper = [1.0]
-[times]
-last = 1.0
-samples = 11
-"""
-
-
 def test_a_system_of_ones_own_is_simulated_from_its_file(tmp_path, refused):
     system, out = tmp_path / "mine.toml", tmp_path / "data.csv"
-    system.write_text(MINE)
+    text = system_text(trap_system(1, base_units=Units("um", "s")))
+    system.write_text(text)
     argv = ["simulate", str(system), "--out", str(out), "--count", "3", "--seed", "4"]
     assert cli.run(argv) == 0
     data = load(out)
     assert (len(data), data.channels) == (3, ("x",))
     assert data.units == {"x": "um", "t": "s"}
     assert source_system(data.provenance).dim == 1
-    system.write_text(MINE.replace("mobility = 0.5", "mobility = -0.5"))
-    message = "mine.toml: mobility: expected > 0, got -0.5"
+    system.write_text(text.replace("value = 0.5", "value = -0.5"))
+    message = "mine.toml: mobility: IsotropicTensor.value: expected > 0, got -0.5"
     refused([*argv[:3], tmp_path / "other.csv"], message)
 
 

@@ -2,6 +2,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from tests.sweeps.here import here
 
 from pinav import cli
@@ -31,22 +32,17 @@ def clean():
     return clean_data("barrier-crossings", 3, 2)
 
 
-def test_more_noise_is_the_same_noise_and_no_noise_is_none(clean):
+def test_more_noise_is_the_same_noise_on_the_starts_of_simulate(clean, tmp_path):
     quiet, loud = (with_noise(clean, sigma, 3).states for sigma in (0.01, 0.05))
-    np.testing.assert_allclose(
-        (loud - clean.states) / 5, quiet - clean.states, atol=1e-14
-    )
+    assert_allclose((loud - clean.states) / 5, quiet - clean.states, atol=1e-14)
     assert np.std(loud - clean.states) == pytest.approx(0.05, rel=0.1)
     assert with_noise(clean, 0.0, 3) is clean
     one = with_noise(clean.select([0]), 0.05, 3).states[0]
-    np.testing.assert_array_equal(one, loud[0])
-
-
-def test_starts_are_those_of_simulate(clean, tmp_path):
+    assert_array_equal(one, loud[0])
     path = tmp_path / "data.npz"
     argv = ["simulate", "barrier-crossings", "--seed", "3", "--noise", "0"]
     assert cli.run([*argv, "--count", "1", "--out", str(path)]) == 0
-    np.testing.assert_allclose(load(path).states[0], clean.states[0], atol=1e-9)
+    assert_allclose(load(path).states[0], clean.states[0], atol=1e-9)
 
 
 def test_a_study_has_a_cell_for_every_model_seed_and_size():
@@ -89,18 +85,6 @@ def test_a_study_ends_in_a_table_and_a_figure(noise_study, capsys):
 
 
 @pytest.mark.slow
-def test_a_resumed_study_does_nothing_again(noise_study, capsys):
-    out, argv = noise_study
-    before = (out / "metrics.json").read_bytes()
-    (out / "metrics.json").unlink()
-    times = {path: path.stat().st_mtime_ns for path in out.glob("cells/*/*")}
-    assert len(times) == 4 * 3
-    assert cli.run([*argv, "--resume"]) == 0
-    assert (out / "metrics.json").read_bytes() == before
-    assert {path: path.stat().st_mtime_ns for path in times} == times
-
-
-@pytest.mark.slow
 def test_workers_make_the_same_table_as_one_does(noise_study, tmp_path, capsys):
     out, argv = noise_study
     words = [str(tmp_path) if word == str(out) else word for word in argv]
@@ -135,29 +119,6 @@ def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
         fit_model("kernel-potential", broken, clean, seed=0, max_steps=2)
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["noise", "nowhere"], "scenario 'nowhere' is unknown"),
-        (["noise", "brownian"], "system 'brownian' is stochastic"),
-        (["data-efficiency", "paper"], "has one fixed start"),
-        (["noise", "--sigmas", "-1"], "--sigmas: expected 0 or more, got -1.0"),
-        (["noise", "--count", "0"], "--count: expected 1 or more, got 0"),
-        (["noise", "--seeds", "1", "1"], "--seeds: 1 is given twice; drop one"),
-        (["noise", "--models"], "--models: expected at least one"),
-        (["growth"], "invalid choice 'growth'"),
-        (["noise", "--workers", "0"], "--workers: expected 1 or more, got 0"),
-        (
-            ["noise", "--workers", "here"],
-            "--workers: expected a number, or the address",
-        ),
-        (["noise", "--cell-timeout", "0"], "--cell-timeout: expected > 0"),
-    ],
-)
-def test_mistakes_get_one_line_and_no_folder(words, message, tmp_path, refused):
-    refused(["study", *words, "--out", tmp_path / "run"], message)
-
-
 def test_no_noise_stands_left_of_all_noise():
     points = [(0.0, 0.01), (0.01, 0.02), (0.1, 0.3)]
     figure = scaling_figure(
@@ -169,5 +130,5 @@ def test_no_noise_stands_left_of_all_noise():
     assert 0 < places[0] < places[1] < places[2]
     assert left.get_xscale() == left.get_yscale() == "log"
     line = left.get_lines()[0]
-    np.testing.assert_allclose(line.get_ydata(), [1.0, 2.0, 30.0])
+    assert_allclose(line.get_ydata(), [1.0, 2.0, 30.0])
     assert any("none" in str(each.get_label()) for each in left.get_lines())

@@ -5,37 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinav import forces
 from pinav.dynamics import RK4, Adaptive, FixedStep, OverdampedSwimmer, Swimmer, rollout
 from pinav.errors import InputError
-from pinav.forces import (
-    AbstractForce,
-    ConstantDirector,
-    GaussianBarrier,
-    HarmonicTrap,
-    LinearDrag,
-    ShearFlow,
-    UniaxialTensor,
-    ZeroForce,
-    tensor_matrix,
-)
 
 TS = jnp.linspace(0.0, 2.0, 21)
 Y0 = jnp.array([-1.5, 0.3])
 
 
-class ConstantPush(AbstractForce):
-    """The same force along x everywhere."""
-
-    size: float
-
-    def __call__(self, t, x, v):
-        return self.size * jnp.eye(1, x.shape[0], dtype=x.dtype)[0]
-
-
 def crossing(scale=1.0):
     """Forces that grow with `scale` while the mobility shrinks."""
-    barrier = GaussianBarrier(scale * 0.8, [0.0, 0.0], 0.8)
-    return ConstantPush(scale * 1.0), barrier
+    barrier = forces.GaussianBarrier(scale * 0.8, [0.0, 0.0], 0.8)
+    return forces.ConstantForce([scale, 0.0]), barrier
 
 
 @pytest.fixture(scope="module")
@@ -45,18 +26,18 @@ def solve():
 
 def test_the_flow_carries_and_the_mobility_moves_along_the_sum_of_all_forces():
     push, barrier = crossing()
-    trap, flow = HarmonicTrap(0.4, [0.5, 1.0]), ShearFlow(0.3, 1.0)
-    mobility = UniaxialTensor(0.2, 0.5, ConstantDirector(0.4))
+    trap, flow = forces.HarmonicTrap(0.4, [0.5, 1.0]), forces.ShearFlow(0.3, 1.0)
+    mobility = forces.UniaxialTensor(0.2, 0.5, forces.ConstantDirector(0.4))
     swimmer = OverdampedSwimmer(push, barrier, mobility, flow, trap)
     total = sum(force(0.0, Y0, jnp.zeros(2)) for force in (push, barrier, trap))
-    expected = flow(0.0, Y0) + tensor_matrix(mobility, Y0) @ total
+    expected = flow(0.0, Y0) + forces.tensor_matrix(mobility, Y0) @ total
     np.testing.assert_allclose(swimmer(0.0, Y0), expected, rtol=1e-13)
 
 
 def test_drag_among_the_forces_is_without_effect():
     push, barrier = crossing()
     plain = OverdampedSwimmer(push, barrier, 1.0)
-    with_drag = OverdampedSwimmer(push, barrier + LinearDrag(5.0), 1.0)
+    with_drag = OverdampedSwimmer(push, barrier + forces.LinearDrag(5.0), 1.0)
     np.testing.assert_array_equal(plain(0.0, Y0), with_drag(0.0, Y0))
 
 
@@ -68,7 +49,7 @@ def test_it_is_the_limit_of_strong_drag(solve):
 
     def error(eta):
         push, barrier = crossing(eta)
-        second = Swimmer(push, LinearDrag(eta), barrier)
+        second = Swimmer(push, forces.LinearDrag(eta), barrier)
         ys = solve(second, start, TS, solver=FixedStep(substeps=25)).ys
         return np.abs(np.asarray(ys)[:, :2] - limit).max()
 
@@ -88,12 +69,9 @@ def test_rk4_is_of_fourth_order_on_first_order_dynamics(solve):
     assert 3.8 < np.log2(error(4) / error(8)) < 4.2
 
 
-def test_a_mobility_is_positive():
+def test_a_mobility_is_positive_and_a_leaf_that_can_be_replaced():
     with pytest.raises(InputError, match=r"IsotropicTensor.value: expected > 0, got 0"):
-        OverdampedSwimmer(ZeroForce(), ZeroForce(), 0.0)
-
-
-def test_mobility_is_a_leaf_that_can_be_replaced():
+        OverdampedSwimmer(forces.ZeroForce(), forces.ZeroForce(), 0.0)
     swimmer = OverdampedSwimmer(*crossing(), mobility=1.0)
     double = eqx.tree_at(lambda s: s.mobility.value, swimmer, 2.0)
     np.testing.assert_allclose(double(0.0, Y0), 2.0 * swimmer(0.0, Y0))

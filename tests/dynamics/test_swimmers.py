@@ -81,9 +81,8 @@ def test_failure_is_an_outcome_or_raises(solve, solver, outcome):
 
 def test_outcome_is_one_per_swimmer_under_vmap():
     def end(y0):
-        return rollout(
-            exploding(), y0, jnp.arange(30.0), solver=FixedStep(), throw=False
-        ).outcome
+        ts = jnp.arange(30.0)
+        return rollout(exploding(), y0, ts, solver=FixedStep(), throw=False).outcome
 
     outcomes = jax.jit(jax.vmap(end))(jnp.stack([Y0, jnp.zeros(4)]))
     assert outcomes.tolist() == [Outcome.DIVERGED, Outcome.SUCCESS]

@@ -40,16 +40,13 @@ def test_a_new_score_is_covered_as_often_as_the_finite_sample_law_says(
     assert abs(covered - draws * law) < 4 * np.sqrt(draws * law * (1 - law))
 
 
-def test_the_radius_is_an_order_statistic_in_spite_of_rounding():
+def test_the_radius_is_an_order_statistic_and_grows_with_confidence():
     for count in range(1, 400):
         scores = np.arange(1.0, count + 1)
         for percent in (1, 5, 10, 30, 50):
             rank = -(-(count + 1) * (100 - percent) // 100)
             expected = rank if rank <= count else np.inf
             assert calibrate(scores, percent / 100).radius == expected
-
-
-def test_the_radius_grows_with_confidence_and_with_the_scores():
     scores = np.random.default_rng(1).exponential(size=50)
     levels = (0.5, 0.3, 0.1, 0.05, 0.01)
     radii = [calibrate(scores, level).radius for level in levels]

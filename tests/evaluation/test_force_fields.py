@@ -30,7 +30,7 @@ def field(force, distance):
     return FieldMap(np.zeros(2), np.zeros(1), np.array([force]), np.array([distance]))
 
 
-def test_regions_of_dimensionless_data_are_fixed_and_others_scale_with_the_extent():
+def test_regions_scale_with_the_extent_and_say_what_they_are():
     fixed = default_regions(line({"x": "1", "y": "1"}))
     assert (fixed.visited, fixed.near) == (0.35, 1.0)
     for units in ({"x": "um"}, {}):
@@ -41,9 +41,6 @@ def test_regions_of_dimensionless_data_are_fixed_and_others_scale_with_the_exten
     scaled = default_regions(small)
     assert (scaled.visited, scaled.near) == pytest.approx((0.007, 0.02))
     assert square(line({"x": "um"})) == pytest.approx((-2.0, 30.0, -12.5, 19.5))
-
-
-def test_regions_say_what_they_are():
     text = Regions(2.0, 5.0).definition("um")
     assert "within 2 um of an observed position" in text
     assert "within 5 um, visited places included" in text
@@ -52,9 +49,6 @@ def test_regions_say_what_they_are():
     still = Trajectories.from_arrays([0.0, 1.0], np.ones((2, 2)), channels=("x", "y"))
     with pytest.raises(InputError, match="positions are the same, so there is no ext"):
         default_regions(still)
-
-
-def test_near_and_unvisited_share_the_grid_between_them():
     masks = Regions().masks(np.array([0.0, 0.35, 0.9, 1.0, 1.1]))
     np.testing.assert_array_equal(masks["unvisited"], ~masks["near"])
     assert masks["visited"].tolist() == [True, True, False, False, False]
@@ -73,9 +67,6 @@ def test_error_and_cosine_are_those_of_the_plane():
     assert by_region["unvisited"].error == pytest.approx(0.0)
     assert by_region["everywhere"].cosine == pytest.approx(16 / 25)
     assert force_errors(turned, true).keys() == {"visited", "near", "everywhere"}
-
-
-def test_an_empty_region_and_a_zero_field_have_no_cosine():
     true = field([[3.0, 0.0], [0.0, 4.0]], [0.0, 0.1])
     empty = force_agreement(true, true)["unvisited"]
     assert (empty.points, np.isnan(empty.error), np.isnan(empty.cosine)) == (0, 1, 1)

@@ -4,14 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinav import evaluation
 from pinav.dynamics import OverdampedSwimmer
-from pinav.evaluation import (
-    estimate_starts,
-    estimated_start_bands,
-    exact_start_bands,
-    rollout_coverage,
-    without_first,
-)
 from pinav.evaluation.coverage import wandering_variance
 from pinav.fitting import Posterior, ravel_model
 from pinav.forces import HarmonicTrap, ZeroForce
@@ -97,19 +91,21 @@ def test_bands_cover_a_wandering_swimmer_as_often_as_nominal():
     data = recording(states + NOISE * random.normal(size=states.shape), times)
     free, theta = ravel_model(model(), lambda m: m.environment.stiffness)
     posterior = Posterior(free, np.asarray(theta), np.array([[1e-6]]))
-    starts = estimate_starts(model(), data)
-    scored = without_first(data, starts.count)
+    starts = evaluation.estimate_starts(model(), data)
+    scored = evaluation.without_first(data, starts.count)
     every = {"all": np.ones(scored.times.shape, bool)}
 
     def coverage(wandering):
-        bands = estimated_start_bands(
+        bands = evaluation.estimated_start_bands(
             posterior, data, starts, NOISE, wandering=wandering
         )
-        return rollout_coverage(bands, scored, NOISE, every)["all"]
+        return evaluation.rollout_coverage(bands, scored, NOISE, every)["all"]
 
     assert coverage(WANDERING) == pytest.approx(0.95, abs=0.03)
     assert coverage(None) < 0.3
     exact = recording(states, times)
-    bands = exact_start_bands(posterior, exact, wandering=WANDERING)
-    inside = rollout_coverage(bands, without_first(exact, 1), 0.0, every)["all"]
+    bands = evaluation.exact_start_bands(posterior, exact, wandering=WANDERING)
+    inside = evaluation.rollout_coverage(
+        bands, evaluation.without_first(exact, 1), 0.0, every
+    )["all"]
     assert inside == pytest.approx(0.95, abs=0.03)

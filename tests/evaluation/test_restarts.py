@@ -36,6 +36,4 @@ def test_errors_of_a_model_without_the_drift_are_the_drift(duration):
     np.testing.assert_allclose(errors.errors, 0.5 * errors.lengths, rtol=1e-6)
     assert errors.rollouts == (3 if duration == 35.0 else 60)
 
-
-def test_a_short_film_has_none():
     assert restart_errors(still(), film(8.0)) is None

@@ -18,17 +18,13 @@ def half_observed():
     )
 
 
-def test_only_what_was_observed_is_scored():
+def test_only_what_was_observed_is_scored_and_divergence_is_infinite():
     data = half_observed()
     predictions = data.states + np.array([0.3, 0.4, 9.0, 9.0])
     result = score(predictions, (Outcome.SUCCESS,), data)
     np.testing.assert_allclose(result.rmse, [0.3, 0.4, np.nan, np.nan], rtol=1e-12)
     assert result.total == pytest.approx(np.sqrt((0.3**2 + 0.4**2) / 2))
     assert result.position == result.total
-
-
-def test_a_diverged_rollout_scores_infinity():
-    data = half_observed()
     predictions = np.where(np.arange(4)[:, None] < 2, data.states, np.nan)
     result = score(predictions, (Outcome.DIVERGED,), data)
     assert result.rmse[0] == np.inf

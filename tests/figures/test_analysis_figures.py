@@ -84,14 +84,11 @@ def test_maps_have_equal_axes_and_units(draw, count, label):
     assert bars(figure)[0] == label
 
 
-def test_fractions_stand_in_the_titles():
+def test_titles_tell_fractions_and_the_most_influential_trajectories():
     titles = [ax.get_title(loc="left") for ax in maps(parts())]
     split = helmholtz_split(field())
     assert titles[0] == f"(a) gradient: {split.gradient_fraction:.1%} ± 1.0%"
     assert titles[1] == f"(b) rotational: {split.rotational_fraction:.1%} ± 1.0%"
-
-
-def test_the_most_influential_trajectories_come_first():
     titles = [ax.get_title(loc="left") for ax in maps(influence())]
     assert titles == ["without trajectory 1", "without trajectory 2"]
 
@@ -132,17 +129,11 @@ def test_bars_have_intervals_and_leave_out_what_does_not_vary():
     ]
 
 
-def test_energy_units():
+def test_the_unit_of_a_force_is_that_of_the_dynamics():
     assert force_unit(UNITS, lengths=2) == "um² s⁻²"
     assert force_unit({}, lengths=2) == "1"
-
-
-def test_a_force_of_first_order_is_a_velocity():
     assert force_unit(with_order(UNITS, 1)) == "um s⁻¹"
     assert force_unit(with_order(UNITS, 2)) == "um s⁻²"
-
-
-def test_a_unit_that_is_not_stated_is_not_drawn():
     assert force_unit({"x": "?", "t": "?"}) == "?"
     assert with_unit("$|F|$", "?") == "$|F|$"
     units = {"x": "um", "t": "s"}

@@ -9,17 +9,14 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from numpy.testing import assert_allclose
 
 from pinav import figures
 from pinav.evaluation import NEAR, VISITED, Decomposition, FieldMap, Regions
 from pinav.evaluation.scores import Whiteness
 from pinav.figures.errors import residual_autocorrelation
 from pinav.figures.maps import ERROR, FORCE
-from pinav.figures.palette import (
-    BLACK,
-    BLUE,
-    VERMILLION,
-)
+from pinav.figures.palette import BLACK, BLUE, VERMILLION
 from pinav.figures.style import add_legend, pale
 
 UNITS = {"x": "um", "y": "um", "t": "s", "vx": "um/s", "vy": "um/s"}
@@ -152,8 +149,8 @@ def test_trajectory_marks_start_end_and_barrier():
     path = states()[:, :2]
     ax = figures.trajectory(path, {}, barrier=([1.0, 2.0], 0.5))
     assert [text.get_text() for text in ax.texts] == ["start", "end"]
-    np.testing.assert_allclose(ax.texts[0].xy, path[0])
-    np.testing.assert_allclose(ax.texts[1].xy, path[-1])
+    assert_allclose(ax.texts[0].xy, path[0])
+    assert_allclose(ax.texts[1].xy, path[-1])
     (circle,) = ax.patches
     assert tuple(circle.get_center()) == (1.0, 2.0)
     assert circle.get_radius() == 0.5
@@ -168,16 +165,11 @@ def test_models_have_one_look_everywhere():
     assert line_labelled(ax, "trained UDE").get_color() == BLUE
     untrained = line_labelled(ax, "untrained UDE")
     assert (untrained.get_color(), untrained.get_linestyle()) == (VERMILLION, "--")
-
-
-def test_velocity_tells_components_apart_by_lightness():
     ax = speed_panel()
     for model, color in (("truth", BLACK), ("trained UDE", BLUE)):
         assert line_labelled(ax, f"$v_x$ {model}").get_color() == color
         assert line_labelled(ax, f"$v_y$ {model}").get_color() == pale(color)
-    np.testing.assert_allclose(
-        line_labelled(ax, "$v_y$ truth").get_ydata(), states()[:, 3]
-    )
+    assert_allclose(line_labelled(ax, "$v_y$ truth").get_ydata(), states()[:, 3])
     assert sum(pale(BLUE)) > sum(to_rgb(BLUE))
 
 
@@ -210,20 +202,17 @@ def test_model_that_never_was_finite_leaves_the_truth():
     assert np.isfinite(ax.get_xlim()).all()
 
 
-def test_loss_is_logarithmic_with_the_phase_change_at_its_step():
+def test_loss_is_logarithmic_with_a_line_for_each_seed():
     ax = loss_panel()
     assert ax.get_yscale() == "log"
     markers = [line.get_xdata()[0] for line in ax.get_lines()[1:]]
     assert markers == [75]
     (top,) = ax.child_axes
     assert [tick.get_text() for tick in top.get_xticklabels()] == ["Adam", "L-BFGS"]
-    np.testing.assert_allclose(top.get_xticks(), [37.5, 87.5])
-
-
-def test_loss_of_several_seeds_is_one_bold_line_and_thin_ones():
+    assert_allclose(top.get_xticks(), [37.5, 87.5])
     ax = figures.loss_curve(losses(4), PHASES)
     bold, *thin = ax.get_lines()[:4]
-    np.testing.assert_allclose(bold.get_ydata(), losses(4)[0])
+    assert_allclose(bold.get_ydata(), losses(4)[0])
     assert all(line.get_linewidth() < bold.get_linewidth() for line in thin)
     assert legend_texts(ax) == ["first seed", "3 more"]
 
@@ -238,7 +227,7 @@ def test_loss_leaves_a_gap_where_it_is_no_positive_number(gap):
     ax.figure.draw_without_rendering()
 
 
-def test_force_map_marks_visited_ground_and_shades_the_unvisited():
+def test_force_map_marks_visited_ground_and_scales_by_what_is_near():
     ax = force_map(field(), path=np.zeros((2, 2)))
     furthest = field().distance.max()
     assert levels_of(ax) == [[NEAR, furthest], [NEAR, furthest], [VISITED], [NEAR]]
@@ -246,17 +235,11 @@ def test_force_map_marks_visited_ground_and_shades_the_unvisited():
     assert "no data: extrapolation" in legend_texts(ax)
     bare = force_map(field(), shade=False)
     assert levels_of(bare) == [[VISITED], [NEAR]]
-
-
-def test_force_map_draws_the_regions_of_its_unit():
     regions = Regions(visited=0.2, near=0.9)
     shown = dataclasses.replace(field(), regions=regions)
     ax = force_map(shown, shade=False, units={"x": "um", "y": "um"})
     assert levels_of(ax) == [[0.2], [0.9]]
     assert "visited (within 0.2 µm)" in legend_texts(ax)
-
-
-def test_force_map_scales_by_what_is_near_the_data():
     spread = field()
     magnitude = np.linalg.norm(spread.force, axis=-1)
     near = magnitude[spread.distance <= NEAR].max()
@@ -279,7 +262,7 @@ def test_force_error_map_shows_the_size_of_the_difference():
     ax = error_map(field(1.5))
     values = ax.collections[0].get_array()
     expected = 0.5 * np.linalg.norm(field().force, axis=-1)
-    np.testing.assert_allclose(np.ravel(values), np.ravel(expected))
+    assert_allclose(np.ravel(values), np.ravel(expected))
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan])
@@ -295,16 +278,16 @@ def titles_of(figure):
     return [title for title in titles if title]
 
 
-@pytest.mark.parametrize(
-    ("name", "panels"),
-    [
-        ("force and deviation", ["(a) learned", "(b) standard deviation"]),
-        (
-            "all of the force",
-            ["(a) true", "(b) learned", "(c) error", "(d) standard deviation"],
-        ),
+SHOWN = {
+    "force_comparison": ["(a) true", "(b) learned", "(c) error"],
+    "force and deviation": ["(a) learned", "(b) standard deviation"],
+    "all of the force": [
+        *("(a) true", "(b) learned", "(c) error", "(d) standard deviation"),
     ],
-)
+}
+
+
+@pytest.mark.parametrize(("name", "panels"), SHOWN.items())
 def test_a_comparison_shows_what_is_known(name, panels):
     assert titles_of(FIGURES[name]()) == panels
 
@@ -322,9 +305,7 @@ def test_observed_paths_leave_gaps_and_mark_every_start():
 
 
 def test_comparison_shares_the_scale_of_the_true_force():
-    figure = FIGURES["force_comparison"]()
-    maps = [ax for ax in figure.axes if ax.get_title(loc="left")]
-    assert titles_of(figure) == ["(a) true", "(b) learned", "(c) error"]
+    maps = [ax for ax in FIGURES["force_comparison"]().axes if ax.get_title(loc="left")]
     true, learned, _ = (ax.collections[0].get_clim() for ax in maps)
     assert true == learned == (0.0, np.linalg.norm(field().force, axis=-1).max())
 
@@ -334,10 +315,8 @@ def test_decomposition_adds_up():
     total = line_labelled(ax, "sum").get_ydata()
     terms = ("propulsion", "environment, learned", "drag")
     parts = [line_labelled(ax, name).get_ydata() for name in terms]
-    np.testing.assert_allclose(total, sum(parts))
-    np.testing.assert_allclose(
-        line_labelled(ax, "environment, true").get_ydata(), 2.0 * parts[1]
-    )
+    assert_allclose(total, sum(parts))
+    assert_allclose(line_labelled(ax, "environment, true").get_ydata(), 2.0 * parts[1])
 
 
 def test_figure1_has_the_panels_of_the_paper():
@@ -367,22 +346,6 @@ def test_saved_figures_are_whole_and_the_same_every_time(tmp_path, name):
         f"{name}.png",
         f"{name}.svg",
     ]
-
-
-def test_failed_write_keeps_the_old_file_and_leaves_no_part(tmp_path, monkeypatch):
-    figure = Figure()
-    paths = figures.save_figure(figure, tmp_path, "f")
-    before = paths.png.read_bytes()
-
-    def fail(canvas, to, **_):
-        to.write(b"half")
-        raise OSError("disk full")
-
-    monkeypatch.setattr(FigureCanvasAgg, "print_png", fail)
-    with pytest.raises(OSError, match="disk full"):
-        figures.save_figure(figure, tmp_path, "f")
-    assert paths.png.read_bytes() == before
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["f.png", "f.svg"]
 
 
 def test_residuals_of_many_channels_are_all_drawn():

@@ -2,13 +2,7 @@
 
 import numpy as np
 
-from pinav.figures.identification import (
-    error_growth,
-    horizon_errors,
-    rollout_paths,
-    single_rollouts,
-    speed_law,
-)
+from pinav.figures import identification
 from pinav.identification import ErrorGrowth, Paths, SpeedLaw
 from pinav.identification.rollouts import ShownRollout
 
@@ -23,7 +17,7 @@ def test_rollouts_have_equal_axes_units_and_bands():
         ShownRollout(0.0, np.vstack([one[:-1], end]), one, np.ones(2))
         for end, one in parts
     ]
-    ax = rollout_paths(Paths((path,), tuple(rollouts)), units=UNITS)
+    ax = identification.rollout_paths(Paths((path,), tuple(rollouts)), units=UNITS)
     assert ax.get_aspect() == 1
     assert ax.get_xlabel() == "$x$ [µm]"
     (bands,) = ax.collections
@@ -37,7 +31,7 @@ def test_rollouts_one_by_one_share_a_scale_that_holds_them_all():
     sd = np.full(2, 3.0)
     rollouts = [ShownRollout(float(i), path, 1.5 * path, sd) for i in range(5)]
     titles = [f"from {i} s" for i in range(5)]
-    panels = single_rollouts(rollouts, units=UNITS).axes[:5]
+    panels = identification.single_rollouts(rollouts, units=UNITS).axes[:5]
     assert [ax.get_title(loc="left") for ax in panels] == titles
     assert len({ax.get_xlim() for ax in panels}) == 1
     low, high = panels[0].get_xlim()
@@ -55,7 +49,7 @@ def test_the_growth_of_errors_has_its_band_and_least_squares():
     errors = np.array([[0.1, 0.2, 0.3], [0.2, 0.4, 0.6], [0.4, 0.8, 1.2]])
     counts = np.array([9, 5, 3])
     growth = ErrorGrowth(lengths, errors, 2 * errors[1], errors[2], counts)
-    ax = error_growth(growth, units=UNITS)
+    ax = identification.error_growth(growth, units=UNITS)
     drawn = {line.get_label(): line for line in ax.lines}
     np.testing.assert_allclose(drawn["least squares"].get_ydata(), 2 * errors[1])
     np.testing.assert_allclose(drawn["band of the model, 90 %"].get_ydata(), errors[2])
@@ -65,17 +59,16 @@ def test_the_growth_of_errors_has_its_band_and_least_squares():
     np.testing.assert_allclose((low, high), (0.1, 1.2))
 
 
-def test_errors_by_horizon_draw_a_line_for_each_model():
-    ax = horizon_errors((1.0, 10.0), {"chosen": [0.1, 0.05], "other": [0.2, 0.3]})
+def test_bands_and_lines_of_each_model_are_drawn():
+    ax = identification.horizon_errors(
+        (1.0, 10.0), {"chosen": [0.1, 0.05], "other": [0.2, 0.3]}
+    )
     assert len(ax.lines) == 2
     assert ax.get_xlabel() == "rollout [s]"
     assert ax.get_yscale() == "log"
-
-
-def test_the_speed_law_has_its_band():
     places = np.linspace(0, 5, 9)
     law = SpeedLaw(places, 2 * places, places, 2 * places, np.full(9, 0.5))
-    ax = speed_law(law)
+    ax = identification.speed_law(law)
     assert ax.get_ylabel() == "speed along the command [µm/s]"
     (band,) = ax.collections
     low, high = band.get_datalim(ax.transData).intervaly

@@ -51,19 +51,13 @@ def table(name):
     return dict(re.findall(r'(\w+): "(#\w+)"', body))
 
 
-def test_the_page_has_the_colours_of_the_figures():
+def test_the_pages_have_the_colours_of_the_figures():
     assert table("MEANING") == palette.MEANINGS
     assert table("HEATING") == palette.HEATING
-
-
-def test_the_page_of_a_robot_has_the_colours_of_the_figures():
     text = (ROOT / "live" / "page.html").read_text()
     colours = set(re.findall(r'"(#[0-9A-Fa-f]{6})', text[text.index("<script") :]))
     assert colours
     assert colours <= set(palette.MEANINGS.values())
-
-
-def test_meanings_have_colours_of_their_own():
     colours = list(palette.MEANINGS.values())
     assert len(set(colours)) == len(colours)
 

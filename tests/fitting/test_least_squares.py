@@ -43,9 +43,13 @@ def line(num_weights=0):
     return Line(jnp.asarray(0.0), jnp.asarray(0.0), jnp.zeros(num_weights))
 
 
+def both(model):
+    return model.offset, model.slope
+
+
 def test_flat_constants_are_those_of_least_squares():
     data = problem()
-    fit = fit_regression(line(), data, constants=lambda m: (m.offset, m.slope))
+    fit = fit_regression(line(), data, constants=both)
     design = np.stack([np.ones(60), np.asarray(data.x)], axis=1)
     best, squares, *_ = np.linalg.lstsq(design, np.asarray(data.y))
     variance = float(squares[0]) / (60 - 2)
@@ -66,7 +70,7 @@ def test_weights_with_a_prior_are_those_of_ridge_regression():
         data,
         weights=lambda m: m.weights,
         prior=IsotropicPrior(4),
-        constants=lambda m: (m.offset, m.slope),
+        constants=both,
         noise=0.1,
     )
     amplitude = fit.hyperparameters.amplitude
@@ -83,44 +87,36 @@ def test_weights_with_a_prior_are_those_of_ridge_regression():
     assert own == pytest.approx(covariance, rel=1e-5, abs=1e-12)
 
 
-class Decay(eqx.Module):
-    """One rate."""
-
-    rate: jax.Array
+TIMES = jnp.linspace(0.0, 3.0, 40)
 
 
-class DecayResiduals(eqx.Module):
-    """Of exp(-rate t)."""
+def of_decay(rate):
+    """Residuals of exp(-rate t) where the rate is 1.3."""
+    return jnp.exp(-rate * TIMES) - jnp.exp(-1.3 * TIMES)
 
-    t: jax.Array
-    y: jax.Array
 
-    def __call__(self, model):
-        return jnp.exp(-model.rate * self.t) - self.y
+AFAR = jnp.asarray(0.1)
 
 
 def test_a_nonlinear_constant_is_found_from_afar():
-    t = jnp.linspace(0.0, 3.0, 40)
-    data = DecayResiduals(t, jnp.exp(-1.3 * t))
-    fit = fit_regression(Decay(jnp.asarray(0.1)), data, constants=lambda m: m.rate)
-    assert fit.constants["rate"].value == pytest.approx(1.3, rel=1e-6)
+    fit = fit_regression(AFAR, of_decay, constants=lambda rate: rate)
+    (rate,) = fit.constants.values()
+    assert rate.value == pytest.approx(1.3, rel=1e-6)
 
 
 def test_honest_failures_and_mistakes():
     data = problem()
+
+    def fit(x, y, constants=both):
+        return fit_regression(line(), LineResiduals(x, y), constants=constants)
+
     with pytest.raises(InputError, match="nothing to learn"):
         fit_regression(line(), data)
-    few = LineResiduals(data.x[:2], data.y[:2])
     with pytest.raises(InputError, match="expected more than 2 residuals.*got 2"):
-        fit_regression(line(), few, constants=lambda m: (m.offset, m.slope))
-    bad = LineResiduals(data.x, data.y.at[3].set(jnp.nan))
+        fit(data.x[:2], data.y[:2])
     with pytest.raises(FitError, match="diverged"):
-        fit_regression(line(), bad, constants=lambda m: m.offset)
-    blind = LineResiduals(jnp.zeros(9), data.y[:9])
+        fit(data.x, data.y.at[3].set(jnp.nan), lambda m: m.offset)
     with pytest.raises(FitError, match="do not determine the learned constants"):
-        fit_regression(line(), blind, constants=lambda m: (m.offset, m.slope))
-    t = jnp.linspace(0.0, 3.0, 40)
-    slow = DecayResiduals(t, jnp.exp(-1.3 * t))
-    start = Decay(jnp.asarray(0.1))
+        fit(jnp.zeros(9), data.y[:9])
     with pytest.raises(FitError, match="stalled after 1 steps"):
-        fit_regression(start, slow, constants=lambda m: m.rate, max_iterations=1)
+        fit_regression(AFAR, of_decay, constants=lambda rate: rate, max_iterations=1)

@@ -18,18 +18,14 @@ def test_a_traced_outcome_becomes_itself_again():
 
 
 @pytest.mark.parametrize(
-    ("outcome", "independent", "confirmed"),
+    ("outcome", "own", "independent", "confirmed"),
     [
-        (Outcome.CONVERGED, 2e-4, Outcome.CONVERGED),
-        (Outcome.CONVERGED, 0.02, Outcome.STALLED),
-        (Outcome.CONVERGED, float("nan"), Outcome.STALLED),
-        (Outcome.MISFIT, 0.02, Outcome.MISFIT),
+        (Outcome.CONVERGED, 1e-6, 2e-4, Outcome.CONVERGED),
+        (Outcome.CONVERGED, 1e-6, 0.02, Outcome.STALLED),
+        (Outcome.CONVERGED, 1e-6, float("nan"), Outcome.STALLED),
+        (Outcome.MISFIT, 1e-6, 0.02, Outcome.MISFIT),
+        (Outcome.CONVERGED, 0.02, 0.021, Outcome.CONVERGED),  # the noise of residuals
     ],
 )
-def test_only_a_second_solver_confirms_a_fit(outcome, independent, confirmed):
-    assert confirm(outcome, 1e-6, independent, spread=4.0) is confirmed
-
-
-def test_residuals_of_noise_are_confirmed_at_the_level_of_the_noise():
-    ended = confirm(Outcome.CONVERGED, 0.02, 0.021, spread=4.0)
-    assert ended is Outcome.CONVERGED
+def test_only_a_second_solver_confirms_a_fit(outcome, own, independent, confirmed):
+    assert confirm(outcome, own, independent, spread=4.0) is confirmed

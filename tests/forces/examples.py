@@ -9,9 +9,9 @@ import numpy as np
 
 from pinav import forces
 from pinav.actuation import LinearProgramme, RotatingField, SaturatingResponse
-from pinav.analysis.discovery.laws import LawForce
-from pinav.analysis.discovery.potentials import GAUSSIAN
+from pinav.analysis.discovery.candidates import GAUSSIAN
 from pinav.forces import GaussianBarrier, KernelPotential, LinearDrag
+from pinav.forces.laws import LawForce
 from pinav.navigation.task.steering import HeldThrust
 
 KEY = jax.random.key(0)
@@ -100,7 +100,6 @@ TERMS: dict[str, Callable[[], Any]] = {
         WEIGHTS, CENTERS[0], jnp.array([0.2, -0.1]), PLACES, WIDTH
     ),
     "wall": lambda: forces.WallTerm(WEIGHTS, 0.6, CENTERS[0], PLACES, WIDTH),
-    "segment": lambda: forces.SegmentTerm(WEIGHTS, CENTERS[:2], PLACES, WIDTH),
     "obstacles": lambda: forces.ObstaclesTerm(WEIGHTS, CENTERS, PLACES, WIDTH),
     "lattice": lambda: forces.LatticeTerm(
         jnp.linspace(-0.3, 0.5, 12), jnp.array([[1.0, 0.1], [0.2, 0.9]]), X
@@ -118,10 +117,10 @@ FORCES: dict[str, Callable[[], Any]] = {
         f"{name} drag": lambda make=make: forces.TensorDrag(make())
         for name, make in TENSORS.items()
     },
-    "ridge": lambda: forces.GaussianRidge(
+    "ridge": lambda: forces.gaussian_ridge(
         2.0, MIDDLE, length=3.0, width=0.8, angle=0.6
     ),
-    "swirl": lambda: forces.GaussianSwirl(2.0, MIDDLE, width=1.5),
+    "swirl": lambda: forces.gaussian_swirl(2.0, MIDDLE, width=1.5),
     "random barriers": lambda: forces.random_barriers(
         forces.Domain((3.0, 3.0), (7.0, 7.0)),
         3,
@@ -148,11 +147,11 @@ FORCES: dict[str, Callable[[], Any]] = {
     ),
     "barrier": barrier,
     "trap": lambda: forces.HarmonicTrap(0.7, MIDDLE),
-    "power hill": lambda: forces.PowerHill(2.0, MIDDLE, 1.5, 0.5),
-    "compact hill": lambda: forces.CompactHill(2.0, MIDDLE, 4.0),
-    "ring": lambda: forces.RingBarrier(2.0, MIDDLE, 1.5, 0.8),
-    "Yukawa": lambda: forces.ProfileBarrier("Yukawa", 2.0, MIDDLE, (1.5, 0.8)),
-    "soft wall": lambda: forces.SoftWall(2.0, 0.6, 5.0, 1.2),
+    "power hill": lambda: forces.power_hill(2.0, MIDDLE, 1.5, 0.5),
+    "compact hill": lambda: forces.compact_hill(2.0, MIDDLE, 4.0),
+    "ring": lambda: forces.ring_barrier(2.0, MIDDLE, 1.5, 0.8),
+    "Yukawa": lambda: forces.profile_barrier("Yukawa", 2.0, MIDDLE, (1.5, 0.8)),
+    "soft wall": lambda: forces.soft_wall(2.0, 0.6, 5.0, 1.2),
     "plane waves": lambda: forces.PlaneWaves(
         [0.5, 0.3], jnp.array([[1.0, 0.2], [-0.3, 0.8]]), [0.1, 0.7]
     ),

@@ -3,18 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.forces import (
-    AbstractForce,
-    CentralTerm,
-    CompactHill,
-    GaussianBarrier,
-    PlaneWaves,
-    PowerHill,
-    RingBarrier,
-    SoftWall,
-    SumForce,
-    WallTerm,
-)
+from pinav import forces
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.formulas import NEAR_GAUSSIAN, falling
 from pinav.forces.structures import ROUNDING
@@ -31,56 +20,61 @@ def form(tail):
 def central(law, height=HEIGHT, rounding=1e-4):
     """A term whose distances are rounded within a length."""
     width = rounding / ROUNDING
-    return CentralTerm(jnp.array([height]), CENTER, NO_PLACES, width, law=law)
+    return forces.CentralTerm(jnp.array([height]), CENTER, NO_PLACES, width, law=law)
 
 
 def wall(law, angle=0.7):
-    return WallTerm(jnp.array([HEIGHT]), angle, jnp.zeros(2), NO_PLACES, 0.5, law=law)
+    return forces.WallTerm(
+        jnp.array([HEIGHT]), angle, jnp.zeros(2), NO_PLACES, 0.5, law=law
+    )
 
 
 def steps():
-    middle, half, width = 5.0, 3.0, 0.8
-    return SumForce(
-        (
-            SoftWall(HEIGHT, 0.7, middle + half, width),
-            SoftWall(HEIGHT, 0.7 + np.pi, half - middle, width),
-        )
+    """A channel of walls 3 from its middle at 5."""
+    far, near = (
+        forces.soft_wall(HEIGHT, 0.7 + angle, place, 0.8)
+        for angle, place in ((0.0, 8.0), (np.pi, -2.0))
     )
+    return forces.SumForce((far, near))
+
+
+def hill(tail, size=1.5):
+    return FittedLaw("hill", (np.log(size), form(tail)))
 
 
 def stripes():
     direction = np.array([[np.cos(0.7), np.sin(0.7)]])
-    return PlaneWaves([HEIGHT], direction / 0.7, [-0.5 / 0.7])
+    return forces.PlaneWaves([HEIGHT], direction / 0.7, [-0.5 / 0.7])
 
 
 SAME = {
     "Gaussian": (
-        central(FittedLaw("hill", (np.log(1.5), form(0.0)))),
-        GaussianBarrier(HEIGHT, CENTER, 1.5),
+        central(hill(0.0)),
+        forces.GaussianBarrier(HEIGHT, CENTER, 1.5),
     ),
     "plateau of steepness one": (
         central(FittedLaw("plateau", (np.log(1.5), 0.0))),
-        GaussianBarrier(HEIGHT, CENTER, 1.5),
+        forces.GaussianBarrier(HEIGHT, CENTER, 1.5),
     ),
     "Lorentzian": (
-        central(FittedLaw("hill", (np.log(1.5), form(1.0)))),
-        PowerHill(HEIGHT, CENTER, 1.5 * np.sqrt(2), 1.0),
+        central(hill(1.0)),
+        forces.power_hill(HEIGHT, CENTER, 1.5 * np.sqrt(2), 1.0),
     ),
     "screened": (
-        central(FittedLaw("hill", (np.log(1.5), form(2.0)))),
-        PowerHill(HEIGHT, CENTER, 1.5, 0.5),
+        central(hill(2.0)),
+        forces.power_hill(HEIGHT, CENTER, 1.5, 0.5),
     ),
     "compact": (
-        central(FittedLaw("hill", (np.log(1.5), form(-1 / 3)))),
-        CompactHill(HEIGHT, CENTER, 1.5 * np.sqrt(6)),
+        central(hill(-1 / 3)),
+        forces.compact_hill(HEIGHT, CENTER, 1.5 * np.sqrt(6)),
     ),
     "ring": (
         central(FittedLaw("ring", (3.0, np.log(0.8), form(0.0)))),
-        RingBarrier(HEIGHT, CENTER, 3.0, 0.8),
+        forces.ring_barrier(HEIGHT, CENTER, 3.0, 0.8),
     ),
     "step": (
         wall(FittedLaw("step", (6.0, np.log(0.9)))),
-        SoftWall(HEIGHT, 0.7, 6.0, 0.9),
+        forces.soft_wall(HEIGHT, 0.7, 6.0, 0.9),
     ),
     "channel": (wall(FittedLaw("channel", (5.0, 3.0, np.log(0.8)))), steps()),
     "wave": (wall(FittedLaw("wave", (0.5, np.log(0.7)))), stripes()),
@@ -89,7 +83,7 @@ SAME = {
 
 @pytest.mark.parametrize(("term", "truth"), SAME.values(), ids=list(SAME))
 def test_a_term_that_follows_a_law_alone_is_the_force_of_that_name(
-    term: AbstractForce, truth: AbstractForce
+    term: forces.AbstractForce, truth: forces.AbstractForce
 ):
     places = jnp.asarray(np.random.default_rng(1).uniform(-2.0, 12.0, (200, 2)))
     made = jax.vmap(lambda x: term(TIME, x, STILL))(places)
@@ -114,8 +108,7 @@ def test_a_hill_whose_distance_is_rounded_is_a_hill():
     place = CENTER + jnp.array([0.4, -0.3])
     for tail, size, rounding in ((0.2, 0.3, 0.5), (1.7, 3.0, 0.01), (3.0, 0.8, 0.2)):
         wider = 1 + 0.5 * tail * (rounding / size) ** 2
-        law = FittedLaw("hill", (jnp.log(size), form(tail)))
-        other = FittedLaw("hill", (jnp.log(size * np.sqrt(wider)), form(tail)))
+        law, other = hill(tail, size), hill(tail, size * np.sqrt(wider))
         made = central(law, rounding=rounding)(TIME, place, STILL)
         true = central(other, HEIGHT * wider ** (-1 / tail))(TIME, place, STILL)
         np.testing.assert_allclose(made, true, rtol=1e-4)
@@ -139,18 +132,19 @@ def test_a_plateau_falls_to_a_share_that_its_steepness_does_not_change():
 
 
 def test_kernels_beside_a_law_add_to_it():
-    law, places = FittedLaw("hill", (np.log(1.5), form(0.5))), jnp.arange(0.5, 4.0, 0.5)
-    weights = jnp.linspace(0.2, -0.1, len(places))
-    both = CentralTerm(
-        jnp.append(jnp.array([HEIGHT]), weights), CENTER, places, 0.5, law=law
-    )
-    kernels = CentralTerm(weights, CENTER, places, 0.5)
+    law, places = hill(0.5), jnp.arange(0.5, 4.0, 0.5)
+    weights, x = jnp.linspace(0.2, -0.1, len(places)), jnp.array([5.1, 4.2])
+    all_weights = jnp.append(jnp.array([HEIGHT]), weights)
+    both = forces.CentralTerm(all_weights, CENTER, places, 0.5, law=law)
+    kernels = forces.CentralTerm(weights, CENTER, places, 0.5)
     alone = central(law, rounding=0.5 * ROUNDING)
-    x = jnp.array([5.1, 4.2])
-    for part in ("__call__", "potential"):
-        at = (TIME, x, STILL)[: 3 if part == "__call__" else 2]
-        parts = [getattr(one, part)(*at) for one in (alone, kernels)]
-        np.testing.assert_allclose(getattr(both, part)(*at), sum(parts), rtol=1e-12)
+    force, potential = (
+        (lambda term: term(TIME, x, STILL)),
+        (lambda term: term.potential(TIME, x)),
+    )
+    for part in (force, potential):
+        parts = part(alone) + part(kernels)
+        np.testing.assert_allclose(part(both), parts, rtol=1e-12)
 
 
 def test_the_numbers_of_a_law_are_part_of_the_geometry():
@@ -162,37 +156,25 @@ def test_the_numbers_of_a_law_are_part_of_the_geometry():
 
 
 def test_places_of_a_wall_are_told_from_the_origin_of_space():
-    origin = jnp.array([3.0, 1.0])
-    term = WallTerm(
-        jnp.ones(1),
-        0.0,
-        origin,
-        NO_PLACES,
-        0.5,
-        law=FittedLaw("step", (2.0, jnp.asarray(0.0))),
+    one = jnp.asarray(0.0)
+    step = FittedLaw("step", (2.0, one))
+    term = forces.WallTerm(
+        jnp.ones(1), 0.0, jnp.array([3.0, 1.0]), NO_PLACES, 0.5, law=step
     )
-    np.testing.assert_allclose(term.law.constants(term.offset)["place"], 5.0)
-    middle = FittedLaw("channel", (2.0, 1.0, jnp.asarray(0.0))).constants(term.offset)[
-        "middle"
-    ]
-    radius = FittedLaw("ring", (2.0, jnp.asarray(0.0), form(0.0))).constants(
-        term.offset
-    )["radius"]
-    np.testing.assert_allclose([middle, radius], 5.0)
-    assert central(FittedLaw("step", (2.0, jnp.asarray(0.0)))).offset == 0.0
+    for law, name in (
+        (step, "place"),
+        (FittedLaw("channel", (2.0, 1.0, one)), "middle"),
+        (FittedLaw("ring", (2.0, one, form(0.0))), "radius"),
+    ):
+        np.testing.assert_allclose(law.constants(term.offset)[name], 5.0)
+    assert central(step).offset == 0.0
 
 
 def test_the_prior_of_kernels_beside_a_law_keeps_them_the_smaller_part():
-    places = jnp.arange(0.5, 4.0, 0.5)
-    term = CentralTerm(
-        jnp.zeros(8),
-        CENTER,
-        places,
-        0.5,
-        law=FittedLaw("hill", (jnp.asarray(0.0), form(0.0))),
-    )
+    places, law = jnp.arange(0.5, 4.0, 0.5), hill(0.0, 1.0)
+    term = forces.CentralTerm(jnp.zeros(8), CENTER, places, 0.5, law=law)
     prior = term.prior()
     assert prior.covariance(prior.start).shape == (8, 8)
     most = prior.covariance(prior.bounds[:, 1])
     assert np.sqrt(most[1:, 1:].max()) < term.force_per_weight
-    assert central(term.law).prior().covariance(np.zeros(0)).shape == (1, 1)
+    assert central(law).prior().covariance(np.zeros(0)).shape == (1, 1)

@@ -53,40 +53,31 @@ def explicit_variance(kind, place):
 
 
 @pytest.mark.parametrize("kind", [KernelForce, KernelPotential, KernelStream])
-def test_far_from_all_kernels_it_is_that_of_the_prior(kind):
+def test_it_is_that_of_the_prior_far_from_all_kernels_and_nothing_among_the_data(kind):
     force = kind.with_zero_weights(CENTERS, WIDTH)
     variance = force.variance_beyond(SHAPE, FAR)
     expected = [explicit_variance(kind, place) for place in FAR]
     np.testing.assert_allclose(variance, expected, rtol=1e-3)
     assert variance.min() > 0
-
-
-@pytest.mark.parametrize("kind", [KernelForce, KernelPotential, KernelStream])
-def test_among_the_data_it_is_next_to_nothing(kind):
-    force = kind.with_zero_weights(CENTERS, WIDTH)
     there = force.variance_beyond(SHAPE, AROUND)
-    assert np.sqrt(there.max() / force.variance_beyond(SHAPE, FAR).max()) < 5e-3
+    assert np.sqrt(there.max() / variance.max()) < 5e-3
+
+
+MIXTURE = KernelMixture.with_zero_weights(CENTERS, WIDTH)
+TERM = CentralTerm(jnp.zeros(5), jnp.zeros(2), jnp.arange(0.5, 5.0), 1.0)
+BESIDE = StructuredForce((TERM,), MIXTURE.gradient)
+BESIDE_SHAPE = np.concatenate([TERM.prior().start, SHAPE, [-1.0]])
+BESIDE_RATIO = BESIDE.prior().unit * np.exp(-1.0)
 
 
 def test_parts_add_with_their_own_shapes_and_ratio():
-    gradient = KernelPotential.with_zero_weights(CENTERS, WIDTH)
-    rotation = KernelStream.with_zero_weights(CENTERS, WIDTH)
     other = SHAPE + np.array([0.4, 0.0, 0.0, 0.0])
-    shape = np.concatenate([SHAPE, other, [-0.5]])
-    both = KernelMixture(gradient, rotation).variance_beyond(shape, FAR)
-    expected = gradient.variance_beyond(SHAPE, FAR)
-    expected = expected + np.exp(-1.0) * rotation.variance_beyond(other, FAR)
-    np.testing.assert_allclose(both, expected)
-
-
-def test_of_a_structured_force_it_is_that_of_the_remainder():
-    free = KernelPotential.with_zero_weights(CENTERS, WIDTH)
-    term = CentralTerm(jnp.zeros(5), jnp.zeros(2), jnp.arange(0.5, 5.0), 1.0)
-    force = StructuredForce((term,), free)
-    shape = np.concatenate([term.prior().start, SHAPE, [-1.0]])
-    ratio = force.prior().unit * np.exp(-1.0)
-    expected = ratio**2 * free.variance_beyond(SHAPE, FAR)
-    np.testing.assert_allclose(force.variance_beyond(shape, FAR), expected)
+    both = MIXTURE.variance_beyond(np.concatenate([SHAPE, other, [-0.5]]), FAR)
+    expected = MIXTURE.gradient.variance_beyond(SHAPE, FAR)
+    rotation = MIXTURE.rotation.variance_beyond(other, FAR)
+    np.testing.assert_allclose(both, expected + np.exp(-1.0) * rotation)
+    beside = BESIDE.variance_beyond(BESIDE_SHAPE, FAR)
+    np.testing.assert_allclose(beside, BESIDE_RATIO**2 * expected)
 
 
 def test_kernels_on_no_grid_have_no_gaps():
@@ -95,6 +86,7 @@ def test_kernels_on_no_grid_have_no_gaps():
     assert KernelGaps.of(places[:1], 0.1) is None
     force = KernelForce.with_zero_weights(places, 0.1)
     assert not force.variance_beyond(SHAPE, FAR).any()
+    assert force.draw_beyond(SHAPE, 1.0, np.random.default_rng(0)) == []
 
 
 def test_filled_places_are_not_missing():
@@ -126,19 +118,19 @@ def test_missing_kernels_and_those_that_there_are_fill_the_box():
 
 
 def test_parts_are_drawn_with_their_own_amplitude():
-    mixture = KernelMixture.with_zero_weights(CENTERS, WIDTH)
     shape = np.concatenate([SHAPE, SHAPE, [-0.5]])
-    parts = mixture.draw_beyond(shape, 2.0, np.random.default_rng(1))
+    parts = MIXTURE.draw_beyond(shape, 2.0, np.random.default_rng(1))
     assert [type(part) for part in parts] == [KernelPotential, KernelStream]
     ratio = np.std(parts[1].weights) / np.std(parts[0].weights)
     assert ratio == pytest.approx(np.exp(-0.5), rel=0.5)
-    term = CentralTerm(jnp.zeros(5), jnp.zeros(2), jnp.arange(0.5, 5.0), 1.0)
-    force = StructuredForce((term,), mixture.gradient)
-    shape = np.concatenate([term.prior().start, SHAPE, [-1.0]])
-    (rest,) = force.draw_beyond(shape, 1.0, np.random.default_rng(1))
-    amplitude = force.prior().unit * np.exp(-1.0)
-    expected = mixture.gradient.draw_beyond(SHAPE, amplitude, np.random.default_rng(1))
-    np.testing.assert_array_equal(rest.weights, expected[0].weights)
+    (rest,), (same,) = (
+        force.draw_beyond(shape, amplitude, np.random.default_rng(1))
+        for force, shape, amplitude in (
+            (BESIDE, BESIDE_SHAPE, 1.0),
+            (MIXTURE.gradient, SHAPE, BESIDE_RATIO),
+        )
+    )
+    np.testing.assert_array_equal(rest.weights, same.weights)
 
 
 def test_more_missing_kernels_than_a_map_bears_are_not_drawn(monkeypatch):
@@ -149,9 +141,3 @@ def test_more_missing_kernels_than_a_map_bears_are_not_drawn(monkeypatch):
     assert len(force.draw_beyond(SHAPE, 1.0, generator)[0].centers) == count
     monkeypatch.setattr(kernels, "MOST_DRAWN", count - 1)
     assert force.draw_beyond(SHAPE, 1.0, generator) == []
-
-
-def test_kernels_on_no_grid_are_drawn_nowhere():
-    places = np.random.default_rng(0).uniform(size=(9, 2))
-    force = KernelForce.with_zero_weights(places, 0.1)
-    assert force.draw_beyond(SHAPE, 1.0, np.random.default_rng(0)) == []

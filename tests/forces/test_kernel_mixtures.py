@@ -6,41 +6,32 @@ import numpy as np
 import pytest
 import scipy.interpolate
 
+from pinav import forces
 from pinav.errors import InputError
-from pinav.forces import (
-    ChangingPotential,
-    GaussianSwirl,
-    KernelMixture,
-    KernelPotential,
-    KernelStream,
-    LayeredPotential,
-    TimedKernelPotential,
-    cubic_spline,
-)
 
 CENTERS = jnp.array([[4.0, 5.0], [5.0, 5.5], [4.5, 6.5]])
 WEIGHTS = jnp.array([0.3, -0.2, 0.5])
 X = jnp.array([4.2, 5.5])
-STREAM = KernelStream(WEIGHTS, CENTERS, 1.3)
-POTENTIAL = KernelPotential(WEIGHTS, CENTERS, 1.3)
+STREAM = forces.KernelStream(WEIGHTS, CENTERS, 1.3)
+POTENTIAL = forces.KernelPotential(WEIGHTS, CENTERS, 1.3)
 RNG = np.random.default_rng(0)
-MOVING = TimedKernelPotential(
+MOVING = forces.TimedKernelPotential(
     jnp.asarray(RNG.normal(size=(3, 7))), CENTERS, 1.3, 2.0, 6.0
 )
 
 
 def test_one_kernel_of_a_stream_is_a_swirl():
-    one = KernelStream(jnp.array([2.0]), CENTERS[:1], 1.3)
-    swirl = GaussianSwirl(2.0, CENTERS[0], 1.3)
+    one = forces.KernelStream(jnp.array([2.0]), CENTERS[:1], 1.3)
+    swirl = forces.gaussian_swirl(2.0, CENTERS[0], 1.3)
     np.testing.assert_allclose(one(0.0, X, X), swirl(0.0, X, X), rtol=1e-12)
 
 
-NARROW = KernelPotential(jnp.array([0.4]), jnp.array([[0.5, 0.3]]), 0.3)
+NARROW = forces.KernelPotential(jnp.array([0.4]), jnp.array([[0.5, 0.3]]), 0.3)
 WHOLES = {
-    "mixture": (KernelMixture(POTENTIAL, STREAM), (POTENTIAL, STREAM)),
-    "changing": (ChangingPotential(POTENTIAL, MOVING), (POTENTIAL, MOVING)),
-    "layered": (LayeredPotential((POTENTIAL, NARROW)), (POTENTIAL, NARROW)),
-    "one layer": (LayeredPotential((POTENTIAL,)), (POTENTIAL,)),
+    "mixture": (forces.KernelMixture(POTENTIAL, STREAM), (POTENTIAL, STREAM)),
+    "changing": (forces.ChangingPotential(POTENTIAL, MOVING), (POTENTIAL, MOVING)),
+    "layered": (forces.LayeredPotential((POTENTIAL, NARROW)), (POTENTIAL, NARROW)),
+    "one layer": (forces.LayeredPotential((POTENTIAL,)), (POTENTIAL,)),
 }
 
 
@@ -54,13 +45,13 @@ def test_a_force_of_parts_is_their_sum(whole, parts):
 
 
 def test_the_two_parts_of_a_mixture_have_weights_of_their_own():
-    shapes = [leaf.shape for leaf in KernelMixture(POTENTIAL, STREAM).parameters]
+    shapes = [leaf.shape for leaf in forces.KernelMixture(POTENTIAL, STREAM).parameters]
     assert shapes == [(3,), (3,)]
 
 
 @pytest.mark.parametrize("t", [0.0, 2.0, 3.3, 6.0, 9.0])
 def test_weights_that_do_not_change_make_a_static_potential(t):
-    constant = TimedKernelPotential(
+    constant = forces.TimedKernelPotential(
         jnp.repeat(WEIGHTS[:, None], 7, axis=1), CENTERS, 1.3, 2.0, 6.0
     )
     np.testing.assert_allclose(constant(t, X, X), POTENTIAL(t, X, X), rtol=1e-12)
@@ -73,20 +64,20 @@ def test_its_splines_are_those_of_scipy():
     values = jax.vmap(MOVING.splines)(jnp.asarray(times))
     np.testing.assert_allclose(values, expected, atol=1e-12)
     np.testing.assert_allclose(
-        cubic_spline(jnp.array([0.0, 1.0, 2.0])), [2 / 3, 1 / 6, 0.0], atol=1e-15
+        forces.cubic_spline(jnp.array([0.0, 1.0, 2.0])), [2 / 3, 1 / 6, 0.0], atol=1e-15
     )
 
 
 def test_wrong_shapes_are_refused():
     with pytest.raises(InputError, match="expected points in the plane"):
-        KernelStream(WEIGHTS, jnp.zeros((3, 3)), 1.0)
+        forces.KernelStream(WEIGHTS, jnp.zeros((3, 3)), 1.0)
     with pytest.raises(InputError, match="width: expected > 0, got 0.0"):
-        KernelStream(WEIGHTS, CENTERS, 0.0)
+        forces.KernelStream(WEIGHTS, CENTERS, 0.0)
     with pytest.raises(InputError, match=r"expected shape \(3, 4\)"):
-        TimedKernelPotential(jnp.zeros((3, 2)), CENTERS, 1.0, 0.0, 1.0)
+        forces.TimedKernelPotential(jnp.zeros((3, 2)), CENTERS, 1.0, 0.0, 1.0)
     with pytest.raises(InputError, match="expected last > first, got 0.0 and 1.0"):
-        TimedKernelPotential(jnp.zeros((3, 5)), CENTERS, 1.0, 1.0, 0.0)
-    line = KernelPotential(jnp.array([0.4]), jnp.array([[0.5]]), 0.3)
+        forces.TimedKernelPotential(jnp.zeros((3, 5)), CENTERS, 1.0, 1.0, 0.0)
+    line = forces.KernelPotential(jnp.array([0.4]), jnp.array([[0.5]]), 0.3)
     for layers in ((), (POTENTIAL, line)):
         with pytest.raises(InputError, match="expected one or more, of one dimension"):
-            LayeredPotential(layers)
+            forces.LayeredPotential(layers)

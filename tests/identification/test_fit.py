@@ -64,8 +64,6 @@ def test_constants_come_back_within_their_intervals(fit, synthetic):
         "corner": synthetic.corner,
         "delay": synthetic.delay,
         "heading offset": 0.0,
-    }
-    truth |= {
         "drift x": synthetic.drift[0],
         "drift y": synthetic.drift[1],
         "gain x/y": 1.0,
@@ -177,33 +175,26 @@ def test_intervals_of_the_response_are_those_of_the_posterior(track):
 def test_evidence_does_not_depend_on_the_place_or_on_padding(track, fit):
     theta = jnp.asarray(fitted_coordinates(fit))
     design = Design.of(RUNG, Blocks.of(track))
-    moved = moved_by(design, 1e3)
+    far = eqx.tree_at(lambda d: d.still.positions, design, replace_fn=lambda x: x + 1e3)
     value, moved_value = (
         evidence_and_coefficients(theta, one.regressors(theta))[0]
-        for one in (design, moved)
+        for one in (design, far)
     )
     np.testing.assert_allclose(value, moved_value, rtol=1e-8)
 
 
-def moved_by(design, distance):
-    return eqx.tree_at(
-        lambda d: d.still.positions, design, design.still.positions + distance
-    )
+def simple(synthetic, frequency, heading, path, times):
+    """The track of a robot that goes along a path, seen with an error."""
+    error = 0.05 * np.random.default_rng(0).normal(size=path.shape)
+    commands = {"frequency": frequency, "heading": heading}
+    return tracks(synthetic.as_recording((times, path + error, commands)))[0]
 
 
 def test_constant_turning_confounds_delay_and_offset(synthetic):
     times, _, _ = synthetic.robot()
-    heading = 0.4 * times
-    frequency = np.full_like(times, 2.0)
     angle = 0.4 * (times - synthetic.delay)
-    random = np.random.default_rng(0)
-    states = 20.0 * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
-    states = states + 0.05 * random.normal(size=states.shape)
-    track = tracks(
-        synthetic.as_recording(
-            (times, states, {"frequency": frequency, "heading": heading})
-        )
-    )[0]
+    path = 20.0 * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    track = simple(synthetic, np.full_like(times, 2.0), 0.4 * times, path, times)
     found = delay_findings(track, gain_matrix(), fit_track(track, gain_matrix()))
     assert found.confounded
     assert found.turning_rate == pytest.approx(0.4, rel=1e-6)
@@ -225,34 +216,23 @@ def test_a_split_keeps_all_samples_and_their_order(track):
     train, held_out = split(track, 0.7)
     first, last = track.span
     assert train.span[1] < first + 0.7 * (last - first) <= held_out.span[0]
-    assert len(train.pieces[0].times) + len(held_out.pieces[0].times) == len(
-        track.pieces[0].times
-    )
+    counts = [len(part.pieces[0].times) for part in (train, held_out, track)]
+    assert counts[0] + counts[1] == counts[2]
     assert train.width == held_out.width == track.width
-
-
-@pytest.mark.parametrize("fraction", [0.0, 1.0, -1.0])
-def test_split_refuses_a_fraction(track, fraction):
-    with pytest.raises(InputError, match="split fraction: expected between 0 and 1"):
-        split(track, fraction)
-
-
-def test_a_part_that_is_too_short_is_refused(track):
+    assert before(track, track.span[1] - 0.1).duration > 80
+    for fraction in (0.0, 1.0, -1.0):
+        with pytest.raises(InputError, match="split fraction: expected between 0 and"):
+            split(track, fraction)
     with pytest.raises(InputError, match="expected 8 samples or more on both"):
         after(track, track.span[1] - 0.1)
-    assert before(track, track.span[1] - 0.1).duration > 80
 
 
-def test_tracks_want_positions_alone(paper_trajectories):
+def test_tracks_want_samples_of_positions_alone(synthetic, paper_trajectories):
+    few = synthetic.as_recording(synthetic.robot(duration=0.5))
+    with pytest.raises(InputError, match="expected a trajectory of 8 samples"):
+        tracks(few)
     with pytest.raises(InputError, match="recording: expected the channels x and y"):
         tracks(paper_trajectories)
-
-
-def test_tracks_want_samples(synthetic):
-    times, states, commands = synthetic.robot(duration=1.0)
-    few = (times[:5], states[:5], {k: v[:5] for k, v in commands.items()})
-    with pytest.raises(InputError, match="expected a trajectory of 8 samples"):
-        tracks(synthetic.as_recording(few))
 
 
 def test_blocks_are_means_of_their_samples(track):
@@ -266,33 +246,24 @@ def test_blocks_are_means_of_their_samples(track):
 
 def faster(part, factor):
     """The part of a track, driven at a multiple of its frequency."""
-    pieces = tuple(
-        eqx.tree_at(
-            lambda p: p.commands["frequency"],
-            piece,
-            factor * piece.commands["frequency"],
-        )
-        for piece in part.pieces
+    return eqx.tree_at(
+        lambda t: [piece.commands["frequency"] for piece in t.pieces],
+        part,
+        replace_fn=lambda frequency: factor * frequency,
     )
-    return eqx.tree_at(lambda t: t.pieces, part, pieces)
 
 
 def test_frequencies_that_did_not_train_are_told(track):
     assert extrapolation(track, track) == ""
     assert extrapolation(track, faster(track, 0.5)) == ""
-    highest = max(piece.commands["frequency"].max() for piece in track.pieces)
+    most = max(piece.commands["frequency"].max() for piece in track.pieces)
     told = extrapolation(track, faster(track, 3.0))
-    assert (
-        f"up to {3 * highest:.3g} Hz, the training part at up to {highest:.3g}" in told
-    )
-
-
-def test_a_track_whose_commands_ask_for_nothing_is_not_commanded(track):
+    assert f"up to {3 * most:.3g} Hz, the training part at up to {most:.3g}" in told
     assert track.commanded
-    assert not faster(track, 0.0).commanded
+    assert not faster(track, 0.0).commanded, "commands that ask for nothing"
 
 
-def seconds(counts, sizes):
+def seconds(sizes):
     """What the sizes cost: compilations, and padded samples and blocks."""
     work = sum(PER_SAMPLE * samples + PER_BLOCK * blocks for samples, blocks in sizes)
     return COMPILATION * len(set(sizes)) + work
@@ -300,17 +271,14 @@ def seconds(counts, sizes):
 
 def test_tracks_of_like_length_share_a_size_that_encloses_them():
     rng = np.random.default_rng(0)
-    short = [(int(n), int(n) // 9) for n in rng.integers(300, 700, 40)]
-    long = [(int(n), int(n) // 9) for n in rng.integers(5000, 6000, 12)]
-    counts = [*short, *long]
+    lengths = [*rng.integers(300, 700, 40), *rng.integers(5000, 6000, 12)]
+    counts = [(int(n), int(n) // 9) for n in lengths]
     sizes = shared_sizes(counts)
     assert len(set(sizes)) == 2
-    for (samples, blocks), size in zip(counts, sizes, strict=True):
-        assert size[0] >= samples
-        assert size[1] >= blocks
+    assert np.all(np.array(sizes) >= counts)
     one = [max(sizes)] * len(counts)
     own = [shared_sizes([count])[0] for count in counts]
-    assert seconds(counts, sizes) < min(seconds(counts, one), seconds(counts, own))
+    assert seconds(sizes) < min(seconds(one), seconds(own))
     assert shared_sizes(counts[::-1]) == sizes[::-1]
 
 
@@ -320,12 +288,9 @@ def test_a_heading_that_never_changes_leaves_the_other_gain_at_zero(synthetic):
     times, _, _ = synthetic.robot(duration=30.0)
     constant = np.full_like(times, -1.5708)  # not quite along y, as a table says it
     frequency = np.where(times % 6 < 4, 2.0, 0.0)
-    path = np.concatenate([[0.0], np.cumsum(3.0 * frequency[:-1] * np.diff(times))])
-    random = np.random.default_rng(0)
-    states = np.stack([np.zeros_like(path), -path], axis=1)
-    states = states + 0.05 * random.normal(size=states.shape)
-    commands = {"frequency": frequency, "heading": constant}
-    track = tracks(synthetic.as_recording((times, states, commands)))[0]
+    way = np.concatenate([[0.0], np.cumsum(3.0 * frequency[:-1] * np.diff(times))])
+    path = np.stack([np.zeros_like(way), -way], axis=1)
+    track = simple(synthetic, frequency, constant, path, times)
     fit = fit_track(track, gain_matrix())
     gain = fit.model.propulsion.gain
     np.testing.assert_allclose(gain[:, 1], [0.0, 3.0], atol=0.05)
@@ -335,17 +300,16 @@ def test_a_heading_that_never_changes_leaves_the_other_gain_at_zero(synthetic):
 
 
 def test_particles_that_overlap_in_time_are_pooled_one_after_the_other():
-    random = np.random.default_rng(3)
+    random, times = np.random.default_rng(3), 0.1 * np.arange(200)
     steps = 0.1 * random.normal(size=(2, 200, 2)) + np.array([0.02, -0.01])
-    times = 0.1 * np.arange(200)
-    fits = []
-    for begins in ((0.0, 5.0), (0.0, 40.0)):
-        clocks = [begin + times for begin in begins]
-        paths = list(np.cumsum(steps, axis=1))
+    paths, fits = list(np.cumsum(steps, axis=1)), []
+    for begins in (5.0, 40.0):
+        clocks = [times, begins + times]
         pooled = Trajectories.from_arrays(clocks, paths, channels=("x", "y"))
-        track = one_track(pooled, "all")
         overlapping = eqx.tree_at(
-            lambda t: [piece.times for piece in t.pieces], track, clocks
+            lambda t: [piece.times for piece in t.pieces],
+            one_track(pooled, "all"),
+            clocks,
         )
         assert np.all(np.diff(Blocks.of(overlapping).times) > 0)
         fits.append(fit_track(overlapping, drift_only()))

@@ -6,33 +6,22 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from pinav.identification.kalman import (
-    Disturbance,
-    innovations,
-    transitions,
-)
+from pinav.identification.kalman import Disturbance, innovations, transitions
 from pinav.systems import WanderingVelocity
 
 TIMES = jnp.array([0.0, 0.4, 1.0, 1.1, 2.5, 3.0, 4.2])
 FIRST = jnp.array([1.0, 0, 0, 0, 0, 0, 0])
 
 
-def disturbance(**changes):
-    values = {
-        "still": 0.4,
-        "driven": 0.9,
-        "memory": 1.3,
-        "slow": 0.3,
-        "slow_memory": 9.0,
-        "gain_wander": 0.0,
-        "gain_memory": 20.0,
-        "noise": 0.2,
-    }
-    numbers = {k: jnp.asarray(v) for k, v in (values | changes).items()}
-    noise = {
-        name: numbers.pop(name) for name in ("gain_wander", "gain_memory", "noise")
-    }
-    return Disturbance(WanderingVelocity(**numbers), **noise)
+def disturbance(gain_wander=0.0, **changes):
+    wandering = {"still": 0.4, "driven": 0.9, "memory": 1.3}
+    wandering |= {"slow": 0.3, "slow_memory": 9.0} | changes
+    return Disturbance(
+        WanderingVelocity(**jax.tree.map(jnp.asarray, wandering)),
+        gain_wander=jnp.asarray(gain_wander),
+        gain_memory=jnp.asarray(20.0),
+        noise=jnp.asarray(0.2),
+    )
 
 
 def steps_of(known, strength, times=TIMES, cycles=None):
@@ -51,34 +40,33 @@ def integrated_covariance(times, memory):
 
 def test_likelihood_is_that_of_the_dense_covariance():
     known = disturbance()
-    steps = steps_of(known, 0.7)
-    values = jnp.array([0.3, 0.1, 0.7, 0.4, 1.2, 0.2, -0.5])
+    values = np.array([0.3, 0.1, 0.7, 0.4, 1.2, 0.2, -0.5])
     found = innovations(
-        values[:, None].astype(complex), jnp.ones(len(TIMES)), FIRST, steps, known.noise
+        jnp.asarray(values[:, None] + 0j),
+        jnp.ones(7),
+        FIRST,
+        steps_of(known, 0.7),
+        known.noise,
     )
-    times = np.asarray(TIMES)
-    covariance = 0.7**2 * integrated_covariance(times, 1.3)
-    covariance += 0.3**2 * integrated_covariance(times, 9.0)
-    # The start is unknown: differences to the first observation are what is known.
-    difference = np.concatenate([-np.ones((6, 1)), np.eye(6)], axis=1)
-    dense = difference @ (covariance + 0.2**2 * np.eye(7)) @ difference.T
-    expected = scipy.stats.multivariate_normal(cov=dense).logpdf(
-        np.asarray(values[1:] - values[0])
-    )
+    law = scipy.stats.multivariate_normal(cov=dense())
     assert not found.columns.imag.any()
     whiten, log_variance = found.columns[:, 0].real, found.log_variance
     value = -0.5 * (whiten @ whiten + log_variance.sum() + 6 * np.log(2 * np.pi))
-    np.testing.assert_allclose(value, expected, rtol=1e-9)
+    np.testing.assert_allclose(value, law.logpdf(DIFFERENCES @ values), rtol=1e-9)
 
 
-def dense_gain(known, turned):
-    """Covariance of positions, either part."""
+DIFFERENCES = np.concatenate([-np.ones((6, 1)), np.eye(6)], axis=1)
+"""To the first observation: the start is unknown, and these are what is known."""
+
+
+def dense(turned=0.0):
+    """Covariance of differences, either part, with a gain that may wander."""
     times = np.asarray(TIMES)
-    decays = np.exp(-abs(times[:, None] - times[None]) / 20.0)
-    along = 0.5 * np.tril(np.ones((7, 7)), -1) @ np.diag([*turned, 0.0])
-    quick = 0.7**2 * integrated_covariance(times, 1.3)
-    quick += 0.3**2 * integrated_covariance(times, 9.0) + 0.2**2 * np.eye(7)
-    return quick + along @ decays @ along.conj().T
+    decays = np.exp(-abs(times[:, None] - times) / 20.0)
+    along = 0.5 * np.tril(np.ones((7, 7)), -1) * np.append(turned * np.ones(6), 0.0)
+    whole = 0.7**2 * integrated_covariance(times, 1.3) + 0.2**2 * np.eye(7)
+    whole = whole + 0.3**2 * integrated_covariance(times, 9.0)
+    return DIFFERENCES @ (whole + along @ decays @ along.conj().T) @ DIFFERENCES.T
 
 
 def test_a_wandering_gain_is_that_of_the_dense_covariance():
@@ -88,13 +76,11 @@ def test_a_wandering_gain_is_that_of_the_dense_covariance():
     turned = jax.lax.complex(imaginary, 2 * real)[:6]
     steps = steps_of(known, 0.7, cycles=turned)
     found = innovations(values[:, None], jnp.ones(7), FIRST, steps, known.noise)
-    difference = np.concatenate([-np.ones((6, 1)), np.eye(6)], axis=1)
-    dense = difference @ dense_gain(known, turned) @ difference.T
-    moved = np.asarray(values[1:] - values[0])
-    squares = (moved.conj() @ np.linalg.solve(dense, moved)).real
+    covariance, moved = dense(np.asarray(turned)), DIFFERENCES @ np.asarray(values)
+    squares = (moved.conj() @ np.linalg.solve(covariance, moved)).real
     whitened = found.columns[:, 0]
     np.testing.assert_allclose(jnp.vdot(whitened, whitened).real, squares, rtol=1e-9)
-    volume = np.linalg.slogdet(dense)[1]
+    volume = np.linalg.slogdet(covariance)[1]
     np.testing.assert_allclose(found.log_variance.sum(), volume, rtol=1e-9)
 
 

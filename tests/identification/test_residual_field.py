@@ -4,17 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinav import identification
 from pinav.fitting import Estimate, KernelGrid, kernel_environment
 from pinav.forces import KernelForce
-from pinav.identification import (
-    Rollouts,
-    drift_only,
-    errors,
-    fit_residual,
-    fit_track,
-    least_squares,
-    tracks,
-)
 from pinav.identification.findings import interval, positive_interval
 from pinav.identification.residual_field import positions_of, residual_errors
 from pinav.trajectories import Trajectories
@@ -40,34 +32,35 @@ def vortex(duration=120.0):
 
 @pytest.fixture(scope="module")
 def passive():
-    return tracks(vortex(), pooled=True)[0]
+    return identification.tracks(vortex(), pooled=True)[0]
 
 
 @pytest.fixture(scope="module")
 def drifting(passive):
-    return fit_track(passive, drift_only())
+    return identification.fit_track(passive, identification.drift_only())
 
 
-@pytest.mark.slow
 def test_a_kernel_residual_finds_a_field_that_is_there(passive, drifting):
     grid = KernelGrid(across=5, margin=2.0)
     environment = kernel_environment(KernelForce, positions_of(passive), grid, dim=2)
-    found = fit_residual(passive, drift_only(), drifting, environment)
+    found = identification.fit_residual(
+        passive, identification.drift_only(), drifting, environment
+    )
     assert found.log_evidence > drifting.hyperparameters.log_evidence + 5
     place = jnp.array([6.0, 0.0])
     swimmer = found.swimmer
     velocity = swimmer.environment(0.0, place, jnp.zeros(2)) + swimmer.flow.velocity
     np.testing.assert_allclose(velocity, [-0.15, 1.5], atol=0.5)
-    rollouts = Rollouts.of(passive, 5.0)
-    plain = errors(passive, rollouts, lambda piece: 0 * piece.states)
+    rollouts = identification.Rollouts.of(passive, 5.0)
+    plain = identification.errors(passive, rollouts, lambda piece: 0 * piece.states)
     assert residual_errors(passive, rollouts, found).median < 0.6 * plain.median
 
 
 def test_least_squares_returns_gain_and_drift(recording, synthetic):
-    track = tracks(recording)[0]
-    found = least_squares(track)
-    rollouts = Rollouts.of(track, 10.0)
-    assert errors(track, rollouts, found.displacement()).relative < 0.2
+    track = identification.tracks(recording)[0]
+    found = identification.least_squares(track)
+    rollouts = identification.Rollouts.of(track, 10.0)
+    assert identification.errors(track, rollouts, found.displacement()).relative < 0.2
 
 
 def test_an_interval_has_95_percent():

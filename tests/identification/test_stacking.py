@@ -12,12 +12,7 @@ def straight(duration):
     """A robot that runs along x at 1 um/s, ten frames a second."""
     times = np.arange(0.0, duration, 0.1)
     states = np.stack([times, 0 * times], axis=1)
-    piece = Trajectory(
-        times=times,
-        states=states,
-        observed=np.ones_like(states, bool),
-        commands={},
-    )
+    piece = Trajectory(times, states, np.ones_like(states, bool), {})
     return Track("straight", (piece,), 0.5, (len(times), 2 * int(duration)))
 
 

@@ -7,40 +7,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.identification.conftest import as_recording
 
+from pinav import forces, systems
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.evaluation import predict
-from pinav.forces import (
-    AbstractCommandedForce,
-    ConstantForce,
-    ScheduledThrust,
-    UniformFlow,
-    ZeroFlow,
-    ZeroForce,
-)
 from pinav.identification import needs_kalman_filter, record_commands
 from pinav.identification.commanded_fit import fit_commanded
 from pinav.identification.drive import drive_of
 from pinav.identification.parameters import NOISE_PLACES, stated_noise
 from pinav.identification.tracks import Blocks, one_track
-from pinav.systems import (
-    FreeNumber,
-    LogNormal,
-    Normal,
-    Observation,
-    System,
-    WanderingVelocity,
-    read_system,
-)
-from pinav.trajectories import Trajectories, simulate
+from pinav.trajectories import simulate
 
 GALLERY = Path(__file__).parents[2] / "examples" / "systems"
 
 
 @pytest.fixture(scope="module")
 def roller():
-    return read_system(GALLERY / "roller.toml")
+    return systems.read_system(GALLERY / "roller.toml")
 
 
 @pytest.fixture(scope="module")
@@ -49,14 +34,10 @@ def driven(roller):
 
 
 def test_positions_alone_get_the_commands_of_the_programme(roller, driven):
-    bare = dataclasses.replace(driven, commands={})
-    recorded = record_commands(roller, bare)
-    times = np.asarray(roller.times)
+    recorded = record_commands(roller, dataclasses.replace(driven, commands={}))
     steps = np.array(roller.swimmer.propulsion.programme.frequency)
-    np.testing.assert_array_equal(
-        recorded.commands["frequency"][0],
-        steps[np.searchsorted([2.0, 4.0, 6.0], times, side="right")],
-    )
+    place = np.searchsorted([2.0, 4.0, 6.0], np.asarray(roller.times), side="right")
+    np.testing.assert_array_equal(recorded.commands["frequency"][0], steps[place])
     assert recorded.commands.keys() == driven.commands.keys()
     for name, values in driven.commands.items():
         np.testing.assert_array_equal(recorded.commands[name], values)
@@ -71,7 +52,7 @@ def test_recorded_commands_must_be_those_of_the_programme(roller, driven):
 
 
 def test_a_known_programme_alone_needs_no_filter(roller):
-    helical = read_system(GALLERY / "helical.toml")
+    helical = systems.read_system(GALLERY / "helical.toml")
     assert needs_kalman_filter(roller)  # it wanders
     assert not needs_kalman_filter(helical)
     unbound = dataclasses.replace(helical.swimmer.propulsion, programme=None)
@@ -79,7 +60,7 @@ def test_a_known_programme_alone_needs_no_filter(roller):
     assert needs_kalman_filter(dataclasses.replace(helical, swimmer=swimmer))
 
 
-class Sprint(AbstractCommandedForce):
+class Sprint(forces.AbstractCommandedForce):
     """A propulsion that identification has never heard of: a speed that levels off."""
 
     speed: float
@@ -101,49 +82,41 @@ class Sprint(AbstractCommandedForce):
         angle = commands["heading"]
         direction = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
         thrust = self.speed * jnp.tanh(commands["frequency"])[:, None] * direction
-        return ScheduledThrust(times, thrust, thrust, self.delay, 0.0)
+        return forces.ScheduledThrust(times, thrust, thrust, self.delay, 0.0)
 
 
 def sprinter(*learn, speed=4.0, delay=0.2):
     swimmer = OverdampedSwimmer(
-        Sprint(speed, delay), ZeroForce(), 0.5, UniformFlow([0.3, -0.2])
+        Sprint(speed, delay), forces.ZeroForce(), 0.5, forces.UniformFlow([0.3, -0.2])
     )
-    known = {"swimmer": swimmer, "dim": 2, "observation": Observation(0.02)}
-    return System(name="sprinter", learn=learn, **known)
+    return systems.System(
+        "sprinter", swimmer, 2, learn=learn, observation=systems.Observation(0.02)
+    )
 
 
 def observed(system, duration=40.0):
-    """Positions of a system under turning commands, and where it is between."""
+    """Positions of a system under turning commands, seen with an error."""
     times, random = np.arange(0, duration, 0.1), np.random.default_rng(5)
     commands = {
         "frequency": np.where(times % 8 < 5, 1.0, 0.4),
         "heading": np.cumsum(random.normal(0, 0.2, len(times))),
     }
-
-    def recording(path):
-        return Trajectories.from_arrays(
-            [times],
-            [path],
-            channels=("x", "y"),
-            commands={name: [values] for name, values in commands.items()},
-            units={"x": "um", "y": "um", "t": "s"},
-        )
-
-    still = np.zeros((len(times), 2))
-    states, _ = predict(system.swimmer, recording(still))
-    return recording(np.asarray(states[0]) + 0.02 * random.normal(size=still.shape))
+    still = as_recording((times, np.zeros((len(times), 2)), commands))
+    states, _ = predict(system.swimmer, still)
+    seen = np.asarray(states) + 0.02 * random.normal(size=still.states.shape)
+    return dataclasses.replace(still, states=seen)
 
 
 def test_any_propulsion_drives_a_path_as_it_drives_a_swimmer():
-    system = sprinter(FreeNumber("propulsion.delay", Normal(0.2, 0.1)))
+    system = sprinter(systems.FreeNumber("propulsion.delay", systems.Normal(0.2, 0.1)))
     data = observed(system)
     with jax.enable_x64(new_val=True):
-        blocks = Blocks.of(one_track(data, "sprinter"))
-        drive = drive_of(system)
-        path = drive.displacements(jnp.array([0.23]), jax.tree.map(jnp.asarray, blocks))
-        late = drive.displacements(jnp.array([0.24]), jax.tree.map(jnp.asarray, blocks))
-    swimmer = sprinter(delay=0.23).swimmer
-    swimmer = dataclasses.replace(swimmer, flow=ZeroFlow())
+        blocks = jax.tree.map(jnp.asarray, Blocks.of(one_track(data, "sprinter")))
+        path, late = (
+            drive_of(system).displacements(jnp.array([delay]), blocks)
+            for delay in (0.23, 0.24)
+        )
+    swimmer = dataclasses.replace(sprinter(delay=0.23).swimmer, flow=forces.ZeroFlow())
     (states,), _ = predict(swimmer, data)
     moved = np.asarray(states) - states[0]
     np.testing.assert_allclose(path[: len(moved)], moved, atol=1e-4)
@@ -153,32 +126,28 @@ def test_any_propulsion_drives_a_path_as_it_drives_a_swimmer():
 @pytest.mark.slow
 def test_any_propulsion_is_fitted_by_its_own_drive():
     learn = (
-        FreeNumber("propulsion.speed", LogNormal(3.0, 1.0)),
-        FreeNumber("propulsion.delay", Normal(0.2, 0.2)),
-        FreeNumber("flow.velocity"),
+        systems.FreeNumber("propulsion.speed", systems.LogNormal(3.0, 1.0)),
+        systems.FreeNumber("propulsion.delay", systems.Normal(0.2, 0.2)),
+        systems.FreeNumber("flow.velocity"),
     )
-    fit = fit_commanded(
-        sprinter(*learn, speed=3.0), observed(sprinter(speed=4.0, delay=0.25)), None
-    )
-    for path, truth in (("propulsion.speed", 4.0), ("propulsion.delay", 0.25)):
-        found = fit.constants[path]
+    data = observed(sprinter(speed=4.0, delay=0.25))
+    fit = fit_commanded(sprinter(*learn, speed=3.0), data, None)
+    speed, delay = (fit.constants[f"propulsion.{name}"] for name in ("speed", "delay"))
+    for found, truth in ((speed, 4.0), (delay, 0.25)):
         assert abs(found.value - truth) < 4 * found.sd
         assert found.sd < 0.1 * truth
     np.testing.assert_allclose(fit.model.flow.velocity, [0.3, -0.2], atol=0.1)
-    posterior = fit.posterior
-    np.testing.assert_allclose(
-        posterior.model.propulsion.speed, fit.constants["propulsion.speed"].value
-    )
+    np.testing.assert_allclose(fit.posterior.model.propulsion.speed, speed.value)
 
 
 @pytest.mark.parametrize("path", ["propulsion.speed", "propulsion.delay"])
 def test_a_number_of_another_propulsion_needs_a_prior(path):
     with pytest.raises(InputError, match="expected a prior Normal or LogNormal"):
-        drive_of(sprinter(FreeNumber(path)))
+        drive_of(sprinter(systems.FreeNumber(path)))
 
 
 def test_a_wandering_velocity_stands_beside_a_propulsion_without_commands(roller):
-    propulsion = ConstantForce([0.7, -0.1])
+    propulsion = forces.ConstantForce([0.7, -0.1])
     swimmer = dataclasses.replace(roller.swimmer, propulsion=propulsion)
     drive = drive_of(dataclasses.replace(roller, swimmer=swimmer, learn=()))
     times = jnp.arange(0.0, 5.0, 0.5)
@@ -191,7 +160,7 @@ def test_a_wandering_velocity_stands_beside_a_propulsion_without_commands(roller
 @pytest.mark.parametrize("slow", [0.0, 0.3])
 def test_a_drift_that_changes_is_none_where_a_system_states_none(roller, slow):
     """A slow velocity of 0 was taken for one that nothing is known of."""
-    wandering = WanderingVelocity(still=0.0, driven=0.2, memory=1.0, slow=slow)
+    wandering = systems.WanderingVelocity(still=0.0, driven=0.2, memory=1.0, slow=slow)
     stated = stated_noise(dataclasses.replace(roller, wandering=wandering))
     assert np.isnan(stated[NOISE_PLACES["wandering.still"]])  # it is learned
     found = np.exp(stated[NOISE_PLACES["wandering.slow"]])

@@ -1,18 +1,9 @@
 """Verdicts agree with themselves: numbers hold their intervals, losses are said."""
 
 import numpy as np
-import pytest
 
 from pinav.fitting import Estimate
-from pinav.identification.candidates import (
-    drift_only,
-    gain_matrix,
-    like,
-    scalar_gain,
-    with_learned,
-    with_response,
-    with_slow_drift,
-)
+from pinav.identification import candidates
 from pinav.identification.drive import response_name
 from pinav.identification.findings import _offset, _range, choice, shortcomings
 from pinav.identification.parameters import CORNER, DELAY, DRIFT, GAIN, RESIDUAL
@@ -30,10 +21,15 @@ def rows(ours, theirs, *, rollouts=4, r2=0.9):
     return row("chosen", ours), row("least squares", theirs)
 
 
-def test_a_loss_to_least_squares_is_said():
+def test_a_loss_to_least_squares_a_prediction_of_nothing_and_few_rollouts_are_said():
     (sentence,) = shortcomings(*rows(0.07, 0.04))
     assert "loses to least squares: 0.070 against 0.040" in sentence
     assert shortcomings(*rows(0.03, 0.04)) == []
+    first, second = shortcomings(*rows(0.03, 0.04, rollouts=1, r2=0.02))
+    assert "explains 2 % of the held-out velocity's variance" in first
+    assert "that of a single rollout" in second
+    (none,) = shortcomings(*rows(0.03, 0.04, rollouts=0))
+    assert "No held-out rollout of 10 s" in none
 
 
 def test_evidence_is_said_to_choose_only_what_has_most_of_it():
@@ -45,24 +41,10 @@ def test_evidence_is_said_to_choose_only_what_has_most_of_it():
     assert choice("drift only", "linear", {}) == "The evidence chooses: drift only."
 
 
-def test_a_prediction_of_nothing_and_a_single_rollout_are_said():
-    first, second = shortcomings(*rows(0.03, 0.04, rollouts=1, r2=0.02))
-    assert "explains 2 % of the held-out velocity's variance" in first
-    assert "that of a single rollout" in second
-    (none,) = shortcomings(*rows(0.03, 0.04, rollouts=0))
-    assert "No held-out rollout of 10 s" in none
-
-
-@pytest.mark.parametrize(
-    ("low", "value", "high", "text"),
-    [
-        (11.66, 11.7, 11.74, "11.66 to 11.74"),
-        (11.0, 11.7, 12.4, "11 to 12"),
-        (1.0, 1.0, 1.0, "1 to 1"),
-    ],
-)
-def test_an_interval_holds_its_value(low, value, high, text):
-    assert _range(low, value, high) == text
+def test_an_interval_holds_its_value():
+    assert _range(11.66, 11.7, 11.74) == "11.66 to 11.74"
+    assert _range(11.0, 11.7, 12.4) == "11 to 12"
+    assert _range(1.0, 1.0, 1.0) == "1 to 1"
 
 
 def test_an_offset_that_is_not_known_is_not_stated():
@@ -72,18 +54,18 @@ def test_an_offset_that_is_not_known_is_not_stated():
 
 
 def test_a_verdict_compares_with_the_same_model():
-    chosen = with_response(gain_matrix(), "slipping")
-    chosen = with_learned(chosen, "delay", DELAY)
-    slow = with_slow_drift(chosen)
-    scalar = like(scalar_gain(), chosen)
+    chosen = candidates.with_response(candidates.gain_matrix(), "slipping")
+    chosen = candidates.with_learned(chosen, "delay", DELAY)
+    slow = candidates.with_slow_drift(chosen)
+    scalar = candidates.like(candidates.scalar_gain(), chosen)
     assert scalar.name == "scalar gain, else as chosen"
     assert [n.path for n in scalar.learn] == [GAIN, CORNER, RESIDUAL, DELAY]
     assert scalar.swimmer.propulsion.gain.ndim == 0
     assert response_name(scalar.swimmer) == "slipping"
-    idle = like(drift_only(), slow)
+    idle = candidates.like(candidates.drift_only(), slow)
     assert idle.name == "drift only, else as chosen"
     assert [number.path for number in idle.learn] == [DRIFT]
     assert idle.wandering == slow.wandering
     assert response_name(idle.swimmer) == "linear"
-    alone = drift_only()
-    assert like(alone, chosen) is alone
+    alone = candidates.drift_only()
+    assert candidates.like(alone, chosen) is alone

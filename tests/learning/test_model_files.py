@@ -9,22 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinav import forces
 from pinav.checkpoints import read_tree, write_tree
 from pinav.codec import encode
 from pinav.errors import InputError
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.kernels import profile_environment
 from pinav.fitting.environments.summary import ModelChoice, summarise_for
-from pinav.forces import (
-    CentralTerm,
-    KernelAxis,
-    KernelBasis,
-    KernelPotential,
-    KernelTensor,
-    StructuredForce,
-    WallTerm,
-    Warp,
-)
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.learning.learned import ModelHeader, build_model, read_header
 from pinav.scenarios import scenario
@@ -41,12 +32,12 @@ def laid(name):
 
 
 def structured():
-    free = KernelPotential.with_zero_weights(np.zeros((3, 2)), 1.0)
-    ring = CentralTerm(jnp.ones(6), jnp.ones(2), PLACES, 0.7, law=RING)
-    wall = WallTerm(
+    free = forces.KernelPotential.with_zero_weights(np.zeros((3, 2)), 1.0)
+    ring = forces.CentralTerm(jnp.ones(6), jnp.ones(2), PLACES, 0.7, law=RING)
+    wall = forces.WallTerm(
         jnp.ones(5), jnp.asarray(0.4), jnp.zeros(2), PLACES, 0.7, rotational=True
     )
-    return StructuredForce((ring, wall), free)
+    return forces.StructuredForce((ring, wall), free)
 
 
 ENVIRONMENTS = {
@@ -55,7 +46,11 @@ ENVIRONMENTS = {
     "kernel-mixture": lambda: laid("kernel-mixture"),
     "kernel-potential-time": lambda: laid("kernel-potential-time"),
     "kernel-profile": lambda: profile_environment(
-        DATA, (KernelAxis(0, warp=Warp(-9.0, 2.0)), KernelAxis(1, period=7.0))
+        DATA,
+        (
+            forces.KernelAxis(0, warp=forces.Warp(-9.0, 2.0)),
+            forces.KernelAxis(1, period=7.0),
+        ),
     ),
     "structured": structured,
     "neural-force": lambda: None,
@@ -70,9 +65,9 @@ def model(request):
     summary = dataclasses.replace(
         summarise_for(choice, DATA), environment=ENVIRONMENTS[request.param]()
     )
-    basis = KernelBasis.around((KernelAxis(0),), DATA.states[0])
+    basis = forces.KernelBasis.around((forces.KernelAxis(0),), DATA.states[0])
     weights = jnp.ones((2, len(basis.centers)))
-    mobility = KernelTensor(jnp.ones(2), weights, basis, ((0,), (1,)))
+    mobility = forces.KernelTensor(jnp.ones(2), weights, basis, ((0,), (1,)))
     swimmer = dataclasses.replace(PATHS.swimmer, mobility=mobility)
     built = build(choice, swimmer, summary)
     rng = np.random.default_rng(0)

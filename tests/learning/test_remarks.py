@@ -38,7 +38,7 @@ def test_a_potential_that_nothing_tested_is_called_assumed(
     assert assumed_potential(plan, model, rotation) == expected
 
 
-def test_a_fit_that_misses_the_data_says_the_likely_cause(monkeypatch):
+def test_rollouts_confirm_that_a_fit_converged_or_say_the_likely_cause(monkeypatch):
     truth = scenario("paper")
     data = simulate(truth)
     monkeypatch.setattr(account, "diagnose", lambda model, data: Cause.CHAOS)
@@ -48,9 +48,6 @@ def test_a_fit_that_misses_the_data_says_the_likely_cause(monkeypatch):
     assert sentence.startswith("The likely cause of the failure: the motion is chaotic")
     assert likely_cause(data, model, "converged", far) == ()
     assert likely_cause(data, model, "stalled", near) == ()
-
-
-def test_independent_rollouts_confirm_that_a_fit_converged():
     data = simulate(scenario("paper"))
     assert confirm_outcome("converged", 1e-9, data, {"total": 0.5}) == "stalled"
     assert confirm_outcome("converged", 1e-9, data, {"total": 1e-5}) == "converged"

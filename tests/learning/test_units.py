@@ -9,18 +9,11 @@ import pinav.actuation
 import pinav.dynamics
 import pinav.forces
 import pinav.systems
+from pinav import forces
 from pinav.actuation import SaturatingResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.fitting import Estimate
 from pinav.fitting.environments.summary import ModelChoice
-from pinav.forces import (
-    ConstantForce,
-    GaussianBarrier,
-    LinearDrag,
-    RollingPropulsion,
-    SumForce,
-    ZeroForce,
-)
 from pinav.learning.evidence import with_units
 from pinav.systems import System, Units
 from pinav.units import unit_of
@@ -76,8 +69,8 @@ def units(system, swimmer, *paths):
 
 
 def test_constants_of_a_swimmer_with_inertia():
-    thrust = ConstantForce((1.0, 0.0))
-    swimmer = Swimmer(thrust, LinearDrag(1.0), ZeroForce())
+    thrust = forces.ConstantForce((1.0, 0.0))
+    swimmer = Swimmer(thrust, forces.LinearDrag(1.0), forces.ZeroForce())
     system = System("a", swimmer, 2, base_units=Units("um", "s"))
     names = ("damping", "propulsion.force", "diffusion", "wandering.driven", "odd")
     expected = ["s⁻¹", "um s⁻²", "um² s⁻¹", "um s⁻¹ Hz^(-1/4)", "?"]
@@ -86,10 +79,10 @@ def test_constants_of_a_swimmer_with_inertia():
 
 @pytest.mark.parametrize(("force", "height"), [("pN", "um pN"), ("1", "um² s⁻¹")])
 def test_constants_of_a_swimmer_without_inertia(force, height):
-    known = SumForce((GaussianBarrier(1.0, (0.0, 0.0), 1.0),))
+    known = forces.SumForce((forces.GaussianBarrier(1.0, (0.0, 0.0), 1.0),))
     swimmer = OverdampedSwimmer(
-        RollingPropulsion([[2.0, 0.0], [0.0, 2.0]], SaturatingResponse(3.0)),
-        ZeroForce(),
+        forces.RollingPropulsion([[2.0, 0.0], [0.0, 2.0]], SaturatingResponse(3.0)),
+        forces.ZeroForce(),
         1.0,
         known_force=known,
     )

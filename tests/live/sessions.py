@@ -4,26 +4,12 @@ import dataclasses
 import itertools
 
 from pinav.identification.running.forecast import DriveEstimate
-from pinav.live.estimators import (
-    AbstractEstimator,
-    AbstractPilot,
-    Advice,
-    Intent,
-    Whereabouts,
-)
-from pinav.live.messages import (
-    VERSION,
-    Command,
-    Event,
-    Frame,
-    Hello,
-    Limits,
-    encode,
-)
+from pinav.live import estimators
+from pinav.live.messages import VERSION, Command, Event, Frame, Hello, Limits, encode
 from pinav.live.session import Session
 
 
-class LastPosition(AbstractEstimator):
+class LastPosition(estimators.AbstractEstimator):
     """Believes the last position, and remembers what it was told."""
 
     frames: tuple[Frame, ...] = ()
@@ -45,20 +31,22 @@ class LastPosition(AbstractEstimator):
 
     def whereabouts(self, time):
         seen = [frame for frame in self.frames if frame.observed]
-        return Whereabouts((seen[-1].x, seen[-1].y), self.sd) if seen else None
+        return (
+            estimators.Whereabouts((seen[-1].x, seen[-1].y), self.sd) if seen else None
+        )
 
     def drive(self):
         return DriveEstimate(0.2, 0.0, 1.0, 0.0, 0.0, (0.0, 0.0))
 
 
-class Follow(AbstractPilot):
+class Follow(estimators.AbstractPilot):
     """Always advises the same."""
 
-    intent: Intent = Intent.STEER
+    intent: estimators.Intent = estimators.Intent.STEER
     frequency: float = 1.0
 
     def after(self, estimator, hello, time):
-        return self, Advice(self.frequency, 0.5, self.intent)
+        return self, estimators.Advice(self.frequency, 0.5, self.intent)
 
     def resume(self, earlier):
         return self

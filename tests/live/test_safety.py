@@ -89,17 +89,13 @@ def narrow(known):
     return view
 
 
-def test_where_no_command_is_clear_the_rest_of_the_reserve_is_followed(known):
+def test_where_no_command_is_clear_a_reserve_is_followed_while_it_is(known):
     view = narrow(known)
     reserve = Reserve(np.array([0.0, 0.7]), view.time + 0.3)
     verdict = view.judge(towards(0.0), reserve)
     assert verdict.changed
     assert np.array_equal(verdict.order, reserve.order)
     assert verdict.reserve.until == reserve.until
-
-
-def test_a_reserve_that_ended_or_is_no_longer_clear_is_given_up(known):
-    view = narrow(known)
     order = np.array([0.0, 0.7])
     none = view.judge(towards(0.0), Reserve())
     for given_up in (

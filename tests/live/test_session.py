@@ -3,6 +3,7 @@
 import dataclasses
 import random
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,38 +17,27 @@ from tests.live.sessions import (
     line,
 )
 
+from pinav.live import messages
 from pinav.live.estimators import Intent
-from pinav.live.messages import (
-    Bye,
-    Command,
-    Event,
-    EventKind,
-    Frame,
-    Mode,
-    Ready,
-    State,
-    encode,
-)
 from pinav.live.session import BLIND_STEPS, REFUSED_IN_A_ROW, VALID_STEPS, Session
 
 
 def events(answers, kind=None):
-    return [a for a in answers if isinstance(a, Event) and kind in (None, a.kind)]
+    return [
+        a for a in answers if isinstance(a, messages.Event) and kind in (None, a.kind)
+    ]
 
 
 def commands(answers):
-    return [a for a in answers if isinstance(a, Command)]
+    return [a for a in answers if isinstance(a, messages.Command)]
 
 
-def test_a_hello_is_answered_and_frames_are_learned_from():
+def test_a_hello_is_answered_and_frames_are_learned_from_after_it():
     session, answers = feed(Session(LastPosition()), [line(HELLO), frame_line(0)])
-    assert answers[0] == Ready(version=1, session="a")
-    assert isinstance(answers[1], State)
+    assert answers[0] == messages.Ready(version=1, session="a")
+    assert isinstance(answers[1], messages.State)
     assert session.counts.frames == 1
     assert not commands(answers)
-
-
-def test_frames_before_a_hello_are_refused():
     session, answers = feed(Session(LastPosition()), [frame_line(0)])
     assert answers[0].text == "the first line must be a hello"
     assert session.counts.frames == 0
@@ -58,8 +48,6 @@ def test_frames_before_a_hello_are_refused():
     [({"version": 2}, "version 2, expected 1"), ({"token": "no"}, "wrong token")],
 )
 def test_a_wrong_hello_ends_the_connection(change, reason):
-    import msgspec
-
     hello = msgspec.structs.replace(HELLO, token="secret-secret")
     session = Session(LastPosition(), token="secret-secret")
     assert not session.after(line(hello)).hang_up
@@ -87,23 +75,19 @@ def test_a_frame_is_never_learned_twice():
     session, answers = feed(begun(), lines)
     assert [f.seq for f in session.estimator.frames] == [0, 1, 2, 3]
     assert session.counts.repeated == 3
-    assert len(events(answers, EventKind.REPEATED)) == 1
+    assert len(events(answers, messages.EventKind.REPEATED)) == 1
 
 
 @pytest.mark.parametrize(
-    ("t", "words"), [(0.15, "back by 0.05 s"), (0.71, "forward by 0.51 s")]
+    ("t", "words"),
+    [(0.15, "back by 0.05 s"), (0.71, "forward by 0.51 s"), (0.7, None)],
 )
 def test_the_state_begins_anew_when_the_clock_jumps(t, words):
     lines = [*(frame_line(n) for n in range(3)), frame_line(3, t=t)]
     session, answers = feed(begun(), lines)
-    assert session.estimator.restarts == (3,)
-    assert words in events(answers, EventKind.JUMP)[0].text
-    assert session.counts.jumps == 1
-
-
-def test_five_steps_are_no_jump():
-    session, _ = feed(begun(), [frame_line(0), frame_line(1, t=0.5)])
-    assert session.estimator.restarts == ()
+    assert session.estimator.restarts == ((3,) if words else ())
+    assert session.counts.jumps == (words is not None)
+    assert all(words in one.text for one in events(answers, messages.EventKind.JUMP))
 
 
 def test_a_lost_robot_is_predicted_and_then_stopped():
@@ -114,14 +98,14 @@ def test_a_lost_robot_is_predicted_and_then_stopped():
     frequencies = [c.frequency for c in commands(answers)]
     blind = BLIND_STEPS + 2  # the delay is two steps
     assert frequencies == [1.0] * blind + [0.0] * (len(lost) - blind)
-    assert len(events(answers, EventKind.LOST)) == 1
-    assert session.mode is Mode.HOLDING
+    assert len(events(answers, messages.EventKind.LOST)) == 1
+    assert session.mode is messages.Mode.HOLDING
     session, answers = feed(session, [frame_line(12, x=1.0)])
     assert commands(answers)[0].frequency == 1.0
     assert session.estimator.restarts == ()
 
 
-def test_a_robot_that_comes_back_elsewhere_needs_a_second_frame():
+def test_a_robot_that_leaps_or_comes_back_elsewhere_needs_a_second_frame():
     lost = [frame_line(0), frame_line(1, x=None)]
     session, _ = feed(begun(), lost)
     session, answers = feed(session, [frame_line(2, x=50.0)])
@@ -131,10 +115,7 @@ def test_a_robot_that_comes_back_elsewhere_needs_a_second_frame():
     assert session.estimator.restarts == ()
     session, answers = feed(session, [frame_line(4, x=-89.0)])
     assert session.estimator.restarts == (4,)
-    assert "elsewhere" in events(answers, EventKind.REACQUIRED)[0].text
-
-
-def test_a_leap_in_sight_is_doubted_too():
+    assert "elsewhere" in events(answers, messages.EventKind.REACQUIRED)[0].text
     lines = [frame_line(0), frame_line(1, x=14.0), frame_line(2, x=0.0)]
     session, _ = feed(begun(), lines)
     assert all(frame.observed for frame in session.estimator.frames)
@@ -163,13 +144,13 @@ def test_commands_stay_within_the_limits_and_are_finite():
 @pytest.mark.parametrize(
     ("intent", "mode", "kind"),
     [
-        (Intent.PROBE, Mode.IDENTIFYING, EventKind.MODE),
-        (Intent.STEER, Mode.STEERING, EventKind.MODE),
-        (Intent.ARRIVED, Mode.HOLDING, EventKind.ARRIVED),
-        (Intent.AVOID, Mode.STEERING, EventKind.SAFETY),
-        (Intent.UNREACHABLE, Mode.HOLDING, EventKind.UNREACHABLE),
-        (Intent.STALLED, Mode.IDENTIFYING, EventKind.STALLED),
-        (Intent.GIVE_UP, Mode.STOPPED, EventKind.STALLED),
+        (Intent.PROBE, messages.Mode.IDENTIFYING, messages.EventKind.MODE),
+        (Intent.STEER, messages.Mode.STEERING, messages.EventKind.MODE),
+        (Intent.ARRIVED, messages.Mode.HOLDING, messages.EventKind.ARRIVED),
+        (Intent.AVOID, messages.Mode.STEERING, messages.EventKind.SAFETY),
+        (Intent.UNREACHABLE, messages.Mode.HOLDING, messages.EventKind.UNREACHABLE),
+        (Intent.STALLED, messages.Mode.IDENTIFYING, messages.EventKind.STALLED),
+        (Intent.GIVE_UP, messages.Mode.STOPPED, messages.EventKind.STALLED),
     ],
 )
 def test_every_intent_has_a_mode_and_is_said_once(intent, mode, kind):
@@ -182,8 +163,8 @@ def test_every_intent_has_a_mode_and_is_said_once(intent, mode, kind):
 def test_after_giving_up_or_a_bye_nothing_is_commanded():
     session, _ = feed(begun(pilot=Follow(Intent.GIVE_UP)), [frame_line(0)])
     assert not commands(session.after(frame_line(1)).answers)
-    session, answers = feed(begun(pilot=Follow()), [line(Bye(reason="lunch"))])
-    assert session.mode is Mode.STOPPED
+    session, answers = feed(begun(pilot=Follow()), [line(messages.Bye(reason="lunch"))])
+    assert session.mode is messages.Mode.STOPPED
     assert "lunch" in answers[0].text
     assert not commands(session.after(frame_line(1)).answers)
     session, answers = feed(session, [line(HELLO), frame_line(2)])
@@ -191,8 +172,6 @@ def test_after_giving_up_or_a_bye_nothing_is_commanded():
 
 
 def test_the_same_session_goes_on_after_a_new_connection_and_another_begins_anew():
-    import msgspec
-
     session, _ = feed(begun(), [frame_line(n) for n in range(4)])
     session, answers = feed(session, [line(HELLO), frame_line(2), frame_line(4)])
     assert answers[0].resumed_at == 3
@@ -245,13 +224,13 @@ def test_garbled_lines_leave_the_belief_unharmed(count):
 def test_any_bytes_lead_to_answers_that_can_be_written(lines):
     _, answers = feed(begun(), [part.replace(b"\n", b"") for part in lines])
     for answer in answers:
-        assert encode(answer).endswith(b"\n")
+        assert messages.encode(answer).endswith(b"\n")
 
 
 @settings(max_examples=30)
 @given(st.lists(st.tuples(st.integers(0, 40), st.floats(-5, 5)), max_size=12))
 def test_any_order_of_frames_is_learned_in_growing_order(rows):
-    lines = [line(Frame(seq=s, t=t, x=0.0, y=0.0)) for s, t in rows]
+    lines = [line(messages.Frame(seq=s, t=t, x=0.0, y=0.0)) for s, t in rows]
     session, _ = feed(begun(), lines)
     seqs = [frame.seq for frame in session.estimator.frames]
     assert seqs == sorted(set(seqs))

@@ -8,24 +8,14 @@ import time
 import pytest
 
 from pinav.errors import InputError
-from pinav.live.sources import (
-    FileSink,
-    FileSource,
-    LineBuffer,
-    SocketSink,
-    SocketSource,
-    StreamSource,
-    address_of,
-    sink_of,
-    source_of,
-)
+from pinav.live import sources
 
 
 def lines_of(source, looks=6):
-    buffer, lines, texts = LineBuffer(), [], []
+    buffer, lines, texts = sources.LineBuffer(), [], []
     for _ in range(looks):
         reading = source.read(0.01)
-        buffer = LineBuffer() if reading.fresh else buffer
+        buffer = sources.LineBuffer() if reading.fresh else buffer
         buffer, more = buffer.after(reading.data)
         lines += more
         texts += [reading.text] if reading.text else []
@@ -34,30 +24,24 @@ def lines_of(source, looks=6):
 
 @pytest.fixture
 def followed(tmp_path):
-    source = FileSource(tmp_path / "frames")
+    source = sources.FileSource(tmp_path / "frames")
     yield source
     source.close()
 
 
-def test_a_file_is_followed_from_before_it_exists(followed):
+def test_a_file_is_followed_from_before_it_exists_by_whole_lines(followed):
     source, path = followed, followed.path
     assert lines_of(source, 2) == ([], [])
     path.write_bytes(b"one\ntw")
-    assert lines_of(source) == ([b"one"], [])
-
-
-def test_a_half_line_waits_for_its_newline(followed):
-    source, path, buffer = followed, followed.path, LineBuffer()
-    path.write_bytes(b"one\ntw")
-    source.read(0.0)
-    buffer, lines = buffer.after(source.read(0.0).data)
+    data = source.read(0.0).data + source.read(0.0).data
+    buffer, lines = sources.LineBuffer().after(data)
     assert lines == [b"one"]
     with path.open("ab") as file:
         file.write(b"o\n")
     assert buffer.after(source.read(0.0).data)[1] == [b"two"]
 
 
-def test_a_rotated_file_is_read_to_its_end_and_then_the_new_one(followed):
+def test_a_rotated_file_is_read_to_its_end_and_a_truncated_one_from_its_start(followed):
     source, path = followed, followed.path
     path.write_bytes(b"one\n")
     assert lines_of(source)[0] == [b"one"]
@@ -68,10 +52,6 @@ def test_a_rotated_file_is_read_to_its_end_and_then_the_new_one(followed):
     lines, (text,) = lines_of(source)
     assert lines == [b"two", b"three"]
     assert "rotated" in text
-
-
-def test_a_truncated_file_is_read_from_its_start(followed):
-    source, path = followed, followed.path
     path.write_bytes(b"one\ntwo\n")
     lines_of(source)
     path.write_bytes(b"3\n")
@@ -103,13 +83,13 @@ def serve(server, *parts):
 def test_a_socket_is_tried_again_and_answered():
     with socket.create_server(("127.0.0.1", 0)) as server:
         thread, heard = serve(server, b"one\nhal", b"two\n")
-        source = SocketSource(*server.getsockname())
-        sink = sink_of(None, source)
+        source = sources.SocketSource(*server.getsockname())
+        sink = sources.sink_of(None, source)
         assert sink is source
-        buffer, lines, texts, ends = LineBuffer(), [], [], time.monotonic() + 5
+        buffer, lines, texts, ends = sources.LineBuffer(), [], [], time.monotonic() + 5
         while len(lines) < 2 and time.monotonic() < ends:
             reading = source.read(0.05)
-            buffer = LineBuffer() if reading.fresh else buffer
+            buffer = sources.LineBuffer() if reading.fresh else buffer
             buffer, more = buffer.after(reading.data)
             lines += more
             texts += [reading.text] if reading.text else []
@@ -125,7 +105,7 @@ def test_a_socket_is_tried_again_and_answered():
 def test_a_socket_that_is_not_there_yet_waits_longer_each_time():
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
-    source = SocketSource("127.0.0.1", port)
+    source = sources.SocketSource("127.0.0.1", port)
     assert source.read(0.0).data == b""
     waits = []
     for _ in range(8):
@@ -139,27 +119,27 @@ def test_a_socket_that_is_not_there_yet_waits_longer_each_time():
 def test_standard_input_ends(tmp_path):
     read, write = os.pipe()
     os.write(write, b"one\n")
-    source = StreamSource(read)
+    source = sources.StreamSource(read)
     assert source.read(0.1).data == b"one\n"
     assert source.read(0.0).data == b""
     os.close(write)
     assert source.read(0.1).ended
     os.close(read)
-    assert isinstance(source_of("-"), StreamSource)
+    assert isinstance(sources.source_of("-"), sources.StreamSource)
 
 
 def test_commands_go_to_a_file_or_another_connection(tmp_path):
     path = tmp_path / "commands"
-    sink = sink_of(str(path), FileSource(path))
-    assert isinstance(sink, FileSink)
+    sink = sources.sink_of(str(path), sources.FileSource(path))
+    assert isinstance(sink, sources.FileSink)
     sink.write(b"one\n")
     sink.write(b"two\n")
     assert path.read_bytes() == b"one\ntwo\n"
     with socket.create_server(("127.0.0.1", 0)) as server:
         thread, heard = serve(server, b"")
         port = server.getsockname()[1]
-        other = sink_of(f"tcp://127.0.0.1:{port}", FileSource(path))
-        assert isinstance(other, SocketSink)
+        other = sources.sink_of(f"tcp://127.0.0.1:{port}", sources.FileSource(path))
+        assert isinstance(other, sources.SocketSink)
         other.write(b"command\n")
         thread.join(5)
     assert heard == [b"command\n"]
@@ -170,12 +150,15 @@ def test_commands_go_to_a_file_or_another_connection(tmp_path):
 @pytest.mark.parametrize("text", ["tcp://", "tcp://host", "udp://a:1", "tcp://a:99999"])
 def test_a_damaged_address_is_refused(text):
     with pytest.raises(InputError, match="expected tcp://HOST:PORT"):
-        address_of(text, "")
+        sources.address_of(text, "")
 
 
 def test_another_machine_needs_a_secret():
     with pytest.raises(InputError, match="shared secret; give its file by --token"):
-        address_of("tcp://10.0.0.5:5000", "")
-    assert address_of("tcp://10.0.0.5:5000", "secret-secret") == ("10.0.0.5", 5000)
-    assert address_of("tcp://[::1]:5000", "") == ("::1", 5000)
-    assert address_of("frames.jsonl", "") is None
+        sources.address_of("tcp://10.0.0.5:5000", "")
+    assert sources.address_of("tcp://10.0.0.5:5000", "secret-secret") == (
+        "10.0.0.5",
+        5000,
+    )
+    assert sources.address_of("tcp://[::1]:5000", "") == ("::1", 5000)
+    assert sources.address_of("frames.jsonl", "") is None

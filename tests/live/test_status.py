@@ -3,6 +3,8 @@
 import io
 import json
 
+import msgspec
+
 from pinav.live.messages import Event, EventKind, Mode, State
 from pinav.live.page import EventPrinter, status_line
 
@@ -23,23 +25,18 @@ STATE = State(
 )
 
 
-def test_lines_for_programs_are_those_of_the_protocol():
-    stream = io.StringIO()
-    EventPrinter(stream.write).show(STATE)
-    assert json.loads(stream.getvalue())["type"] == "state"
-
-
 def test_lines_for_people_come_once_a_second_and_events_at_once():
     stream = io.StringIO()
     printer = EventPrinter(stream.write, people=True)
-    import msgspec
-
     for step in range(25):
         printer.show(msgspec.structs.replace(STATE, t=0.1 * step))
     printer.show(Event(t=2.5, kind=EventKind.LOST, text="the robot is not seen"))
     lines = stream.getvalue().splitlines()
     assert len(lines) == 4
     assert lines[-1].endswith("! lost: the robot is not seen")
+    programs = io.StringIO()
+    EventPrinter(programs.write).show(STATE)
+    assert json.loads(programs.getvalue())["type"] == "state"
 
 
 def test_a_line_leaves_out_what_is_not_known():

@@ -25,9 +25,6 @@ def test_rows_become_a_hello_and_frames():
     assert frames[0] == Frame(seq=7, t=0.5, x=1.0, y=2.0, frequency=3.0, heading=0.1)
     assert not frames[1].observed
     assert [frame.seq for frame in frames] == [7, 8, 9]
-
-
-def test_rows_count_where_there_is_no_frame():
     lines = messages([b"t,x,y", b"0,1,1", b"1,1,1", b"2,1,1"])
     assert [decode(line).seq for line in lines[1:]] == [0, 1, 2]
 

@@ -8,23 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.navigation.steering_worlds import SwimmerPredictor, rolling
+from tests.refusals import refusals
 
+from pinav import forces
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-from pinav.forces import (
-    AbstractFlow,
-    AbstractForce,
-    ConstantDirector,
-    GaussianBarrier,
-    LinearDrag,
-    LinearMotion,
-    Moving,
-    ShearFlow,
-    TensorDrag,
-    UniaxialTensor,
-    ZeroForce,
-)
 from pinav.navigation import task
 from pinav.navigation.predictors import (
     ControlMap,
@@ -46,21 +35,22 @@ from pinav.navigation.task.task import Rectangle
 REGION = Rectangle([0.0, -1.0], [4.0, 2.0])
 ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
 STATIC = np.zeros(1)
-BARRIER = GaussianBarrier(2.0, [2.0, 0.5], 1.0)
+BARRIER = forces.GaussianBarrier(2.0, [2.0, 0.5], 1.0)
 
 
-def inertial(environment=None, drag=None):
-    environment = ZeroForce() if environment is None else environment
-    drag = LinearDrag(0.5) if drag is None else drag
-    return rolling(Swimmer(ZeroForce(), drag, environment))
+NOTHING = forces.ZeroForce()
 
 
-def carried(flow, environment=None):
-    environment = ZeroForce() if environment is None else environment
-    return rolling(OverdampedSwimmer(ZeroForce(), environment, 0.7, flow))
+def inertial(environment=NOTHING, drag=None):
+    drag = forces.LinearDrag(0.5) if drag is None else drag
+    return rolling(Swimmer(NOTHING, drag, environment))
 
 
-class Swinging(AbstractFlow):
+def carried(flow, environment=NOTHING):
+    return rolling(OverdampedSwimmer(NOTHING, environment, 0.7, flow))
+
+
+class Swinging(forces.AbstractFlow):
     def __call__(self, t, x):
         return jnp.sin(t) * x
 
@@ -69,6 +59,18 @@ def table_of(function, count=9):
     grid = Grid.over(REGION, count, margin=2)
     values = jax.vmap(jax.vmap(function))(grid.points)
     return FieldTable(grid, values[None])
+
+
+def waves(x):
+    return jnp.sin(2 * x) * jnp.cos(x[::-1])
+
+
+def errors(function, places, counts, look_up):
+    """The largest error of tables of some sizes."""
+    exact = jax.vmap(function)(places)
+    tables = [table_of(function, count) for count in counts]
+    found = [jax.vmap(lambda x, t=t: look_up(t, 0.0, x))(places) for t in tables]
+    return [float(jnp.abs(values - exact).max()) for values in found]
 
 
 @pytest.fixture(scope="module")
@@ -81,19 +83,11 @@ def test_linear_interpolation_is_exact_for_linear_fields_and_of_second_order(pla
     def linear(x):
         return jnp.stack([1.0 + 2.0 * x[0] - x[1], x[0] * x[1]])
 
-    table = table_of(linear)
-    values = jax.vmap(lambda x: table.interpolate_linearly(0.0, x))(places)
-    np.testing.assert_allclose(values, jax.vmap(linear)(places), atol=1e-12)
-
-    def wave(x):
-        return jnp.sin(x[:1] + 0.5 * x[1:])
-
-    errors = []
-    for count in (17, 33):
-        finer = table_of(wave, count)
-        values = jax.vmap(lambda x, t=finer: t.interpolate_linearly(0.0, x))(places)
-        errors.append(float(jnp.abs(values - jax.vmap(wave)(places)).max()))
-    assert 2.5 < errors[0] / errors[1] < 6.5
+    look_up = FieldTable.interpolate_linearly
+    assert errors(linear, places, [9], look_up)[0] < 1e-11
+    direction = jnp.array([[1.0], [0.5]])
+    coarse, fine = errors(lambda x: jnp.sin(x @ direction), places, (17, 33), look_up)
+    assert 2.5 < coarse / fine < 6.5
 
 
 def quadratic(x):
@@ -111,8 +105,7 @@ def test_a_table_is_exact_where_the_values_are_of_degree_two_along_each_axis(pla
 
 
 def test_the_gradient_of_a_table_is_that_of_what_it_returns(places):
-    table = table_of(lambda x: jnp.sin(2 * x) * jnp.cos(x[::-1]), 6)
-    x, step = places[7], 1e-6
+    table, x, step = table_of(waves, 6), places[7], 1e-6
     slope = jax.jacfwd(lambda x: table(0.0, x))(x)
     for axis, move in enumerate(step * jnp.eye(2)):
         change = (table(0.0, x + move) - table(0.0, x - move)) / (2 * step)
@@ -120,12 +113,8 @@ def test_the_gradient_of_a_table_is_that_of_what_it_returns(places):
 
 
 def test_the_error_falls_with_the_third_power_of_the_spacing(places):
-    def error(count):
-        table = table_of(lambda x: jnp.sin(2 * x) * jnp.cos(x[::-1]), count)
-        exact = jnp.sin(2 * places) * jnp.cos(places[:, ::-1])
-        return jnp.max(jnp.abs(jax.vmap(lambda x: table(0.0, x))(places) - exact))
-
-    assert error(33) < error(17) / 6
+    coarse, fine = errors(waves, places, (17, 33), FieldTable.__call__)
+    assert fine < coarse / 6
 
 
 def test_a_table_is_linear_in_time_and_constant_beyond_its_ends():
@@ -137,8 +126,8 @@ def test_a_table_is_linear_in_time_and_constant_beyond_its_ends():
 
 
 def test_a_table_of_inertia_holds_force_and_drag(places):
-    tensor = UniaxialTensor(0.3, 0.8, ConstantDirector(0.4))
-    model = inertial(BARRIER, TensorDrag(tensor))
+    tensor = forces.UniaxialTensor(0.3, 0.8, forces.ConstantDirector(0.4))
+    model = inertial(BARRIER, forces.TensorDrag(tensor))
     table = tabulate(model, Grid.over(REGION, 41, margin=2), STATIC)
     x = places[3]
     rates = table(0.0, x)
@@ -148,34 +137,26 @@ def test_a_table_of_inertia_holds_force_and_drag(places):
 
 
 PREDICTORS = {
-    "inertial": (
-        inertial(BARRIER),
-        InertialTable,
-        jnp.array([1.2, 0.1, 0.4, -0.3]),
-    ),
-    "overdamped": (
-        carried(ShearFlow(0.4, 0.2)),
-        OverdampedTable,
-        jnp.array([1.2, 0.1]),
-    ),
+    "inertial": (inertial(BARRIER), InertialTable, [1.2, 0.1, 0.4, -0.3]),
+    "overdamped": (carried(forces.ShearFlow(0.4, 0.2)), OverdampedTable, [1.2, 0.1]),
 }
 
 
 @pytest.mark.parametrize(("model", "kind", "y"), PREDICTORS.values(), ids=PREDICTORS)
 def test_a_step_on_the_table_is_of_second_order(model, kind, y):
     table = tabulate(model, Grid.over(REGION, 81, margin=2), STATIC)
-    predictor, command = kind(table, ROLLING), jnp.array([0.6, 0.9])
+    now = 0.0, jnp.array(y), jnp.array([0.6, 0.9])
 
     def error(h):
-        exact = SwimmerPredictor(model).step(0.0, y, command, h)
-        return jnp.max(jnp.abs(predictor.step(0.0, y, command, h) - exact))
+        exact = SwimmerPredictor(model).step(*now, h)
+        return jnp.max(jnp.abs(kind(table, ROLLING).step(*now, h) - exact))
 
     assert error(0.4) < 6e-3
     assert error(0.2) < error(0.4) / 5 + 1e-6
 
 
 def test_a_model_that_is_not_finite_is_refused_with_a_place():
-    class Broken(AbstractForce):
+    class Broken(forces.AbstractForce):
         def __call__(self, t, x, v):
             return jnp.where(x[0] > 3.9, jnp.nan, 0.0) * x
 
@@ -186,12 +167,12 @@ def test_a_model_that_is_not_finite_is_refused_with_a_place():
 def test_times_are_many_only_where_the_model_changes():
     grid = Grid.over(REGION, 21)
     assert len(sample_times(inertial(BARRIER), grid, 9.0, 7)) == 1
-    moving = inertial(Moving(BARRIER, LinearMotion([0.1, 0.0])))
+    moving = inertial(forces.Moving(BARRIER, forces.LinearMotion([0.1, 0.0])))
     assert np.allclose(sample_times(moving, grid, 9.0, 7), np.linspace(0, 9, 7))
 
 
 @pytest.mark.parametrize(
-    "flow", [ShearFlow(0.3, 0.5), Swinging()], ids=["steady", "swings"]
+    "flow", [forces.ShearFlow(0.3, 0.5), Swinging()], ids=["steady", "swings"]
 )
 def test_a_flow_that_swings_is_all_that_is_evaluated_over_time(flow):
     model = carried(flow, BARRIER)
@@ -217,45 +198,36 @@ def test_the_spread_of_no_samples_has_the_times_that_samples_would_have():
 
 
 def test_the_spread_of_two_models_is_that_of_two_numbers():
-    pair = [inertial(GaussianBarrier(h, [2.0, 0.5], 1.0)) for h in (1.0, 3.0)]
+    pair = [inertial(forces.GaussianBarrier(h, [2.0, 0.5], 1.0)) for h in (1.0, 3.0)]
     grid = Grid.over(REGION, 9)
     spread = force_spread([tabulate(one, grid, STATIC) for one in pair])
     x = grid.points[3, 2]
-    unit = jnp.linalg.norm(GaussianBarrier(1.0, [2.0, 0.5], 1.0)(0.0, x, x))
+    unit = jnp.linalg.norm(forces.GaussianBarrier(1.0, [2.0, 0.5], 1.0)(0.0, x, x))
     assert jnp.allclose(spread.values[0, 3, 2, 0], unit, rtol=1e-9)  # sqrt(2) / sqrt(2)
 
 
-def test_one_sample_is_no_spread():
-    table = tabulate(inertial(), Grid.over(REGION, 9), STATIC)
-    with pytest.raises(InputError, match=r"samples: expected 2 or more models, got 1"):
-        force_spread([table])
-
-
-def test_a_grid_needs_four_points():
-    with pytest.raises(InputError, match=r"Grid.over count: expected 4 or more, got 3"):
-        Grid.over(REGION, 3)
-
-
-def test_a_drive_takes_the_frequency_of_the_greatest_thrust():
+def test_a_drive_takes_the_frequency_of_the_greatest_thrust_and_turns_as_coils_do():
+    still = jnp.zeros(2)
     drive = ControlMap.of(ROLLING, CommandLimits(0.8))
     assert drive.frequency == pytest.approx(0.8)
-    command = drive.command(jnp.array([0.0, 0.5]), jnp.zeros(2), 0.1)
+    command = drive.command(jnp.array([0.0, 0.5]), still, 0.1)
     assert jnp.allclose(command, jnp.array([0.4, jnp.pi / 2]))
-
-
-def test_a_drive_turns_as_fast_as_coils_allow():
+    slope = jax.jacfwd(lambda w: drive.command(w, still, 0.1))(still)
+    assert bool(jnp.all(jnp.isfinite(slope))), "without thrust"
     drive = ControlMap.of(ROLLING, CommandLimits(0.8, max_turning_rate=2.0))
-    command = drive.command(jnp.array([0.0, 1.0]), jnp.zeros(2), 0.1)
+    command = drive.command(jnp.array([0.0, 1.0]), still, 0.1)
     assert jnp.allclose(command, jnp.array([0.8, 0.2]))
 
 
-def test_a_drive_is_differentiable_without_thrust():
-    drive = ControlMap.of(ROLLING, CommandLimits(0.8))
-    slope = jax.jacfwd(lambda w: drive.command(w, jnp.zeros(2), 0.1))(jnp.zeros(2))
-    assert bool(jnp.all(jnp.isfinite(slope)))
-
-
-def test_no_thrust_at_all_is_refused():
-    idle = eqx.tree_at(lambda actuator: actuator.gain, ROLLING, jnp.zeros((2, 2)))
-    with pytest.raises(InputError, match=r"limits: expected a frequency that gives"):
-        ControlMap.of(idle, CommandLimits(0.8))
+IDLE = eqx.tree_at(lambda actuator: actuator.gain, ROLLING, jnp.zeros((2, 2)))
+test_what_gives_no_table_or_drive_is_refused = refusals(
+    (
+        lambda: force_spread([tabulate(inertial(), Grid.over(REGION, 9), STATIC)]),
+        "samples: expected 2 or more models, got 1",
+    ),
+    (lambda: Grid.over(REGION, 3), "Grid.over count: expected 4 or more, got 3"),
+    (
+        lambda: ControlMap.of(IDLE, CommandLimits(0.8)),
+        "limits: expected a frequency that gives",
+    ),
+)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from pinav.errors import InputError
 from pinav.recordings import Reading, read_recording
@@ -59,25 +60,17 @@ def test_the_offset_of_the_clocks_is_found_with_its_interval(files):
     assert len(heading) == data.lengths[0]
 
 
-def test_frames_are_joined_as_they_are(files):
+def test_frames_are_joined_as_they_are_with_their_delay_and_offset(files):
     tracks, log = files(0.0, header="frame,alpha [rad],freq [Hz]")
     data = read_recording(tracks, Reading(commands=log, **FRAMES))
     _, heading, frequency, _ = course()
-    np.testing.assert_allclose(data.commands["frequency"][0], frequency, atol=1e-4)
-    np.testing.assert_allclose(data.commands["heading"][0], heading, atol=1e-4)
-
-
-def test_delay_and_offset_of_the_heading_apply_to_a_log(files):
-    tracks, log = files(0.0, header="frame,alpha [rad],freq [Hz]")
+    assert_allclose(data.commands["frequency"][0], frequency, atol=1e-4)
+    assert_allclose(data.commands["heading"][0], heading, atol=1e-4)
     more = {"delay": 0.2, "heading_offset": 1.0}
     data = read_recording(tracks, Reading(commands=log, **more, **FRAMES))
     _, heading, frequency, _ = course()
-    np.testing.assert_allclose(
-        data.commands["frequency"][0, 2:], frequency[:-2], atol=1e-4
-    )
-    np.testing.assert_allclose(
-        data.commands["heading"][0, 2:], heading[:-2] + 1, atol=1e-4
-    )
+    assert_allclose(data.commands["frequency"][0, 2:], frequency[:-2], atol=1e-4)
+    assert_allclose(data.commands["heading"][0, 2:], heading[:-2] + 1, atol=1e-4)
 
 
 WRONG = {

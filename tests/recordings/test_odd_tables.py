@@ -39,22 +39,16 @@ def test_an_odd_table_is_read(read, content):
     np.testing.assert_allclose(-piece.states[:, 1], [2, 3, 4])
 
 
-def test_a_table_of_r_without_a_name_for_its_row_numbers(read):
-    text = '"t" "x" "y"\n"1" 0 1 2\n"2" 0.5 2 3\n"3" 1 3 4\n'
-    data = read(text, columns=TXY, **UM)
-    np.testing.assert_allclose(data.trajectory(0).states[:, 0], [1, 2, 3])
-
-
 def test_a_row_of_units_may_hold_some_that_are_not_known(read):
     text = "t,x,y,area\ns,mm,mm,cm²\n0,0.001,0.002,1\n0.5,0.002,0.003,1\n"
     data = read(text, columns=TXY)
     assert (data.units["x"], data.units["t"]) == ("um", "s")
     np.testing.assert_allclose(data.trajectory(0).states[:, 0], [1, 2])
-
-
-def test_numbers_that_a_comma_could_divide_either_way_stay_decimal(read):
     data = read("t;x;y\n0;1,001;2\n1;1,002;3\n", columns=TXY, **UM)
     np.testing.assert_allclose(data.trajectory(0).states[:, 0], [1.001, 1.002])
+    text = '"t" "x" "y"\n"1" 0 1 2\n"2" 0.5 2 3\n"3" 1 3 4\n'
+    data = read(text, columns=TXY, **UM)
+    np.testing.assert_allclose(data.trajectory(0).states[:, 0], [1, 2, 3])
 
 
 @pytest.mark.parametrize("word", ["-", "--", "?", "n.a.", "#N/A"])
@@ -64,9 +58,11 @@ def test_words_for_a_lost_position_are_known(read, word):
     assert data.trajectory(0).observed.all(axis=1).tolist() == [True, False, True]
 
 
-def test_two_whole_numbers_are_no_minutes_and_seconds(read):
+def test_a_file_of_another_make_is_refused_as_such(read):
     with pytest.raises(InputError, match=r"line 2, column 't': .* got '1:30'"):
         read("t,x,y\n1:30,1,2\n1:31,2,3\n", columns=TXY, **UM)
+    with pytest.raises(InputError, match=r"not known \(JSON, whose layout"):
+        read('{"tracks": []}', name="a.json")
 
 
 def test_durations_of_a_workbook_are_times(read):
@@ -76,7 +72,7 @@ def test_durations_of_a_workbook_are_times(read):
     np.testing.assert_allclose(data.trajectory(0).times, [0, 0.5, 1])
 
 
-def test_units_behind_an_underscore_are_read(read):
+def test_columns_may_be_named_first_or_by_their_units(read):
     text = "t_ms,x_nm,y_nm,angle_deg,freq_rpm\n0,1000,2,90,60\n500,2000,3,90,120\n"
     columns = {
         **{"t": "t_ms", "x": "x_nm", "y": "y_nm"},
@@ -89,9 +85,6 @@ def test_units_behind_an_underscore_are_read(read):
     np.testing.assert_allclose(piece.states[:, 0], [1, 2])
     np.testing.assert_allclose(piece.commands["heading"][0], np.pi / 2)
     np.testing.assert_allclose(piece.commands["frequency"][0], 1)
-
-
-def test_a_map_may_name_the_column_first(read):
     intervals = npy(np.array([[0.5, 1, 2], [0.5, 2, 3], [0.5, 3, 4]]))
     reversed_map = {"0": "dt", "1": "x", "2": "y"}
     data = read(intervals, name="a.npy", columns=reversed_map, **UM)
@@ -104,11 +97,6 @@ def test_a_table_of_trex_is_read(read):
     data = read(header + rows)
     assert data.provenance["format"] == "trex-csv"
     np.testing.assert_allclose(data.trajectory(0).states, [[1, -2], [2, -3], [3, -4]])
-
-
-def test_a_layout_in_json_is_refused_as_such(read):
-    with pytest.raises(InputError, match=r"not known \(JSON, whose layout"):
-        read('{"tracks": []}', name="a.json")
 
 
 def test_a_table_that_pinav_did_not_write_is_offered_as_a_recording(checked):

@@ -104,7 +104,7 @@ def test_a_recording_is_fetched_and_its_checksum_verified(
     assert read_recording(path, BUILT_IN[name]).positions.shape == (2, 1)
 
 
-def test_without_a_network_the_way_by_hand_is_told(tmp_path, monkeypatch, capsys):
+def test_the_way_by_hand_and_the_list_are_told(tmp_path, monkeypatch, capsys, refused):
     def no_network(address, timeout):
         assert address.startswith("https://raw.githubusercontent.com/eXpensia/")
         raise urllib.error.URLError("no route to host")
@@ -114,9 +114,6 @@ def test_without_a_network_the_way_by_hand_is_told(tmp_path, monkeypatch, capsys
     assert cli.run(words) == 2
     message = capsys.readouterr().err
     assert "no download (no route to host); by hand: git clone" in message
-
-
-def test_the_list_has_origin_licence_and_checksum(capsys, refused):
     assert cli.run(["data", "list", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert {row["name"] for row in rows} == set(BUILT_IN)

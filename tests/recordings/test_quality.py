@@ -1,43 +1,29 @@
 """The quality report: counts, clock, speeds, coverage and what it warns of."""
 
-import json
-
 import numpy as np
 import pytest
 
-from pinav.codec import decode, encode
-from pinav.errors import InputError
 from pinav.recordings import Reading, read_recording
 from pinav.recordings.drive import WARNINGS, drive
-from pinav.recordings.quality import Quality, quality
+from pinav.recordings.quality import quality
 from pinav.trajectories import Trajectories
 
 TIMES = np.arange(0, 60, 0.05)
 
 
-def recorded(frequency, heading, *, times=TIMES, gain=3.0, drift=0.0, **more):
+def recorded(frequency, heading, *, times=TIMES, gain=3.0):
     """A swimmer that obeys at once, with its commands."""
-    frequency, heading = np.broadcast_arrays(
-        np.asarray(frequency, float), np.asarray(heading, float)
-    )
-    shape = (
-        np.broadcast_to(frequency, times.shape),
-        np.broadcast_to(heading, times.shape),
-    )
-    frequency, heading = (np.array(values) for values in shape)
-    velocity = gain * frequency[:, None] * np.stack(
-        [np.cos(heading), np.sin(heading)], axis=1
-    ) + np.array([drift, 0.0])
-    steps = velocity[:-1] * np.diff(times)[:, None]
-    path = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    frequency, heading, _ = np.broadcast_arrays(frequency, heading, times)
+    frequency, heading = np.array(frequency, float), np.array(heading, float)
+    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    steps = (gain * frequency[:, None] * ahead)[:-1] * np.diff(times)[:, None]
     return Trajectories.from_arrays(
         [times],
-        [path],
+        [np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])],
         commands={"frequency": [frequency], "heading": [heading]},
         channels=("x", "y"),
         units={"x": "um", "y": "um", "t": "s"},
-        provenance={"trajectories": [{"run": "a", "particle": "1", "segment": 0}]}
-        | more,
+        provenance={"trajectories": [{"run": "a", "particle": "1", "segment": 0}]},
     )
 
 
@@ -59,7 +45,7 @@ def test_good_commands_bring_no_warning():
 
 CIRCLES = 2.0 + np.floor(TIMES / 15), 0.4 * TIMES
 LINES = {
-    "off": (0.0, 0.0 * TIMES),
+    "off": (0.0, 0.0),
     "frequency": (3.0, random_turns()),
     "heading": (2.0 + (TIMES > 30), 0.3 * np.sin(TIMES)),
     "drift": (2.0, 0.1 * np.sin(TIMES)),
@@ -69,11 +55,9 @@ LINES = {
 
 @pytest.mark.parametrize("name", LINES)
 def test_each_warning_has_its_cause(name):
-    assert WARNINGS[name] in warnings(recorded(*LINES[name]))
-
-
-def test_constant_turning_confounds_the_delay_and_nothing_else():
-    assert warnings(recorded(*CIRCLES)) == {WARNINGS["delay"]}
+    found = warnings(recorded(*LINES[name]))
+    assert WARNINGS[name] in found
+    assert name != "delay" or len(found) == 1
 
 
 def test_delay_is_confounded_exactly_where_turning_is_constant():
@@ -95,20 +79,18 @@ def test_condition_number_is_that_of_gain_and_drift():
     assert straight.sectors == 1
 
 
-def test_speeds_are_those_of_the_swimmer():
-    data = recorded(2.0 + np.floor(TIMES / 15), 0.05 * TIMES)
-    found = quality(data).runs[0].speeds
-    assert [speed.frequency for speed in found] == [2, 3, 4, 5]
+@pytest.mark.parametrize(
+    ("frequency", "count", "rtol"),
+    [(2.0 + np.floor(TIMES / 15), 4, 1e-3), (np.linspace(0.1, 5, len(TIMES)), 12, 0.1)],
+    ids=["steps", "bins"],
+)
+def test_speeds_are_those_of_the_swimmer(frequency, count, rtol):
+    found = quality(recorded(frequency, 0.05 * TIMES)).runs[0].speeds
+    assert len(found) == count
+    if count == 4:
+        assert [speed.frequency for speed in found] == [2, 3, 4, 5]
     for speed in found:
-        np.testing.assert_allclose(speed.median, 3.0 * speed.frequency, rtol=1e-3)
-
-
-def test_many_frequencies_are_put_into_bins():
-    data = recorded(np.linspace(0.1, 5, len(TIMES)), 0.05 * TIMES)
-    found = quality(data).runs[0].speeds
-    assert len(found) == 12
-    for speed in found:
-        np.testing.assert_allclose(speed.median, 3 * speed.frequency, rtol=0.1)
+        np.testing.assert_allclose(speed.median, 3.0 * speed.frequency, rtol=rtol)
 
 
 def test_clock_and_way_of_a_straight_run():
@@ -122,14 +104,6 @@ def test_clock_and_way_of_a_straight_run():
     np.testing.assert_allclose(track.speed, 6.0)
     np.testing.assert_allclose(track.path, 6.0 * (times[-1] - times[0]), rtol=0.02)
     assert (track.samples, track.lost, track.segments) == (len(times), 0, 1)
-
-
-def test_report_can_be_stored_with_its_infinite_numbers():
-    found = quality(recorded(3.0, 0.0))
-    document, arrays = encode(found)
-    again = json.loads(json.dumps(document, allow_nan=False))
-    assert again["runs"][0]["drive"]["condition"] == "inf"
-    assert decode(Quality, again, arrays) == found
 
 
 def test_recording_without_commands_scale_or_rate_says_so(read):
@@ -146,15 +120,7 @@ def test_recording_without_commands_scale_or_rate_says_so(read):
 def test_what_was_left_out_is_noted(read):
     text = "frame,t_s,x_px,y_px\n0,0,5,0\n1,0.1,5,0\n2,0.1,5,0\n3,0.3,90,0\n"
     notes = quality(read(text)).notes
-    assert notes == [
-        "1 repeated times left out",
-        "1 segments of a single row left out",
-    ]
-
-
-def test_other_trajectories_are_refused(paper_trajectories):
-    with pytest.raises(InputError, match="say nothing of runs and particles"):
-        quality(paper_trajectories)
+    assert notes == ["1 repeated times left out", "1 segments of a single row left out"]
 
 
 def test_real_sessions_tell_the_delay_only_on_random_paths(recording):
@@ -169,15 +135,6 @@ def test_real_sessions_tell_the_delay_only_on_random_paths(recording):
         assert run.drive.condition < 2
         assert 0.05 < run.scatter < 1.5
         np.testing.assert_allclose(run.clock.rate, 10, rtol=0.05)
-
-
-def test_noise_floor_of_a_real_recording_with_the_field_off(recording):
-    """0.03 to 0.08 um per frame, as its README measured by second differences."""
-    data = read_recording(recording("magscope_roller_circles/idle_brownian.csv.gz"))
-    found = quality(data)
-    for track in found.tracks:
-        assert 0.025 < track.localisation.scatter < 0.085
-    assert found.runs[0].warnings == [WARNINGS["off"]]
 
 
 def test_error_and_diffusion_of_the_synthetic_trap(recording):

@@ -41,6 +41,12 @@ class Sample(NamedTuple):
         """Number of the line of a row, 0 first."""
         return len(self.above) + 2 + len(self.below) + row
 
+    def fill(self, message):
+        """A message with places and names of this sample."""
+        lines, header = [self.line(row) for row in range(4)], len(self.above) + 1
+        known = {"lines": lines, "header": header, "first": self.header[0]}
+        return message.format(cells=len(self.header), **known, **self.columns)
+
     def edited(self, row, role, value):
         """The file with one cell changed."""
         lines = self.lines()
@@ -62,60 +68,53 @@ class Sample(NamedTuple):
 
 
 ROWS = list(rows_of(EXAMPLE[:1]))
-TRACKMATE = ["LABEL", "TRACK_ID", "POSITION_X", "POSITION_Y", "FRAME"]
-TRACKMATE_COLUMNS = {
-    "name": "TRACK_ID",
-    "frame": "FRAME",
-    "x": "POSITION_X",
-    "y": "POSITION_Y",
-}
+ROLES = ("name", "frame", "x", "y")
+
+
+def roles(*columns):
+    return dict(zip(ROLES, columns, strict=True))
+
+
+TRACKMATE = Sample(
+    "trackmate-csv",
+    ["LABEL", "TRACK_ID", "POSITION_X", "POSITION_Y", "FRAME"],
+    roles("TRACK_ID", "FRAME", "POSITION_X", "POSITION_Y"),
+)
+LONG = ["Label", "Track ID", "X", "Y", "Frame"]
+MAP = {"frame": "Zeit", "particle": "Bot", "x": "lage x", "y": "lage y"}
 SAMPLES = {
     "tidy": Sample(
         "tidy",
         ["particle", "frame", "t_s", "x_px", "y_px"],
-        {"name": "particle", "frame": "frame", "x": "x_px", "y": "y_px"},
+        roles("particle", "frame", "x_px", "y_px"),
     ),
     "trackpy": Sample(
         "trackpy",
         ["x", "y", "mass", "frame", "particle"],
-        {"name": "particle", "frame": "frame", "x": "x", "y": "y"},
+        roles("particle", "frame", "x", "y"),
     ),
-    "TrackMate, raw": Sample(
-        "trackmate-csv",
-        TRACKMATE,
-        TRACKMATE_COLUMNS,
-        below=[
-            ["Label", "Track ID", "X", "Y", "Frame"],
-            ["Label", "Track ID", "X", "Y", "Frame"],
-            ["", "", "(pixel)", "(pixel)", ""],
-        ],
+    "TrackMate, raw": TRACKMATE._replace(
+        below=[LONG, LONG, ["", "", "(pixel)", "(pixel)", ""]]
     ),
-    "TrackMate, re-saved": Sample("trackmate-csv", TRACKMATE, TRACKMATE_COLUMNS),
+    "TrackMate, re-saved": TRACKMATE,
     "SFI": Sample(
         "sfi",
         ["particle_id", "frame", "x", "y"],
-        {"name": "particle_id", "frame": "frame", "x": "x", "y": "y"},
+        roles("particle_id", "frame", "x", "y"),
         above=["# dt: 0.01", "# description: a trap"],
     ),
     "ImageJ, manual tracking": Sample(
         "imagej",
         ["Track n°", "Slice n°", "X", "Y", "Distance"],
-        {"name": "Track n°", "frame": "Slice n°", "x": "X", "y": "Y"},
+        roles("Track n°", "Slice n°", "X", "Y"),
         delimiter="\t",
         blank="-1",
     ),
     "any table": Sample(
         "table",
         ["Zeit", "Bot", "lage x", "lage y"],
-        {"name": "Bot", "frame": "Zeit", "x": "lage x", "y": "lage y"},
-        reading={
-            "columns": {
-                "frame": "Zeit",
-                "particle": "Bot",
-                "x": "lage x",
-                "y": "lage y",
-            }
-        },
+        roles("Bot", "Zeit", "lage x", "lage y"),
+        reading={"columns": MAP},
         delimiter=";",
     ),
 }
@@ -124,79 +123,66 @@ NUMBER = "expected a finite number, got"
 
 def cell(row, role, value, message=None):
     """One cell is another, and its place stands before the message."""
+    place = f"line {{lines[{row}]}}, column '{{{role}}}': "
     message = message or f"{NUMBER} {value!r}"
-    return (
-        lambda s: s.edited(row, role, value),
-        lambda s: f"line {s.line(row)}, column {s.columns[role]!r}: {message}",
-    )
+    return lambda s: s.edited(row, role, value), place + message
 
 
+HEADER_ALONE = r"(line \d+: the header is all there is|no spot belongs)"
+UNENDED = r"line \d+: (not CSV: unexpected end of data|expected)"
+CELLS = r"expected {cells} cells, as in the header"
 DAMAGE = {
-    "empty": (lambda s: "", lambda s: "the file is empty"),
-    "header alone": (
-        lambda s: s.text(s.lines()[: 1 + len(s.below)]),
-        lambda s: r"(line \d+: the header is all there is|no spot belongs)",
-    ),
-    "x missing": (
-        lambda s: s.without("x"),
-        lambda s: f"header: .*{s.columns['x']!r}( or 'XM')? is missing",
-    ),
-    "y missing": (
-        lambda s: s.without("y"),
-        lambda s: f"header: .*{s.columns['y']!r}( or 'YM')? is missing",
-    ),
+    "empty": (lambda s: "", "the file is empty"),
+    "header alone": (lambda s: s.text(s.lines()[: 1 + len(s.below)]), HEADER_ALONE),
+    "x missing": (lambda s: s.without("x"), "header: .*'{x}'( or 'XM')? is missing"),
+    "y missing": (lambda s: s.without("y"), "header: .*'{y}'( or 'YM')? is missing"),
     "column twice": (
         lambda s: s.text(
             [c + c[-1:] if i else [*c, c[0]] for i, c in enumerate(s.lines())]
         ),
-        lambda s: f"line {len(s.above) + 1}: column {s.header[0]!r} stands twice",
+        "line {header}: column '{first}' stands twice",
     ),
     "decimal comma": (
         lambda s: s.edited(0, "x", '"1,5"'),
-        lambda s: f"line {s.line(0)}, .*got '1,5'; write decimals with a point",
+        "line {lines[0]}, .*got '1,5'; write decimals with a point",
     ),
     "frame twice": (
         lambda s: s.edited(1, "frame", "2"),
-        lambda s: (
-            f"line {s.line(2)}, column .*: frame 2 of '0' stands in line "
-            f"{s.line(1)} already; delete one"
-        ),
+        "line {lines[2]}, column .*: frame 2 of '0' stands in line {lines[1]} already; "
+        "delete one",
     ),
     "row cut short": (
         lambda s: s.text([*s.lines()[:-1], s.lines()[-1][:-1]]),
-        lambda s: f"line {s.line(3)}: expected {len(s.header)} cells, as in the header",
+        "line {lines[3]}: " + CELLS,
     ),
     "row too long": (
         lambda s: s.text([*s.lines()[:-1], [*s.lines()[-1], "7"]]),
-        lambda s: f"line {s.line(3)}: expected {len(s.header)} cells, as in the header",
+        "line {lines[3]}: " + CELLS,
     ),
     "other delimiter": (
         lambda s: s.text(s.lines()).replace(s.delimiter, "|"),
-        lambda s: r"(header|line \d+): .*",
+        r"(header|line \d+): .*",
     ),
-    "open quote": (
-        lambda s: s.edited(3, "x", '"1'),
-        lambda s: r"line \d+: (not CSV: unexpected end of data|expected)",
-    ),
+    "open quote": (lambda s: s.edited(3, "x", '"1'), UNENDED),
     "bytes that are no text": (
         lambda s: s.edited(1, "x", "\udcff"),
-        lambda s: f"line {s.line(1)}: expected UTF-8 text, got the byte 0xff",
+        "line {lines[1]}: expected UTF-8 text, got the byte 0xff",
     ),
     "zeros in the text": (
         lambda s: s.edited(1, "x", "1\0"),
-        lambda s: f"line {s.line(1)}: expected text, got binary data",
+        "line {lines[1]}: expected text, got binary data",
     ),
     "gzip cut short": (
         lambda s: gzip.compress(s.text(s.lines()).encode())[:-10],
-        lambda s: "damaged gzip file: .* copy it from its origin again",
+        "damaged gzip file: .* copy it from its origin again",
     ),
     "single row": (
         lambda s: s.text(s.lines()[: 2 + len(s.below)]),
-        lambda s: "the longest of 1 segments has a single position",
+        "the longest of 1 segments has a single position",
     ),
     "no positions": (
         lambda s: s.text(s.lost()),
-        lambda s: "the longest of 0 segments has a single position",
+        "the longest of 0 segments has a single position",
     ),
     "word in x": cell(1, "x", "wall"),
     "word in y": cell(2, "y", "low"),
@@ -221,7 +207,7 @@ def test_damage_is_named_with_its_place(read, name, damage):
     if isinstance(content, str):
         content = content.encode("utf-8", "surrogateescape")
     reading = {"format": sample.format, **sample.reading}
-    with told(rf"a\.csv: .*{message(sample)}"):
+    with told(rf"a\.csv: .*{sample.fill(message)}"):
         read(content, name="a.csv", **reading)
 
 

@@ -37,12 +37,7 @@ def test_truth_agrees_with_an_independent_solution(truth):
     def slope(t, y):
         dx, dy = y[0] - 5.0, y[1] - 5.0
         push = 5.25 / 2.9**2 * np.exp(-(dx**2 + dy**2) / (2 * 2.9**2))
-        return [
-            y[2],
-            y[3],
-            push * dx - 0.36 * y[2],
-            push * dy - 0.36 * y[3] + 0.034,
-        ]
+        return [y[2], y[3], push * dx - 0.36 * y[2], push * dy - 0.36 * y[3] + 0.034]
 
     solution = solve_ivp(
         slope,
@@ -150,18 +145,15 @@ def test_stochastic_trajectories_diffuse_and_belong_to_their_key():
     np.testing.assert_allclose(measured, 0.2454, rtol=error)
 
 
-def test_unknown_scenario_is_refused_with_the_known_ones():
-    with pytest.raises(InputError, match="'papper' is unknown; choose one of: .*paper"):
-        scenario("papper")
-
-
 @pytest.mark.parametrize("name", ["barrier-crossings", "many-barriers", "brownian"])
 def test_a_count_is_positive(name):
     with pytest.raises(InputError, match="starts count: expected 1 or more, got 0"):
         scenario(name, count=0)
 
 
-def test_the_paper_has_one_start():
+def test_a_count_is_positive_and_that_of_the_paper_one():
     assert len(scenario("paper", count=1).starts) == 1
     with pytest.raises(InputError, match="'paper' has one fixed start"):
         scenario("paper", count=8)
+    with pytest.raises(InputError, match="'papper' is unknown; choose one of: .*paper"):
+        scenario("papper")

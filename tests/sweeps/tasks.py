@@ -1,7 +1,6 @@
 """Cells for tests: quick ones without JAX, and some with faults."""
 
 import ctypes
-import os
 import time
 from pathlib import Path
 
@@ -40,10 +39,6 @@ def stumble(cell: Cell, folder: Path) -> None:
 
 def crash(cell: Cell, folder: Path) -> None:
     ctypes.string_at(0)
-
-
-def leave(cell: Cell, folder: Path) -> None:
-    os._exit(3)
 
 
 def hang(cell: Cell, folder: Path) -> None:

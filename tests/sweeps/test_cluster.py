@@ -212,14 +212,11 @@ def workers_of(store):
     return [start.pid for start in attempts if start is not None]
 
 
-def test_nobody_at_the_address_is_one_line(monkeypatch):
+def test_nobody_there_and_damaged_certificates_are_one_line(monkeypatch, tmp_path):
     monkeypatch.setattr(cluster_module, "CONNECTION_TIME", 0.5)
     refusal = pytest.raises(InputError, match=r"--workers tcp://127.0.0.1:9: ")
     with refusal, cluster_at("tcp://127.0.0.1:9"):
         pass
-
-
-def test_damaged_certificates_are_one_line(tmp_path):
     file = tmp_path / "ca.pem"
     file.write_text("nothing")
     tls = "distributed.comm.tls"
@@ -233,18 +230,11 @@ def test_damaged_certificates_are_one_line(tmp_path):
         pass
 
 
-def test_a_cluster_that_is_gone_is_one_line():
+def test_a_cluster_that_is_gone_and_what_became_of_a_cell_elsewhere():
     client = Client()
     client.status = "closed"
     with pytest.raises(InputError, match="scheduler of a is gone; what is done is"):
         Cluster(client, "a").workers()
-
-
-class KilledWorker(Exception):
-    """As Dask calls a worker that died several times."""
-
-
-def test_what_became_of_a_cell_elsewhere():
     cluster, future = Cluster(Client(), "a"), Failed("error", KilledWorker())
     assert cluster.answer(future) is None
     assert cluster.answer(Failed("lost", None)) is None
@@ -252,6 +242,10 @@ def test_what_became_of_a_cell_elsewhere():
         cluster.answer(Failed("error", ImportError("no pinav")))
     with pytest.raises(KeyError):
         cluster.answer(Failed("error", KeyError()))
+
+
+class KilledWorker(Exception):
+    """As Dask calls a worker that died several times."""
 
 
 class Failed:

@@ -11,22 +11,13 @@ from tests.sweeps.here import Client, here
 from tests.sweeps.tasks import Number
 
 import pinav.sweeps.attempt
-from pinav import __version__
+from pinav import __version__, sweeps
 from pinav.errors import InputError
-from pinav.sweeps import (
-    Cell,
-    CellState,
-    CellStore,
-    Cluster,
-    claim,
-    map_cells,
-    sweep_status,
-)
 
 
 def cells_of(task, count, **settings):
     return [
-        Cell.of(
+        sweeps.Cell.of(
             f"tests.sweeps.tasks:{task}",
             Number(float(value), **settings),
             system="none",
@@ -39,9 +30,9 @@ def cells_of(task, count, **settings):
 
 def sweep(run, cells, workers=here, **options):
     """The outcomes, and the table that a command would make of them."""
-    store = CellStore.of_run(run)
-    with claim(run):
-        outcomes = map_cells(cells, store, workers, **options)
+    store = sweeps.CellStore.of_run(run)
+    with sweeps.claim(run):
+        outcomes = sweeps.map_cells(cells, store, workers, **options)
     files = [store.folder(cell) / "square.txt" for cell in cells]
     table = [file.read_text() if file.exists() else "" for file in files]
     return outcomes, table
@@ -49,7 +40,7 @@ def sweep(run, cells, workers=here, **options):
 
 def test_a_cell_is_text_and_its_name_is_its_content():
     cell, other = cells_of("square", 2)
-    assert Cell.from_text(cell.text) == cell
+    assert sweeps.Cell.from_text(cell.text) == cell
     assert cell.read(Number) == Number(0.0)
     assert cell.hash != other.hash
     assert cell.name == f"number-0-{cell.hash[:12]}"
@@ -95,7 +86,7 @@ def test_what_died_attempts_left_decides_whether_a_cell_is_tried(
     count, words, failure, tmp_path
 ):
     (cell,) = cells_of("square", 1)
-    store = CellStore.of_run(tmp_path)
+    store = sweeps.CellStore.of_run(tmp_path)
 
     class Dying(Client):
         def submit(self, function, version, order, **_):
@@ -104,7 +95,7 @@ def test_what_died_attempts_left_decides_whether_a_cell_is_tried(
             return super().submit(function, version, order)
 
     def workers():
-        return contextlib.nullcontext(Cluster(Dying(), "mortal ones"))
+        return contextlib.nullcontext(sweeps.Cluster(Dying(), "mortal ones"))
 
     (outcome,), table = sweep(tmp_path, [cell], workers)
     assert outcome.failure == failure
@@ -127,7 +118,7 @@ def test_a_worker_that_is_gone_gives_its_cell_back(tmp_path):
             future.cancel = lambda: None
             return future
 
-    gone = Cluster(Vanishing(), "some")
+    gone = sweeps.Cluster(Vanishing(), "some")
     gone.wait = lambda futures, seconds: None
     outcomes, table = sweep(
         tmp_path, cells_of("square", 1), lambda: contextlib.nullcontext(gone)
@@ -145,18 +136,16 @@ def test_a_full_disk_stops_the_sweep_and_loses_nothing(tmp_path):
     cells = [*cells_of("square", 1), *cells_of("fill", 1)]
     with pytest.raises(InputError, match=r"No space left.* continue with --resume"):
         sweep(tmp_path, cells)
-    store = CellStore.of_run(tmp_path)
+    store = sweeps.CellStore.of_run(tmp_path)
     assert store.outcome(cells[0]) is not None
     assert store.outcome(cells[1]) is None
     assert store.attempts(cells[1].name) == []
 
 
-def test_a_folder_that_cannot_be_written_is_refused_in_one_line():
+def test_a_folder_that_cannot_be_written_is_refused_in_one_line(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="cannot be written .*choose another folder"):
         sweep(Path("/proc/pinav"), cells_of("square", 1))
 
-
-def test_a_cell_that_cannot_be_written_stops_the_sweep(tmp_path, monkeypatch):
     def refuse(*_):
         raise OSError(30, "Read-only file system", "cells/x")
 
@@ -167,14 +156,14 @@ def test_a_cell_that_cannot_be_written_stops_the_sweep(tmp_path, monkeypatch):
 
 def test_a_second_client_is_told_in_one_line(tmp_path):
     refusal = pytest.raises(InputError, match="another process is at work")
-    with claim(tmp_path / "run"), refusal:
+    with sweeps.claim(tmp_path / "run"), refusal:
         sweep(tmp_path / "run", cells_of("square", 1))
     assert not (tmp_path / "run").exists()  # claimed, and nothing done
 
 
 def test_two_attempts_at_once_leave_one_result(tmp_path):
     (cell,) = cells_of("square", 1)
-    store = CellStore.of_run(tmp_path)
+    store = sweeps.CellStore.of_run(tmp_path)
     store.write_plan([cell], "two")
     first, second = store.begin(cell), store.begin(cell)
     for number, attempt in enumerate((first, second)):
@@ -195,14 +184,14 @@ def test_another_version_is_refused_in_one_line(tmp_path, monkeypatch):
 
 def test_a_worker_that_does_not_see_the_folder_says_so(tmp_path, monkeypatch):
     """Another machine's folder of the same name holds another sweep."""
-    plan = CellStore.write_plan
+    plan = sweeps.CellStore.write_plan
 
     def elsewhere(self, cells, engine):
         mine = plan(self, cells, engine)
         plan(self, cells, engine)
         return mine
 
-    monkeypatch.setattr(CellStore, "write_plan", elsewhere)
+    monkeypatch.setattr(sweeps.CellStore, "write_plan", elsewhere)
     monkeypatch.setattr(pinav.sweeps.attempt, "SIGHT", 0.1)
     with pytest.raises(InputError, match="does not see .*all machines share"):
         sweep(tmp_path, cells_of("square", 1))
@@ -220,64 +209,59 @@ def test_cells_of_one_shape_go_to_one_worker(tmp_path):
             return {"workers": {"one": {}, "other": {}}}
 
         def submit(self, function, version, order, workers, **_):
-            cell = Cell.from_text(json.loads(order)["cell"])
+            cell = sweeps.Cell.from_text(json.loads(order)["cell"])
             places.setdefault(cell.shape, set()).update(workers)
             return super().submit(function, version, order)
 
-    sweep(tmp_path, cells, lambda: contextlib.nullcontext(Cluster(Two(), "two")))
+    sweep(tmp_path, cells, lambda: contextlib.nullcontext(sweeps.Cluster(Two(), "two")))
     assert sorted(map(len, places.values())) == [1, 1]
 
 
 def test_status_is_read_from_files_alone(tmp_path):
     cells = [*cells_of("fail", 1), *cells_of("square", 3)]
     sweep(tmp_path, cells[:2])
-    store = CellStore.of_run(tmp_path)
+    store = sweeps.CellStore.of_run(tmp_path)
     store.write_plan(cells, "two processes")
     store.begin(cells[2])
-    with claim(tmp_path):
-        status = sweep_status(tmp_path)
+    with sweeps.claim(tmp_path):
+        status = sweeps.sweep_status(tmp_path)
     states = [cell.state for cell in status.cells]
-    assert states == [*CellState][::-1][:1] + ["done", "running", "waiting"]
+    assert states == [*sweeps.CellState][::-1][:1] + ["done", "running", "waiting"]
     assert status.cells[0].note == "the fit is singular"
     assert "process" in status.cells[2].note
     assert status.at_work
-    alone = sweep_status(tmp_path)
+    alone = sweeps.sweep_status(tmp_path)
     assert not alone.at_work
     assert alone.cells[2].state == "waiting"
 
 
 def test_no_sweep_has_no_status(tmp_path):
     with pytest.raises(InputError, match="holds no cells; give the --out of a study"):
-        sweep_status(tmp_path)
+        sweeps.sweep_status(tmp_path)
 
 
 @pytest.mark.parametrize(("place", "text"), [("sweep.json", "{"), ("cell", "{")])
 def test_damaged_files_are_named(place, text, tmp_path):
     cells = cells_of("square", 1)
     sweep(tmp_path, cells)
-    store = CellStore.of_run(tmp_path)
+    store = sweeps.CellStore.of_run(tmp_path)
     if place == "cell":
         (store.folder(cells[0]) / "outcome.json").write_text(text)
     else:
         (store.path / place).write_text(text)
     with pytest.raises(InputError, match=r"cannot be read .* continue with --resume"):
-        sweep_status(tmp_path)
+        sweeps.sweep_status(tmp_path)
 
 
-def test_a_damaged_result_of_a_cell_is_named(tmp_path):
+def test_what_is_damaged_of_a_cell_is_named(tmp_path):
     (cell,) = cells_of("square", 1)
     sweep(tmp_path, [cell])
-    store = CellStore.of_run(tmp_path)
+    store = sweeps.CellStore.of_run(tmp_path)
     (store.folder(cell) / "row.json").write_text("{")
     for name in ("row.json", "absent.json"):
         with pytest.raises(InputError, match=r"cannot be read .* delete .*--resume"):
             store.read_result(cell, name, dict)
-
-
-def test_a_folder_without_an_outcome_is_damaged(tmp_path):
-    (cell,) = cells_of("square", 1)
-    store = CellStore.of_run(tmp_path)
-    store.folder(cell).mkdir(parents=True)
+    (store.folder(cell) / "outcome.json").unlink()
     with pytest.raises(InputError, match="is damaged; delete it and continue"):
         store.outcome(cell)
 
@@ -285,7 +269,7 @@ def test_a_folder_without_an_outcome_is_damaged(tmp_path):
 def test_cells_are_removed_and_nothing_else(tmp_path):
     cells = cells_of("square", 2)
     sweep(tmp_path, cells)
-    store = CellStore.of_run(tmp_path)
+    store = sweeps.CellStore.of_run(tmp_path)
     (store.path / "mine").mkdir()
     (store.path / "mine" / "cell.toml").write_text("mine")
     store.remove()

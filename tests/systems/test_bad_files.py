@@ -5,7 +5,6 @@ import re
 import pytest
 from tests.defects import defects, told
 
-from pinav.errors import InputError
 from pinav.scenarios import find_system
 from pinav.systems import read_system
 
@@ -251,5 +250,5 @@ def test_a_name_that_gives_no_system(name, message, tmp_path, monkeypatch):
     (tmp_path / "folder.toml").mkdir()
     (tmp_path / "bytes.toml").write_bytes(b"name = '\xff'")
     (tmp_path / "large.toml").write_bytes(b"#" * (2**22 + 1))
-    with pytest.raises(InputError, match=re.escape(message)):
+    with told(re.escape(message)):
         find_system(name)

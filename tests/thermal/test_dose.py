@@ -27,11 +27,10 @@ def ramp(dt, cutoff):
 
 @pytest.mark.parametrize(
     ("celsius", "minutes"),
-    [(42, 15), (43, 60), (43.5, 84.8528137424), (44, 120), (45, 240)],
+    [(42.0, 15), (43.0, 60), (43.5, 84.8528137424), (44.0, 120), (45.0, 240)],
 )
 def test_an_hour_at_one_temperature(celsius, minutes):
-    constant = jnp.asarray(float(celsius))
-    found = cem43_segment(constant, constant, 3600.0)
+    found = cem43_segment(jnp.asarray(celsius), jnp.asarray(celsius), 3600.0)
     assert float(found) == pytest.approx(minutes, rel=1e-11)
 
 
@@ -44,13 +43,12 @@ def test_a_ramp_is_exact_at_any_step(dt, cutoff):
 
 
 def test_a_segment_does_not_depend_on_its_direction_or_division():
-    begin, end = jnp.asarray(35.0), jnp.asarray(46.0)
+    begin, middle, end = jnp.array([35.0, 39.4, 46.0])
     whole = cem43_segment(begin, end, 200.0)
     assert float(cem43_segment(end, begin, 200.0)) == pytest.approx(float(whole))
-    middle = jnp.asarray(39.4)
-    share = (39.4 - 35.0) / 11.0
-    parts = cem43_segment(begin, middle, 200.0 * share)
-    parts += cem43_segment(middle, end, 200.0 * (1 - share))
+    share = 200.0 * (39.4 - 35.0) / 11.0
+    parts = cem43_segment(begin, middle, share)
+    parts += cem43_segment(middle, end, 200.0 - share)
     assert float(parts) == pytest.approx(float(whole), rel=1e-12)
 
 
@@ -104,8 +102,8 @@ def test_quantiles_leave_out_what_is_not_target_and_differentiate():
     assert slope.tolist() == pytest.approx([0.0, 0.0, 1.0, 0.0])
 
 
-def exact_slopes(begin, end, cutoff):
-    """Derivatives of CEM43 of 60 s, to eighty digits."""
+def exact_slopes(*at):
+    """Derivatives of CEM43 of 60 s by both ends and the cut-off, to eighty digits."""
 
     def minutes(a, b, c):
         def integral(t):
@@ -119,17 +117,10 @@ def exact_slopes(begin, end, cutoff):
         return (integral(b) - integral(a)) / (b - a)
 
     with mp.workdps(80):
-        at, step = [mp.mpf(v) for v in (begin, end, cutoff)], mp.mpf(10) ** -20
-        return [
-            float(
-                (
-                    minutes(*(v + step * (i == j) for j, v in enumerate(at)))
-                    - minutes(*(v - step * (i == j) for j, v in enumerate(at)))
-                )
-                / (2 * step)
-            )
-            for i in range(3)
-        ]
+        at, step = np.array([mp.mpf(v) for v in at]), mp.mpf(10) ** -20
+        shifts = step * np.eye(3, dtype=int)
+        changes = [minutes(*(at + s)) - minutes(*(at - s)) for s in shifts]
+        return [float(change / (2 * step)) for change in changes]
 
 
 @pytest.mark.parametrize(

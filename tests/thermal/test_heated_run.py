@@ -37,6 +37,8 @@ def test_a_protocol_above_the_chosen_limit_is_refused_by_name():
     with pytest.raises(InputError, match="Atkinson-Brezovich limit: expected <= 4.85e"):
         require(protocol, HERGT_DUTZ, ATKINSON_BREZOVICH)
     require(steady(4.85e8), ATKINSON_BREZOVICH)
+    with pytest.raises(InputError, match=r"HfLimit.product: expected > 0 A/\(m s\)"):
+        HfLimit(-1.0)
 
 
 def test_the_limit_leaves_thirty_percent_of_the_power():
@@ -51,11 +53,6 @@ def test_pauses_leave_the_product_as_it_is():
     bursts = Piecewise.on_off(4850.0, 1e5, on=50.0, off=100.0, duration=3600.0)
     largest = float(jnp.max(ATKINSON_BREZOVICH.exposure(bursts)))
     assert largest == pytest.approx(4.85e8)
-
-
-def test_limits_are_checked():
-    with pytest.raises(InputError, match=r"HfLimit.product: expected > 0 A/\(m s\)"):
-        HfLimit(-1.0)
 
 
 def test_what_is_beyond_the_range_of_a_law_is_said():
@@ -78,24 +75,26 @@ def test_every_switch_of_a_burst_is_saved_once():
     assert len(times) > 180
 
 
-def test_heating_ends_where_the_field_is_last_on():
-    pause = Piecewise.constant((0.0, 60.0, 90.0, 600.0), [1e4, 5e3, 0.0], 1e5)
-    assert end_of_heating(pause) == 90.0
-    never = Piecewise.constant((0.0, 60.0), [0.0], 1e5)
-    assert end_of_heating(never) == 60.0
+@pytest.mark.parametrize(
+    ("amplitudes", "end"),
+    [
+        ([1e4, 5e3, 0.0], 90.0),
+        ([0.0, 0.0, 0.0], 600.0),
+        # a plan leaves a millionth of its largest amplitude where it is off
+        ([1e4, 1e-2, 0.0], 60.0),
+    ],
+)
+def test_heating_ends_where_the_field_is_last_on(amplitudes, end):
+    edges = (0.0, 60.0, 90.0, 600.0)
+    assert end_of_heating(Piecewise.constant(edges, amplitudes, 1e5)) == end
     ramp = Piecewise.ramp((0.0, 60.0, 90.0), [0.0, 1e4, 0.0], 1e5)
     assert end_of_heating(ramp) == 90.0
-    # a plan leaves a millionth of its largest amplitude where it is off
-    plan = Piecewise.constant((0.0, 60.0, 90.0), [1e4, 1e-2], 1e5)
-    assert end_of_heating(plan) == 60.0
 
 
-@pytest.mark.parametrize(
-    ("level", "time"), [(1.0, 10.0), (3.0, 15.0), (4.0, 20.0), (4.1, None)]
-)
-def test_time_to_a_dose(level, time):
-    reached = time_to_reach(np.array([10.0, 20.0]), np.array([2.0, 4.0]), level)
-    assert reached == time
+def test_time_to_a_dose():
+    times, doses = np.array([10.0, 20.0]), np.array([2.0, 4.0])
+    for level, time in ((1.0, 10.0), (3.0, 15.0), (4.0, 20.0), (4.1, None)):
+        assert time_to_reach(times, doses, level) == time
 
 
 def test_planes_lie_in_the_middle_of_the_target():

@@ -73,9 +73,7 @@ def test_a_ball_of_no_radius_or_beyond_the_grid_does_not_move():
 def test_the_law_of_tumours_does_not_jump():
     at = jnp.linspace(41.5, 42.5, 2001)
     values = lang("tumour")(at)
-    slopes = jax.vmap(jax.grad(lambda t: lang("tumour")(t[None])[0]))(at)
+    slopes = jax.grad(lambda t: lang("tumour")(t).sum())(at)
     assert float(jnp.abs(jnp.diff(values)).max()) < 2e-4
-    assert jnp.allclose(
-        jnp.cumsum(slopes)[-1] * 5e-4, values[-1] - values[0], rtol=1e-2
-    )
+    assert jnp.allclose(slopes.sum() * 5e-4, values[-1] - values[0], rtol=1e-2)
     assert float(lang("tumour")(jnp.asarray([42.0 + BLEND]))[0]) == 0.416

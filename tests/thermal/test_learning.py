@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.refusals import refusals
 from validation.heat.checks import reference_model
 
 from pinav.errors import InputError
@@ -12,12 +13,7 @@ from pinav.thermal.grids import RadialGrid
 from pinav.thermal.learning import learn, perfusion_curve, visited_range
 from pinav.thermal.perfusion import kernel_perfusion, lang, neural_perfusion
 from pinav.thermal.protocols import Piecewise
-from pinav.thermal.readings import (
-    Readings,
-    load_probes,
-    save_probes,
-    simulate_probes,
-)
+from pinav.thermal.readings import Readings, load_probes, save_probes, simulate_probes
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.tissues import Tissue
 
@@ -27,40 +23,40 @@ STEPS = Piecewise.constant(EDGES, [1e4, 6e3, 1e4], 1e5)
 POINTS = np.array([[0.0], [0.006], [0.013], [0.02]])
 
 
-def muscle(power=1.6e5):
+def muscle(power=1.6e5, law=None):
     """Muscle alone, heated by a spot."""
-    grid = RadialGrid.sphere(0.04, 24)
+    grid, law = RadialGrid.sphere(0.04, 24), law or lang("muscle")
     spot = jnp.exp(-0.5 * (grid.distances() / 0.012) ** 2)
     tissue = Tissue(0.49, 1090.0, 3421.0)
-    return reference_model(grid, power * spot, None, lang("muscle"), tissue)
+    return reference_model(grid, power * spot, None, law, tissue)
+
+
+def fitted(start, readings, **learned):
+    return learn(start, STEPS, readings, stepper=STEPPER, **learned)
+
+
+def curve_at(learned, at):
+    visited = visited_range(learned.model, STEPS, jnp.ones(24))
+    return perfusion_curve(learned.posterior, lambda m: m.perfusion, at, visited)
 
 
 @pytest.fixture(scope="module")
 def readings():
-    return simulate_probes(
-        muscle(),
-        STEPS,
-        POINTS,
-        every=20.0,
-        noise=0.05,
-        key=jax.random.key(0),
-        stepper=STEPPER,
-    )
+    options = {"every": 20.0, "noise": 0.05, "key": jax.random.key(0)}
+    return simulate_probes(muscle(), STEPS, POINTS, stepper=STEPPER, **options)
 
 
 @pytest.fixture(scope="module")
 def learned(readings):
-    start = eqx.tree_at(
-        lambda m: m.perfusion, muscle(), kernel_perfusion(0.47, (37.0, 46.0))
-    )
-    return learn(start, STEPS, readings, laws=lambda m: (m.perfusion,), stepper=STEPPER)
+    start = muscle(law=kernel_perfusion(0.47, (37.0, 46.0)))
+    return fitted(start, readings, laws=lambda m: (m.perfusion,))
 
 
 @pytest.mark.slow
 def test_perfusion_of_temperature_comes_back_within_its_band(learned):
     visited = visited_range(learned.model, STEPS, jnp.ones(24))
     at = np.linspace(41.0, visited[1] - 0.5, 8)
-    curve = perfusion_curve(learned.posterior, lambda m: m.perfusion, at, visited)
+    curve = curve_at(learned, at)
     true = np.asarray(lang("muscle")(jnp.asarray(at)))
     assert np.abs(curve.values / true - 1).max() < 0.15
     low, high = curve.band
@@ -71,9 +67,7 @@ def test_perfusion_of_temperature_comes_back_within_its_band(learned):
 @pytest.mark.slow
 def test_the_band_widens_where_the_data_say_nothing(learned):
     """Near the arterial temperature perfusion has no effect, above none was."""
-    visited = visited_range(learned.model, STEPS, jnp.ones(24))
-    at = np.array([37.2, 43.0])
-    curve = perfusion_curve(learned.posterior, lambda m: m.perfusion, at, visited)
+    curve = curve_at(learned, np.array([37.2, 43.0]))
     assert curve.sd[0] > 3 * curve.sd[1]
     assert curve.inside.tolist() == [True, True]
 
@@ -108,33 +102,26 @@ def test_untrained_kernels_are_their_level():
 
 @pytest.mark.slow
 def test_a_network_learns_too(readings):
-    start = eqx.tree_at(
-        lambda m: m.perfusion,
-        muscle(),
-        neural_perfusion(0.47, (37.0, 46.0), key=jax.random.key(0), width=6),
-    )
-    fit = learn(start, STEPS, readings, laws=lambda m: (m.perfusion,), stepper=STEPPER)
+    law = neural_perfusion(0.47, (37.0, 46.0), key=jax.random.key(0), width=6)
+    fit = fitted(muscle(law=law), readings, laws=lambda m: (m.perfusion,))
     assert fit.hyperparameters.noise == pytest.approx(0.05, rel=0.3)
+
+
+def scale(model):
+    return model.sources[0].scale
 
 
 @pytest.mark.slow
 def test_the_scale_of_the_power_is_learned_from_steps(readings):
-    start = muscle(2e5)
-    fit = learn(
-        start, STEPS, readings, constants=lambda m: m.sources[0].scale, stepper=STEPPER
-    )
-    (found,) = fit.constants.values()
+    (found,) = fitted(muscle(2e5), readings, constants=scale).constants.values()
     assert found.value == pytest.approx(0.8, abs=4 * found.sd)
     assert found.sd < 0.01
 
 
 @pytest.mark.slow
 def test_readings_survive_a_file(tmp_path, readings):
-    with_gap = eqx.tree_at(
-        lambda d: d.values,
-        readings,
-        np.where(readings.values > 44, np.nan, readings.values),
-    )
+    values = np.where(readings.values > 44, np.nan, readings.values)
+    with_gap = eqx.tree_at(lambda d: d.values, readings, values)
     save_probes(with_gap, tmp_path / "probes.csv")
     again = load_probes(tmp_path / "probes.csv")
     assert again.times == pytest.approx(with_gap.times)
@@ -145,20 +132,25 @@ def test_readings_survive_a_file(tmp_path, readings):
 @pytest.mark.slow
 def test_what_cannot_be_learned_is_refused(readings, tmp_path):
     with pytest.raises(InputError, match="nothing to learn"):
-        learn(muscle(), STEPS, readings, stepper=STEPPER)
+        fitted(muscle(), readings)
     far = Readings(readings.times, readings.values, POINTS + 1.0)
     with pytest.raises(InputError, match="probe at 1 m: expected between 0 and 0.04"):
-        learn(muscle(), STEPS, far, constants=lambda m: m.sources[0].scale)
+        learn(muscle(), STEPS, far, constants=scale)
     late = Readings(readings.times + 1e4, readings.values, POINTS)
     with pytest.raises(InputError, match="saved time .* expected after 0 and up to"):
-        learn(muscle(), STEPS, late, constants=lambda m: m.sources[0].scale)
+        learn(muscle(), STEPS, late, constants=scale)
     with pytest.raises(InputError, match=r"of shape \(45, 4\), times by places"):
         Readings(readings.times, readings.values[:, :2], POINTS)
     with pytest.raises(InputError, match="cannot be read"):
         load_probes(tmp_path / "nowhere.csv")
-    with pytest.raises(InputError, match="perfusion level: expected > 0"):
-        kernel_perfusion(0.0, (37.0, 45.0))
-    with pytest.raises(InputError, match="perfusion range: expected increasing"):
-        kernel_perfusion(1.0, (45.0, 37.0))
-    with pytest.raises(InputError, match="length_scale: expected > 0 K"):
-        kernel_perfusion(1.0, (37.0, 45.0), length_scale=0.0)
+
+
+FROM, TO = 37.0, 45.0
+test_bad_kernels_are_refused = refusals(
+    (lambda: kernel_perfusion(0.0, (FROM, TO)), "perfusion level: expected > 0"),
+    (lambda: kernel_perfusion(1.0, (TO, FROM)), "perfusion range: expected increasing"),
+    (
+        lambda: kernel_perfusion(1.0, (FROM, TO), length_scale=0.0),
+        "length_scale: expected > 0 K",
+    ),
+)

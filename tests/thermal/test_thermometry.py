@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.refusals import refusals
 from validation.heat.checks import reference_model
 
 from pinav.errors import InputError
@@ -38,11 +39,15 @@ def model(flows=(1.0, 3.0), shift=(0.0, 0.0), scale=1.0):
 TRUTH = model((0.7, 4.0), (2e-3, -1.5e-3), 1.1)
 
 
+def clean():
+    """What a perfect thermometer would show."""
+    return np.asarray(solve(TRUTH, FIELD, stepper=STEPPER, save_at=TIMES).observed)
+
+
 def frames(noise=0.2, drift="linear"):
-    random = np.random.default_rng(3)
-    clean = np.asarray(solve(TRUTH, FIELD, stepper=STEPPER, save_at=TIMES).observed)
+    random, values = np.random.default_rng(3), clean().copy()
     sd = noise * random.uniform(0.5, 1.5, GRID.shape)
-    values = clean + sd * random.normal(size=clean.shape)
+    values += sd * random.normal(size=values.shape)
     slopes = np.linspace(-1, 1, 12)[:, None]
     values += np.cumsum(random.normal(size=(8, 1, 1)), axis=0) * (2 + 0.3 * slopes)
     values = 37 + (values - 37 + TURN / 2) % TURN - TURN / 2
@@ -50,21 +55,19 @@ def frames(noise=0.2, drift="linear"):
     return Readings(TIMES, values, noise=sd, turn=TURN, drift=drift)
 
 
+def residuals_of(data):
+    return read_residuals(TRUTH, FIELD, data, stepper=STEPPER)
+
+
 def picked(one):
     source = one.sources[0]
     return tuple(w.value for w in one.perfusion.laws), source.source.scale, source.shift
 
 
-@pytest.fixture(scope="module")
-def fit():
-    return learn(model(), FIELD, frames(0.05), constants=picked, stepper=STEPPER)
-
-
-def test_perfusion_power_and_place_come_back(fit):
+def test_perfusion_power_and_place_come_back():
+    fit = learn(model(), FIELD, frames(0.05), constants=picked, stepper=STEPPER)
     true = np.array([0.7, 4.0, 1.1, 2e-3, -1.5e-3])
-    estimates = list(fit.constants.values())
-    values = np.array([one.value for one in estimates])
-    sd = np.array([one.sd for one in estimates])
+    values, sd = np.array([(own.value, own.sd) for own in fit.constants.values()]).T
     assert np.abs((values - true) / sd).max() < 3
     assert np.all(sd[:3] < 0.15 * true[:3])
     assert fit.hyperparameters.noise == pytest.approx(1.0, rel=0.15)
@@ -72,21 +75,18 @@ def test_perfusion_power_and_place_come_back(fit):
 
 def test_what_a_drift_explains_is_no_residual():
     data = frames()
-    residuals = read_residuals(TRUTH, FIELD, data, stepper=STEPPER)
-    before = residuals(TRUTH)
     moved = data.values + np.linspace(-1, 1, 10)[None, None, :] + 1.0
-    other = eqx.tree_at(lambda d: d.values, data, moved)
-    after = read_residuals(TRUTH, FIELD, other, stepper=STEPPER)(TRUTH)
+    residuals = residuals_of(data)
+    before = residuals(TRUTH)
+    after = residuals_of(eqx.tree_at(lambda d: d.values, data, moved))(TRUTH)
     assert jnp.allclose(before, after, atol=1e-8)
     assert before.shape == (int(data.observed.sum()),)
     assert residuals.num_projected == 8 * 3
 
 
 def test_without_drift_or_turns_residuals_are_those_of_probes():
-    clean = np.asarray(solve(TRUTH, FIELD, stepper=STEPPER, save_at=TIMES).observed)
-    data = Readings(TIMES, clean + 0.5, noise=np.full(GRID.shape, 0.25))
-    residuals = read_residuals(TRUTH, FIELD, data, stepper=STEPPER)
-    assert jnp.allclose(residuals(TRUTH), -2.0)
+    data = Readings(TIMES, clean() + 0.5, noise=np.full(GRID.shape, 0.25))
+    assert jnp.allclose(residuals_of(data)(TRUTH), -2.0)
 
 
 @pytest.mark.slow
@@ -125,35 +125,25 @@ def test_frames_up_to_a_time():
     assert frames().until(90.0).times.tolist() == [30.0, 60.0, 90.0]
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"values": np.zeros((8, 3, 3))}, "expected values of shape"),
-        ({"times": TIMES - 30.0}, "increasing times > 0 s"),
-        ({"values": np.full((8, 12, 10), np.nan)}, "expected a reading, got none"),
-        ({"noise": np.zeros(GRID.shape)}, "expected a noise > 0 K at every voxel"),
-        ({"turn": -1.0}, "expected a turn > 0 K"),
-        ({"drift": "cubic"}, "expected a drift, none, constant, linear"),
-    ],
+def bad(**changes):
+    still = {"times": TIMES, "values": np.full((8, 12, 10), 37.0)}
+    return lambda: Readings(**still | {"noise": np.ones(GRID.shape)} | changes)
+
+
+test_bad_frames = refusals(
+    (bad(values=np.zeros((8, 3, 3))), "expected values of shape"),
+    (bad(times=TIMES - 30.0), "increasing times > 0 s"),
+    (bad(values=np.full((8, 12, 10), np.nan)), "expected a reading, got none"),
+    (bad(noise=np.zeros(GRID.shape)), "expected a noise > 0 K at every voxel"),
+    (bad(turn=-1.0), "expected a turn > 0 K"),
+    (bad(drift="cubic"), "expected a drift, none, constant, linear"),
 )
-def test_bad_frames(changes, message):
-    data = {
-        "times": TIMES,
-        "values": np.full((8, 12, 10), 37.0),
-        "noise": np.ones(GRID.shape),
-        "turn": None,
-        "drift": "none",
-    }
-    with pytest.raises(InputError, match=message):
-        Readings(**(data | changes))
 
 
 def test_frames_of_another_grid_or_without_a_drift():
-    other = Readings(TIMES, np.full((8, 3, 3), 37.0))
     with pytest.raises(InputError, match="expected frames of shape"):
-        read_residuals(TRUTH, FIELD, other, stepper=STEPPER)
+        residuals_of(Readings(TIMES, np.full((8, 3, 3), 37.0)))
     values = np.full((8, 12, 10), np.nan)
     values[:, 0, 0] = 37.0
-    one = Readings(TIMES, values, drift="linear")
     with pytest.raises(InputError, match="voxels in every frame that tell its drift"):
-        read_residuals(TRUTH, FIELD, one, stepper=STEPPER)
+        residuals_of(Readings(TIMES, values, drift="linear"))

@@ -47,13 +47,10 @@ def test_velocities_never_seen_come_from_positions_and_padding_repeats():
     np.testing.assert_array_equal(states[1, 8:], [states[1, 7]] * 22)
 
 
-def test_a_position_never_seen_is_refused():
+def test_channels_with_too_few_observations_are_refused():
     observed = np.tile([True, False, True, True], (30, 1))
     with pytest.raises(InputError, match="channel 'y' of trajectory 0: 0 obs.* of 'y'"):
         smooth_states(trajectory(observed))
-
-
-def test_one_position_gives_no_velocity():
     observed = np.zeros((30, 4), bool)
     observed[:, 0] = True
     observed[:2, 1] = True

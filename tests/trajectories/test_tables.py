@@ -31,10 +31,6 @@ def pandas_table():
     return pandas.DataFrame(COLUMNS)
 
 
-def nullable_table():
-    return pandas.DataFrame(COLUMNS).convert_dtypes()
-
-
 def arrow_table():
     return pytest.importorskip("pyarrow").Table.from_pandas(pandas_table())
 
@@ -42,7 +38,7 @@ def arrow_table():
 TABLES = {
     "columns": lambda: COLUMNS,
     "pandas": pandas_table,
-    "pandas with NA": nullable_table,
+    "pandas with NA": lambda: pandas_table().convert_dtypes(),
     "pyarrow": arrow_table,
     "Arrow stream": lambda: Stream(arrow_table()),
 }

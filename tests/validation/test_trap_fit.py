@@ -3,22 +3,16 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.integrate import dblquad
-from validation.truth.trap_fit import (
-    TrapData,
-    TrapModel,
-    blur_factor,
-    fit_trap,
-    propagate,
-    trap_likelihood,
-)
+from scipy.signal import lfilter
+from tests.defects import told
+from validation.truth import trap_fit
 
-from pinav.errors import InputError
-
-TRAP = TrapModel(*map(jnp.asarray, (0.4, 1.3, 0.6, 0.2, 0.5, 20.0)))
+TRAP = trap_fit.TrapModel(*map(jnp.asarray, (0.4, 1.3, 0.6, 0.2, 0.5, 20.0)))
 
 
-def covariance(trap: TrapModel, times: np.ndarray) -> np.ndarray:
+def covariance(trap: trap_fit.TrapModel, times: np.ndarray) -> np.ndarray:
     """Of recorded positions, from the autocorrelation of the bead alone."""
     rate, exposure = float(trap.rate), float(trap.exposure)
     gaps = np.abs(times[:, None] - times[None])
@@ -50,11 +44,11 @@ LOST = np.delete(EVEN, [3, 4, 11, 25, 26, 27]) + 0.03 * np.sin(np.arange(34.0))
 )
 def test_the_filter_gives_the_likelihood_of_a_dense_gaussian(times, even):
     values = np.random.default_rng(0).normal(size=len(times)) * 2
-    data = TrapData(*map(jnp.asarray, (times, values, 0 * times)), even)
-    result = trap_likelihood(TRAP, data)
+    data = trap_fit.TrapData(*map(jnp.asarray, (times, values, 0 * times)), even)
+    result = trap_fit.trap_likelihood(TRAP, data)
     expected, mean = restricted_likelihood(covariance(TRAP, times), values)
-    np.testing.assert_allclose(result.log_likelihood, expected, rtol=1e-10)
-    np.testing.assert_allclose(result.mean, mean, rtol=1e-8)
+    assert_allclose(result.log_likelihood, expected, rtol=1e-10)
+    assert_allclose(result.mean, mean, rtol=1e-8)
 
 
 @pytest.mark.parametrize("ratio", [1e-8, 0.0099, 0.0101, 0.5, 3.0])
@@ -63,78 +57,72 @@ def test_the_blurred_variance_is_that_of_wong_and_halvorsen(ratio):
         return np.exp(-ratio * abs(s - r))
 
     halves = dblquad(correlation, 0, 1, 0, lambda s: s)[0]
-    np.testing.assert_allclose(blur_factor(ratio), 2 * halves, rtol=1e-7)
+    assert_allclose(trap_fit.blur_factor(ratio), 2 * halves, rtol=1e-7)
 
 
 @pytest.mark.parametrize("exposure", [1e-3, 0.0748, 0.0752, 0.6, 0.999])
 def test_what_stationary_beads_gain_keeps_them_stationary(exposure):
     trap = TRAP._replace(exposure=jnp.asarray(exposure))
-    steps = propagate(trap, jnp.array([1.0, 2.5]))
+    steps = trap_fit.propagate(trap, jnp.array([1.0, 2.5]))
     variance = trap.diffusion / trap.rate
-    np.testing.assert_allclose(steps.decay**2 * variance + steps.noise, variance)
-    blurred = variance * blur_factor(trap.rate * trap.exposure)
+    assert_allclose(steps.decay**2 * variance + steps.noise, variance)
+    blurred = variance * trap_fit.blur_factor(trap.rate * trap.exposure)
     gained = steps.reach**2 * variance + steps.blurred
-    np.testing.assert_allclose(gained, jnp.full(2, blurred), rtol=1e-12)
+    assert_allclose(gained, jnp.full(2, blurred), rtol=1e-12)
 
 
 def test_a_bead_follows_a_steady_drive_at_the_distance_of_the_lag():
     times = np.arange(50.0)
-    data = TrapData(*map(jnp.asarray, (times, 0 * times, 3 * times)), even=True)
+    data = trap_fit.TrapData(
+        *map(jnp.asarray, (times, 0 * times, 3 * times)), even=True
+    )
     behind = data.drive - data.mean_path(TRAP)
     lag = 3 / TRAP.rate + 3 * TRAP.exposure / 2
-    np.testing.assert_allclose(behind, jnp.full(50, lag), rtol=1e-12)
+    assert_allclose(behind, jnp.full(50, lag), rtol=1e-12)
 
 
-def recording(seed, frames=3000, rate=40.0, diffusion=0.2, scale=1.0):
+def recording(seed, frames=3000, rate=40.0, diffusion=0.2):
     """Positions [um] at 145 Hz, exposed for 0.6 frames, with an error of 5 nm."""
     random, parts, tau = np.random.default_rng(seed), 10, 1 / 145
-    decay = np.exp(-rate * tau / parts)
-    kicks = random.normal(size=frames * parts) * np.sqrt(
-        diffusion / rate * (1 - decay**2)
-    )
-    path = np.empty(frames * parts)
-    here = np.sqrt(diffusion / rate) * random.normal()
-    for index, kick in enumerate(kicks):
-        here = decay * here + kick
-        path[index] = here
+    path = relaxing(random, frames * parts, np.exp(-rate * tau / parts))
+    path *= np.sqrt(diffusion / rate)
     exposed = path.reshape(frames, parts)[:, -6:].mean(axis=1)
-    noise = 0.005 * random.normal(size=frames)
-    return np.arange(frames) * tau, scale * (exposed + noise)
+    return np.arange(frames) * tau, exposed + 0.005 * random.normal(size=frames)
+
+
+def relaxing(random, count, decay):
+    """An Ornstein-Uhlenbeck process of unit variance at equal times."""
+    kicks = random.normal(size=count)
+    kicks[1:] *= np.sqrt(1 - decay**2)
+    return lfilter([1.0], [1.0, -decay], kicks)
 
 
 def test_a_fit_finds_the_trap_and_does_not_depend_on_the_units():
     times, positions = recording(1)
-    fit = fit_trap(times, positions, wander=False)
+    fit = trap_fit.fit_trap(times, positions, wander=False)
     assert fit.converged
     for estimate, true in ((fit.rate, 40.0), (fit.diffusion, 0.2)):
         assert abs(estimate.value - true) < 3 * estimate.sd < 0.4 * true
     stiffness = fit.stiffness(0.004)
-    np.testing.assert_allclose(
-        stiffness.value, 0.004 * fit.rate.value / fit.diffusion.value
-    )
+    assert_allclose(stiffness.value, 0.004 * fit.rate.value / fit.diffusion.value)
     assert abs(stiffness.value - 0.8) < 3 * stiffness.sd
-    np.testing.assert_allclose(fit.lag(-2.0).value, -2 * fit.relaxation.value)
+    assert_allclose(fit.lag(-2.0).value, -2 * fit.relaxation.value)
     assert fit.lag(-2.0).sd > 0
     assert np.all(np.abs(fit.correlations) < 4 / np.sqrt(3000))
-    other = fit_trap(1e3 * times + 7, 1e-6 * positions - 2e-3, wander=False)
-    np.testing.assert_allclose(other.rate.value, fit.rate.value / 1e3, rtol=1e-3)
-    np.testing.assert_allclose(other.diffusion.sd, fit.diffusion.sd * 1e-15, rtol=1e-2)
-    np.testing.assert_allclose(
-        other.mean.value, 1e-6 * fit.mean.value - 2e-3, rtol=1e-6
-    )
+    other = trap_fit.fit_trap(1e3 * times + 7, 1e-6 * positions - 2e-3, wander=False)
+    assert_allclose(other.rate.value, fit.rate.value / 1e3, rtol=1e-3)
+    assert_allclose(other.diffusion.sd, fit.diffusion.sd * 1e-15, rtol=1e-2)
+    assert_allclose(other.mean.value, 1e-6 * fit.mean.value - 2e-3, rtol=1e-6)
 
 
 def test_the_evidence_sees_that_a_trap_wanders():
     times, positions = recording(2)
-    random = np.random.default_rng(3)
-    slow = [0.04 * random.normal()]
-    for kick in random.normal(size=len(times) - 1):
-        slow.append(0.995 * slow[-1] + 0.04 * np.sqrt(1 - 0.995**2) * kick)
-    wandering = fit_trap(times, positions + np.array(slow))
+    slow = 0.04 * relaxing(np.random.default_rng(3), len(times), 0.995)
+    wandering = trap_fit.fit_trap(times, positions + slow)
     assert wandering.advantage > 5
     assert wandering.wander is not None
     assert abs(wandering.wander.value - 0.04) < 3 * wandering.wander.sd
-    resting = fit_trap(times, positions)
+    resting = trap_fit.fit_trap(times, positions)
     assert resting.advantage < 1
     if resting.advantage < 0:
         assert resting.wander is None
@@ -150,5 +138,5 @@ def test_the_evidence_sees_that_a_trap_wanders():
     ],
 )
 def test_what_is_no_recording_of_a_trap_is_refused(times, positions, message):
-    with pytest.raises(InputError, match=message):
-        fit_trap(times, positions)
+    with told(message):
+        trap_fit.fit_trap(times, positions)

@@ -10,12 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 from validation.truth.__main__ import run
-from validation.truth.cases import (
-    BUILT_IN,
-    Constants,
-    find_cases,
-    read_recording,
-)
+from validation.truth.cases import BUILT_IN, Constants, find_cases, read_recording
 from validation.truth.known import brenner_mobility, wall_score
 from validation.truth.metrics import Truth, TruthCase, TruthRow
 from validation.truth.sections import case_table
@@ -150,35 +145,6 @@ def test_a_missed_bar_and_a_failed_case_are_published():
     assert metrics.failures == ["b: diverged", "a: k [pN/um]: 1, expected within 1%"]
     text = as_text(case_table(metrics.cases))
     assert "1.000 [0.980, 1.020]" in text
-
-
-@pytest.mark.slow
-def test_a_ring_is_judged_by_density_and_current(tmp_path, capsys):
-    random, step, tracks = np.random.default_rng(1), 0.01, 4
-    x = random.uniform(0, 2.0, tracks)
-    rows = []
-    for index in range(6000):
-        drift = 1.0 + 0.6 * np.cos(np.pi * x)
-        x = x + step * drift + np.sqrt(0.1 * step) * random.normal(size=tracks)
-        if index % 4 == 0:
-            rows.append(x)
-    place = tmp_path / "ring"
-    place.mkdir()
-    names = [f"x{index}" for index in range(tracks)]
-    header = ",".join(names)
-    np.savetxt(place / "x.csv", rows, delimiter=",", header=header, comments="")
-    (place / "truth.toml").write_text(
-        f'kind = "ring"\nfile = "x.csv"\nrate_Hz = 25\npositions = {names}\n'
-        "[constants]\nperiod = 2.0\n".replace("'", '"')
-    )
-    out = tmp_path / "run"
-    assert run([str(place), "--out", str(out), "--json", "--no-peer"]) == 0
-    case = json.loads(capsys.readouterr().out)["cases"][0]
-    assert case["status"] == "judged", case
-    rows = {row["quantity"]: row for row in case["rows"]}
-    diffusion = rows["D against the drift's route [um²/s]"]
-    np.testing.assert_allclose(diffusion["learned"], 0.05, rtol=0.1)
-    assert rows["drift off density and current, uniform [%]"]["learned"] < 20
 
 
 @pytest.mark.slow

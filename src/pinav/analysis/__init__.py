@@ -12,7 +12,6 @@ from pinav.analysis.discovery.force_sample import Centrality as Centrality
 from pinav.analysis.discovery.force_sample import CentralTest as CentralTest
 from pinav.analysis.discovery.force_sample import ForceSample as ForceSample
 from pinav.analysis.discovery.force_sample import central_test as central_test
-from pinav.analysis.discovery.laws import LawForce as LawForce
 from pinav.analysis.effects import ConstantEffect as ConstantEffect
 from pinav.analysis.effects import Doubt as Doubt
 from pinav.analysis.effects import TrajectoryEffect as TrajectoryEffect
@@ -30,3 +29,4 @@ from pinav.analysis.sensitivity.sobol import Factor as Factor
 from pinav.analysis.sensitivity.sobol import RolloutStudy as RolloutStudy
 from pinav.analysis.sensitivity.sobol import SobolIndices as SobolIndices
 from pinav.analysis.sensitivity.sobol import sobol_indices as sobol_indices
+from pinav.forces.laws import LawForce as LawForce

@@ -1,7 +1,5 @@
 """Laws that the profiles of a fit may follow, with numbers that are fitted."""
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,72 +7,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.forces.formulas import NUMERIC
-from pinav.forces.profiles import (
-    AbstractProfile,
-    Channel,
-    Hill,
-    Step,
-    SuperGaussian,
-    Wave,
-)
-
-
-@dataclasses.dataclass(frozen=True)
-class LawFamily:
-    """A profile that a term of a fit may follow.
-
-    Attributes:
-        numbers: its constants, as tables name them: the place along the coordinate
-            first where it has one, then those of the profile.
-        latex: its formula; SymPy, which could print it, takes a second to import.
-        is_placed: True if it has a place; else it stands at zero.
-        of_distances: True if terms of a distance may follow it.
-        of_lines: True if terms along a line may.
-        reach: deviation of the prior of a place, in sizes.
-    """
-
-    profile: AbstractProfile
-    numbers: tuple[str, ...]
-    latex: str
-    is_placed: bool = True
-    of_distances: bool = True
-    of_lines: bool = True
-    reach: float = 2.0
-
-
-FITTED: dict[str, LawFamily] = {
-    "hill": LawFamily(
-        Hill(),
-        ("size", "tail"),
-        r"(1 + \kappa z^2 / 2 s^2)^{-1/\kappa}",
-        is_placed=False,
-        of_lines=False,
-    ),
-    "plateau": LawFamily(
-        SuperGaussian(),
-        ("size", "steepness"),
-        r"e^{-(z^2 / 2 s^2)^m}",
-        is_placed=False,
-        of_lines=False,
-    ),
-    "ring": LawFamily(
-        Hill(),
-        ("radius", "size", "tail"),
-        r"(1 + \kappa (z - \rho)^2 / 2 s^2)^{-1/\kappa}",
-        reach=1.0,
-    ),
-    "step": LawFamily(Step(), ("place", "size"), r"1 / (1 + e^{-(z - b) / w})"),
-    "channel": LawFamily(
-        Channel(),
-        ("middle", "half width", "size"),
-        r"1 / (1 + e^{(a + b - z) / w}) + 1 / (1 + e^{(a - b + z) / w})",
-        of_distances=False,
-    ),
-    "wave": LawFamily(
-        Wave(), ("place", "period"), r"\cos((z - b) / s)", of_distances=False
-    ),
-}
-"""Laws of the terms of a fit by the words for them in tables."""
+from pinav.forces.profiles import FITTED, AbstractProfile
 
 
 class FittedLaw(eqx.Module):
@@ -96,14 +29,14 @@ class FittedLaw(eqx.Module):
     numbers: tuple[Scalar, ...]
 
     @property
-    def family(self) -> LawFamily:
-        """The profile and what its numbers are."""
+    def family(self) -> AbstractProfile:
+        """Its profile."""
         return FITTED[self.name]
 
     @property
     def latex(self) -> str:
         """Its formula for unit height."""
-        return self.family.latex
+        return self.family.formula
 
     @property
     def scales(self) -> tuple[float, ...]:
@@ -132,7 +65,7 @@ class FittedLaw(eqx.Module):
         place, shapes = 0.0, self._values
         if self.family.is_placed:
             place, *shapes = shapes
-        return self.family.profile.value(shapes, z - place, NUMERIC)
+        return self.family.value(shapes, z - place, NUMERIC)
 
     def force(self, z: Scalar) -> Float[Array, ""]:
         """The force along the coordinate, for unit height [L⁻¹]."""

@@ -5,13 +5,19 @@ import math
 from typing import Any, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from pinav.arguments import Scalar, Vector, on_device
 from pinav.errors import InputError
-from pinav.forces.force import AbstractForce, AbstractLearnedForce, KernelPlaces
+from pinav.forces.force import (
+    AbstractForce,
+    AbstractLearnedForce,
+    KernelPlaces,
+    forces_at,
+)
 from pinav.forces.priors import Centers, Shape, WeightPrior
 
 REACH = 5.0
@@ -140,15 +146,18 @@ class AbstractKernels(AbstractLearnedForce):
     def force_per_weight(self) -> float:
         """About what force a weight of one makes: of energies [L⁻¹], of forces 1."""
 
-    @staticmethod
-    @abc.abstractmethod
+    @classmethod
     def kernel_forces(
-        offsets: Float[np.ndarray, "*place dim"], width: float
+        cls, offsets: Float[np.ndarray, "*place dim"], width: float
     ) -> Float[np.ndarray, "*place dim"]:
         """Force of a kernel of weight one at offsets from its centre [L].
 
         Of a kernel with a weight for each component, that of each of them.
         """
+        with jax.enable_x64(new_val=True):
+            empty = cls.with_zero_weights(np.zeros((1, offsets.shape[-1])), width)
+            one = eqx.tree_at(lambda force: force.weights, empty, empty.weights + 1)
+            return np.asarray(forces_at(one, np.zeros(offsets.shape[:-1]), offsets))
 
     def variance_beyond(
         self, shape: Shape, positions: Float[np.ndarray, "point dim"]
@@ -214,13 +223,6 @@ class KernelForce(AbstractKernels):
     def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
         return centers
 
-    @staticmethod
-    def kernel_forces(
-        offsets: Float[np.ndarray, "*place dim"], width: float
-    ) -> Float[np.ndarray, "*place dim"]:
-        squares = (offsets**2).sum(axis=-1, keepdims=True)
-        return np.broadcast_to(np.exp(-0.5 * squares / width**2), offsets.shape)
-
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return kernel_values(x, self.centers, self.width) @ self.weights
 
@@ -263,12 +265,6 @@ class KernelPotential(AbstractScalarKernels):
     def kind(self) -> str:
         return "kernel-potential"
 
-    @staticmethod
-    def kernel_forces(
-        offsets: Float[np.ndarray, "*place dim"], width: float
-    ) -> Float[np.ndarray, "*place dim"]:
-        return offsets / width**2 * KernelForce.kernel_forces(offsets, width)
-
     @property
     def is_conservative(self) -> bool:
         return True
@@ -304,14 +300,6 @@ class KernelStream(AbstractScalarKernels):
                 "KernelStream.centers: expected points in the plane, shape (n, 2), got "
                 f"{np.shape(self.centers)}; choose a KernelForce"
             )
-
-    @staticmethod
-    def kernel_forces(
-        offsets: Float[np.ndarray, "*place dim"], width: float
-    ) -> Float[np.ndarray, "*place dim"]:
-        forces = KernelPotential.kernel_forces(offsets, width)
-        along, across = np.moveaxis(forces, -1, 0)
-        return np.stack([-across, along], axis=-1)
 
     def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         r"""Stream function $\psi(x)$ [L² T⁻²]; positive turns counter-clockwise."""

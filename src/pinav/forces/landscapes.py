@@ -1,66 +1,35 @@
-"""Forces of potentials with a structure: about a centre, along a line, waves."""
+r"""Known landscapes: a barrier, a trap, waves, a linear force; and laws by name.
 
-import abc
-import dataclasses
-from typing import Any
+Forces that are a profile of a geometry are values of `LawForce`. The functions here
+make them of the constants that files state, under the names that they have there.
+"""
+
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, Vector, check_positive, dimension, point
+from pinav.arguments import Planar, Scalar, Vector, check_positive, dimension, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce, AbstractPotentialForce
-from pinav.forces.formulas import NUMERIC, Constants
+from pinav.forces.formulas import NUMERIC
+from pinav.forces.geometries import Center, Ellipse, Line
+from pinav.forces.laws import LawForce, ProfileLaw, Turned, force_of
 from pinav.forces.profiles import (
     PROFILES,
     AbstractProfile,
+    CompactHill,
     Gaussian,
-    Harmonic,
     InversePower,
     Ring,
     Step,
 )
-from pinav.forces.profiles import (
-    CompactHill as CompactProfile,
-)
+from pinav.settings import POSITIVE
 
 
-class AbstractCentralForce(AbstractPotentialForce):
-    r"""Force $-\nabla U$ of a profile of the distance from a centre.
-
-    Its fields are the amplitude, the centre [L], and constants that are all positive:
-    those of the profile, unless `shapes` says otherwise.
-    """
-
-    # The centre is no `AbstractVar`: type checkers would take it for the first field.
-
-    def __check_init__(self) -> None:
-        _, _, *positive = dataclasses.fields(self)
-        check_positive(self, *(field.name for field in positive))
-
-    @property
-    @abc.abstractmethod
-    def profile(self) -> AbstractProfile:
-        """The profile of its potential."""
-
-    @property
-    def shapes(self) -> Constants:
-        """Constants of the profile."""
-        _, _, *shapes = self._values
-        return shapes
-
-    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        amplitude, center, *_ = self._values
-        offset = x - center
-        return amplitude * self.profile.of_square(self.shapes, offset @ offset, NUMERIC)
-
-    @property
-    def _values(self) -> list[Any]:
-        return [getattr(self, field.name) for field in dataclasses.fields(self)]
-
-
-class GaussianBarrier(AbstractCentralForce):
+class GaussianBarrier(AbstractPotentialForce):
     r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-|x - c|^2 / 2\sigma^2)$.
 
     Attributes:
@@ -81,12 +50,16 @@ class GaussianBarrier(AbstractCentralForce):
     )
     width: Scalar = eqx.field(metadata=dimension("L"))
 
-    @property
-    def profile(self) -> Gaussian:
-        return Gaussian()
+    def __check_init__(self) -> None:
+        check_positive(self, "width")
+
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        offset = x - self.center
+        square = offset @ offset
+        return self.height * Gaussian().of_square((self.width,), square, NUMERIC)
 
 
-class HarmonicTrap(AbstractCentralForce):
+class HarmonicTrap(AbstractPotentialForce):
     r"""Pull $-\nabla U$ from $U(x) = k |x - c|^2 / 2$, as of an optical tweezer.
 
     Attributes:
@@ -102,168 +75,138 @@ class HarmonicTrap(AbstractCentralForce):
         metadata=dimension("L"), converter=point("HarmonicTrap.center")
     )
 
-    @property
-    def profile(self) -> Harmonic:
-        return Harmonic()
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        offset = x - self.center
+        return self.stiffness * (offset @ offset) / 2
 
 
-class PowerHill(AbstractCentralForce):
-    r"""Repulsion $-\nabla U$ from $U(x) = U_0 (1 + |x - c|^2 / s^2)^{-p}$.
+Point = Vector | np.ndarray | list | tuple
+"""A point of the space [L]."""
 
-    With $p = 1/2$ a screened charge, with $p = 1$ a Lorentzian: tails that no Gaussian
-    has.
-
-    Attributes:
-        height: $U_0$ [L² T⁻²]; negative makes a trap.
-        center: $c$ [L].
-        core: $s$ [L], positive.
-        exponent: $p$, positive.
-
-    Raises:
-        InputError: `center` is not a point, or `core` or `exponent` is a number <= 0.
-    """
-
-    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
-    center: Vector = eqx.field(
-        metadata=dimension("L"), converter=point("PowerHill.center")
-    )
-    core: Scalar = eqx.field(metadata=dimension("L"))
-    exponent: Scalar
-
-    @property
-    def profile(self) -> InversePower:
-        return InversePower()
-
-    @property
-    def shapes(self) -> Constants:
-        return self.core, 2 * self.exponent
+PlanarPoint = Planar | np.ndarray | list | tuple
+"""A point of the plane [L]."""
 
 
-class CompactHill(AbstractCentralForce):
-    r"""Repulsion $-\nabla U$ from $U(x) = U_0 (1 - |x - c|^2 / R^2)^3$ within $R$.
-
-    Beyond $R$ there is no force; force and gradient are continuous there.
-
-    Attributes:
-        height: $U_0$ [L² T⁻²]; negative makes a trap.
-        center: $c$ [L].
-        radius: $R$ [L], positive.
-
-    Raises:
-        InputError: `center` is not a point, or `radius` is a number <= 0.
-    """
-
-    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
-    center: Vector = eqx.field(
-        metadata=dimension("L"), converter=point("CompactHill.center")
-    )
-    radius: Scalar = eqx.field(metadata=dimension("L"))
-
-    @property
-    def profile(self) -> CompactProfile:
-        return CompactProfile()
-
-    @property
-    def shapes(self) -> Constants:
-        return self.radius, 3.0
+def about_center(
+    profile: AbstractProfile, height: Scalar, center: Point, *shapes: Scalar
+) -> LawForce:
+    """The force of a profile about a centre [L], in any dimension."""
+    place = point("center")(center)
+    return force_of(ProfileLaw(profile, Center(len(place))), height, place, *shapes)
 
 
-class RingBarrier(AbstractCentralForce):
-    r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-(|x - c| - \rho)^2 / 2 w^2)$.
-
-    At the very centre the force has no direction; it counts as zero there.
-
-    Attributes:
-        height: $U_0$ [L² T⁻²]; negative makes a moat.
-        center: $c$ [L].
-        radius: $\rho$ [L], positive.
-        width: $w$ [L], positive.
-
-    Raises:
-        InputError: `center` is not a point, or `radius` or `width` is a number <= 0.
-    """
-
-    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
-    center: Vector = eqx.field(
-        metadata=dimension("L"), converter=point("RingBarrier.center")
-    )
-    radius: Scalar = eqx.field(metadata=dimension("L"))
-    width: Scalar = eqx.field(metadata=dimension("L"))
-
-    @property
-    def profile(self) -> Ring:
-        return Ring()
-
-
-class ProfileBarrier(AbstractPotentialForce):
+def profile_barrier(
+    law: str, height: Scalar, center: Point, shapes: tuple[Scalar, ...] = ()
+) -> LawForce:
     r"""Repulsion $-\nabla U$ from any profile about a centre, $U(x) = U_0 L(|x - c|)$.
 
-    Attributes:
+    Args:
         law: name of the profile, such as "Yukawa".
         height: $U_0$, or the other amplitude of the profile.
         center: $c$ [L].
         shapes: the other constants of the profile, in its order.
 
     Raises:
-        InputError: there is no such profile, or it has another number of constants.
+        InputError: there is no such profile, it has another number of constants, or
+            one of them is a number <= 0.
     """
-
-    law: str = eqx.field(static=True)
-    height: Scalar
-    center: Vector = eqx.field(
-        metadata=dimension("L"), converter=point("ProfileBarrier.center")
-    )
-    shapes: tuple[Scalar, ...] = ()
-
-    def __check_init__(self) -> None:
-        if self.law not in PROFILES:
-            raise InputError(
-                f"ProfileBarrier.law: {self.law!r} is unknown; choose one of: "
-                f"{', '.join(PROFILES)}"
-            )
-        expected = [shape.name for shape in PROFILES[self.law].shapes]
-        if len(self.shapes) != len(expected):
-            raise InputError(
-                f"ProfileBarrier.shapes: {self.law} expects {len(expected)} "
-                f"({', '.join(expected)}), got {len(self.shapes)}"
-            )
-
-    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        offset = x - self.center
-        profile = PROFILES[self.law]
-        return self.height * profile.of_square(self.shapes, offset @ offset, NUMERIC)
+    if law not in PROFILES:
+        raise InputError(
+            f"profile_barrier law: {law!r} is unknown; choose one of: "
+            f"{', '.join(PROFILES)}"
+        )
+    return about_center(PROFILES[law], height, center, *shapes)
 
 
-class SoftWall(AbstractPotentialForce):
+def power_hill(
+    height: Scalar, center: Point, core: Scalar, exponent: Scalar
+) -> LawForce:
+    r"""Repulsion $-\nabla U$ from $U(x) = U_0 (1 + |x - c|^2 / s^2)^{-p}$.
+
+    With $p = 1/2$ a screened charge, with $p = 1$ a Lorentzian: tails that no Gaussian
+    has.
+    """
+    return about_center(InversePower(), height, center, core, 2 * exponent)
+
+
+def compact_hill(height: Scalar, center: Point, radius: Scalar) -> LawForce:
+    r"""Repulsion $-\nabla U$ from $U(x) = U_0 (1 - |x - c|^2 / R^2)^3$ within $R$.
+
+    Beyond $R$ there is no force; force and gradient are continuous there.
+    """
+    return about_center(CompactHill(), height, center, radius, 3.0)
+
+
+def ring_barrier(
+    height: Scalar, center: Point, radius: Scalar, width: Scalar
+) -> LawForce:
+    r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-(|x - c| - \rho)^2 / 2 w^2)$.
+
+    At the very centre the force has no direction; it counts as zero there.
+    """
+    return about_center(Ring(), height, center, radius, width)
+
+
+def soft_wall(height: Scalar, angle: Scalar, offset: Scalar, width: Scalar) -> LawForce:
     r"""Repulsion $-\nabla U$ from a straight wall in the plane, a rounded step.
 
     $U(x) = U_0 / (1 + e^{-z})$ with $z = (n \cdot x - b) / w$ and
     $n = (\cos\phi, \sin\phi)$: low before the wall, $U_0$ behind it.
 
-    Attributes:
-        height: $U_0$ [L² T⁻²]; negative makes a drop.
+    Args:
         angle: $\phi$ of the normal that points into the wall [rad].
         offset: $b$ of the wall along the normal [L].
-        width: $w$ [L], positive.
-
-    Raises:
-        InputError: `width` is a number <= 0.
     """
-
-    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
-    angle: Scalar = eqx.field(metadata=dimension("rad"))
-    offset: Scalar = eqx.field(metadata=dimension("L"))
-    width: Scalar = eqx.field(metadata=dimension("L"))
-
-    def __check_init__(self) -> None:
-        check_positive(self, "width")
-
-    def potential(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
-        along = jnp.cos(self.angle) * x[0] + jnp.sin(self.angle) * x[1]
-        return self.height * Step().value((self.width,), along - self.offset, NUMERIC)
+    return force_of(ProfileLaw(Step(), Line()), height, angle, offset, width)
 
 
-class PlaneWaves(AbstractForce):
+def gaussian_ridge(
+    height: Scalar,
+    center: PlanarPoint,
+    length: Scalar,
+    width: Scalar,
+    angle: Scalar,
+) -> LawForce:
+    r"""Repulsion $-\nabla U$ from an elongated Gaussian in the plane: a fibre.
+
+    $U(x) = U_0 \exp(-\tfrac12 (a^2 / l^2 + b^2 / w^2))$, with the coordinates $a$ along
+    and $b$ across the ridge, which is turned by an angle from the x axis [rad]. With
+    $l = w$ it is a `GaussianBarrier`.
+    """
+    for name, value in (("length", length), ("width", width)):
+        if isinstance(value, float | int):
+            POSITIVE.check(f"gaussian_ridge {name}", value)
+    aspect, size = length / width, jnp.sqrt(length * width)
+    place = point("center", 2)(center)
+    law = ProfileLaw(Gaussian(), Ellipse())
+    return force_of(law, height, place, aspect, angle, size)
+
+
+def gaussian_swirl(strength: Scalar, center: PlanarPoint, width: Scalar) -> LawForce:
+    r"""Rotational force $(\partial_y \psi, -\partial_x \psi)$ in the plane.
+
+    With $\psi(x) = S \exp(-|x - c|^2 / 2w^2)$: it has no potential and no divergence,
+    and pushes counter-clockwise where S is positive. Over the whole plane
+    $\int |F|^2 = \pi S^2$, as it is $\pi U_0^2$ for a `GaussianBarrier`, whatever the
+    widths; the two are orthogonal there.
+    """
+    law = Turned(ProfileLaw(Gaussian(), Center()))
+    return force_of(law, strength, point("center", 2)(center), width)
+
+
+NAMED: tuple[Callable[..., LawForce], ...] = (
+    profile_barrier,
+    power_hill,
+    compact_hill,
+    ring_barrier,
+    soft_wall,
+    gaussian_ridge,
+    gaussian_swirl,
+)
+"""Laws that files state by a name and constants of their own."""
+
+
+class PlaneWaves(AbstractPotentialForce):
     r"""Force $-\nabla U$ of plane waves, $U(x) = \sum_j a_j \cos(k_j \cdot x + p_j)$.
 
     Two waves make an egg crate; many of random direction make a random field, whose
@@ -300,12 +243,7 @@ class PlaneWaves(AbstractForce):
             )
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        """Potential energy per mass $U(x)$ [L² T⁻²]."""
         return self.amplitudes @ jnp.cos(self.wave_vectors @ x + self.phases)
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        swing = self.amplitudes * jnp.sin(self.wave_vectors @ x + self.phases)
-        return swing @ self.wave_vectors
 
 
 class LinearForce(AbstractForce):

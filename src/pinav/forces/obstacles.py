@@ -1,4 +1,4 @@
-"""Fibres, swirls, sums and motion of obstacles."""
+"""Sums and motion of obstacles, and random ones."""
 
 import abc
 
@@ -8,86 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from pinav.arguments import Scalar, Vector, check_positive, dimension, point
+from pinav.arguments import Scalar, Vector, dimension, point
 from pinav.errors import InputError
-from pinav.forces.force import AbstractForce, AbstractPotentialForce
-from pinav.forces.formulas import NUMERIC
-from pinav.forces.landscapes import GaussianBarrier
-from pinav.forces.profiles import Gaussian
+from pinav.forces.force import AbstractForce
+from pinav.forces.landscapes import GaussianBarrier, gaussian_ridge
 from pinav.settings import Range
-
-
-class GaussianRidge(AbstractPotentialForce):
-    r"""Repulsion $-\nabla U$ from an elongated Gaussian in the plane: a fibre.
-
-    $U(x) = U_0 \exp(-\tfrac12 (a^2 / l^2 + b^2 / w^2))$, with the coordinates $a$ along
-    and $b$ across the ridge. With $l = w$ it is a `GaussianBarrier`.
-
-    Attributes:
-        height: $U_0$ [L² T⁻²].
-        center: $c$ [L].
-        length: $l$ along the ridge [L], positive.
-        width: $w$ across it [L], positive.
-        angle: of the ridge to the x axis [rad].
-
-    Raises:
-        InputError: `center` is not a point in the plane, or `length` or `width` is a
-            number <= 0.
-    """
-
-    height: Scalar = eqx.field(metadata=dimension("L2 T-2"))
-    center: Float[Array, "2"] = eqx.field(
-        metadata=dimension("L"), converter=point("GaussianRidge.center", 2)
-    )
-    length: Scalar = eqx.field(metadata=dimension("L"))
-    width: Scalar = eqx.field(metadata=dimension("L"))
-    angle: Scalar = eqx.field(metadata=dimension("rad"))
-
-    def __check_init__(self) -> None:
-        check_positive(self, "length", "width")
-
-    def potential(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
-        offset = x - self.center
-        cos, sin = jnp.cos(self.angle), jnp.sin(self.angle)
-        along = (cos * offset[0] + sin * offset[1]) / self.length
-        across = (cos * offset[1] - sin * offset[0]) / self.width
-        return self.height * Gaussian().of_square((1.0,), along**2 + across**2, NUMERIC)
-
-
-class GaussianSwirl(AbstractForce):
-    r"""Rotational force $(\partial_y \psi, -\partial_x \psi)$ in the plane.
-
-    With $\psi(x) = S \exp(-|x - c|^2 / 2w^2)$: it has no potential and no divergence.
-    Over the whole plane $\int |F|^2 = \pi S^2$, as it is $\pi U_0^2$ for a
-    `GaussianBarrier`, whatever the widths; the two are orthogonal there.
-
-    Attributes:
-        strength: $S$ [L² T⁻²]; positive pushes counter-clockwise.
-        center: $c$ [L].
-        width: $w$ [L], positive.
-
-    Raises:
-        InputError: `center` is not a point in the plane, or `width` a number <= 0.
-    """
-
-    strength: Scalar = eqx.field(metadata=dimension("L2 T-2"))
-    center: Float[Array, "2"] = eqx.field(
-        metadata=dimension("L"), converter=point("GaussianSwirl.center", 2)
-    )
-    width: Scalar = eqx.field(metadata=dimension("L"))
-
-    def __check_init__(self) -> None:
-        check_positive(self, "width")
-
-    def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
-        r"""Stream function $\psi(x)$ [L² T⁻²]."""
-        offset = x - self.center
-        square = offset @ offset
-        return self.strength * Gaussian().of_square((self.width,), square, NUMERIC)
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        slope = jax.grad(self.stream)(x)
-        return jnp.stack([slope[1], -slope[0]])
 
 
 class Superposition(AbstractForce):
@@ -269,7 +194,9 @@ def random_fibres(
     height = _uniform(how_high, heights, count)
     angle = _uniform(direction, (0.0, np.pi), count)
     sizes = jnp.full((count,), length), jnp.full((count,), width)
-    return Superposition(eqx.filter_vmap(GaussianRidge)(height, centers, *sizes, angle))
+    return Superposition(
+        eqx.filter_vmap(gaussian_ridge)(height, centers, *sizes, angle)
+    )
 
 
 def _uniform(

@@ -2,10 +2,9 @@ r"""Profiles: formulas of a potential along one coordinate.
 
 $z$ is the distance from a centre, or the signed distance from a line. The barrier of a
 scenario, the law that a term of a fit follows and the law that is discovered have the
-same profiles. A new profile is one class here, which files state by its name
-(`ProfileBarrier`) and LaTeX and the explorer know; an entry in `FITTED` of
-`pinav.forces.fitted_laws` lets a fit of a structure try it, one in `EVEN_PROFILES` the
-discovery of laws.
+same profiles. A new profile is one class here: files state it by its name, LaTeX and
+the explorer know its formula, discovery tries it in the geometries of `found_in`, and
+fits of a structure where it states `numbers`.
 """
 
 import abc
@@ -26,6 +25,10 @@ CORE = Constant("core", "s", Role.SCALE)
 EDGE = Constant("edge", "w", Role.SCALE)
 RADIUS = Constant("radius", "R", Role.SCALE)
 EXPONENT = Constant("exponent", "n", Role.SCALE, "1")
+TAIL = Constant("tail", r"\kappa", Role.SCALE, "1")
+
+DISTANCES, LINES = "distances", "lines"
+"""Geometries: distances from points, and signed distances from a line."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,6 +39,15 @@ class AbstractProfile(abc.ABC):
         ratios: values of `shapes` from which a fit may start: of a length relative to
             the length over which the potential changes, of a number itself.
         limits: names of the profiles that it becomes for special values of them.
+        found_in: geometries in which discovery tries it: `DISTANCES`, `LINES`.
+        fitted: word of fits of a structure for it; empty where they do not try it.
+        numbers: its constants in fits, as tables name them: the place along the
+            coordinate first where it has one, then `shapes`.
+        formula: in LaTeX; SymPy, which could print it, takes a second to import.
+        is_placed: True if in a fit it has a place; else it stands at zero.
+        of_distances: True if terms of a distance may follow it.
+        of_lines: True if terms along a line may.
+        reach: deviation of the prior of a place, in sizes.
     """
 
     name: ClassVar[str]
@@ -43,6 +55,14 @@ class AbstractProfile(abc.ABC):
     shapes: ClassVar[tuple[Constant, ...]] = ()
     ratios: ClassVar[tuple[tuple[float, ...], ...]] = ((1.0,),)
     limits: ClassVar[tuple[str, ...]] = ()
+    found_in: ClassVar[tuple[str, ...]] = (DISTANCES, LINES)
+    fitted: ClassVar[str] = ""
+    numbers: ClassVar[tuple[str, ...]] = ()
+    formula: ClassVar[str] = ""
+    is_placed: ClassVar[bool] = True
+    of_distances: ClassVar[bool] = True
+    of_lines: ClassVar[bool] = True
+    reach: ClassVar[float] = 2.0
 
     @abc.abstractmethod
     def value(self, c: Constants, z: Expr, f: Functions) -> Expr:
@@ -192,6 +212,7 @@ class Ring(AbstractProfile):
     shapes = (RADIUS, WIDTH)
     ratios = ((0.7, 0.3), (1.0, 0.3), (1.4, 0.4))
     limits = ("Gaussian",)
+    found_in = (DISTANCES,)
 
     def value(self, c: Constants, z: Expr, f: Functions) -> Expr:
         return Gaussian().value(c[1:], z - c[0], f)
@@ -218,6 +239,11 @@ class SuperGaussian(AbstractEvenProfile):
     shapes = (WIDTH, Constant("steepness", "m", Role.SCALE, "1"))
     ratios = ((1.0, 0.7), (1.0, 1.6))
     limits = ("Gaussian",)
+    fitted = "plateau"
+    numbers = ("size", "steepness")
+    formula = r"e^{-(z^2 / 2 s^2)^m}"
+    is_placed = False
+    of_lines = False
 
     def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:
         return f.exp(-f.positive_power(q / (2 * c[0] ** 2), c[1]))
@@ -233,12 +259,32 @@ class Hill(AbstractEvenProfile):
     """
 
     name = "hill"
-    shapes = (CORE, Constant("tail", r"\kappa", Role.SCALE, "1"))
-    ratios = ((1.0, 0.5), (1.0, 1.5))
-    limits = ("Gaussian", "Lorentzian", "soft Coulomb")
+    shapes = (CORE, TAIL)
+    found_in = ()
+    fitted = "hill"
+    numbers = ("size", "tail")
+    formula = r"(1 + \kappa z^2 / 2 s^2)^{-1/\kappa}"
+    is_placed = False
+    of_lines = False
 
     def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:
         return f.falling(q / (2 * c[0] ** 2), c[1])
+
+
+@final
+class Ridge(AbstractEvenProfile):
+    r"""The profile of a `Hill` about a place of its own: in a fit, a ring."""
+
+    name = "ridge"
+    shapes = (CORE, TAIL)
+    found_in = ()
+    fitted = "ring"
+    numbers = ("radius", "size", "tail")
+    formula = r"(1 + \kappa (z - \rho)^2 / 2 s^2)^{-1/\kappa}"
+    reach = 1.0
+
+    def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:
+        return Hill().of_square(c, q, f)
 
 
 @final
@@ -248,6 +294,10 @@ class Step(AbstractProfile):
     name = "logistic wall"
     shapes = (EDGE,)
     ratios = ((0.5,),)
+    found_in = (LINES,)
+    fitted = "step"
+    numbers = ("place", "size")
+    formula = r"1 / (1 + e^{-(z - b) / w})"
 
     def value(self, c: Constants, z: Expr, f: Functions) -> Expr:
         return f.logistic(z / c[0])
@@ -261,6 +311,11 @@ class Channel(AbstractProfile):
     shapes = (Constant("half_width", "a", Role.SCALE), EDGE)
     ratios = ((1.0, 0.2), (2.0, 0.3))
     limits = ("logistic wall",)
+    found_in = (LINES,)
+    fitted = "channel"
+    numbers = ("middle", "half width", "size")
+    formula = r"1 / (1 + e^{(a + b - z) / w}) + 1 / (1 + e^{(a - b + z) / w})"
+    of_distances = False
 
     def value(self, c: Constants, z: Expr, f: Functions) -> Expr:
         return f.logistic((z - c[0]) / c[1]) + f.logistic((-z - c[0]) / c[1])
@@ -272,6 +327,11 @@ class Wave(AbstractProfile):
 
     name = "wave"
     shapes = (CORE,)
+    found_in = ()
+    fitted = "wave"
+    numbers = ("place", "period")
+    formula = r"\cos((z - b) / s)"
+    of_distances = False
 
     def value(self, c: Constants, z: Expr, f: Functions) -> Expr:
         return f.cos(z / c[0])
@@ -285,17 +345,7 @@ PROFILES: dict[str, AbstractProfile] = {
 }
 """All profiles by their names."""
 
-EVEN_PROFILES: tuple[AbstractProfile, ...] = (
-    Harmonic(),
-    Gaussian(),
-    Lorentzian(),
-    SquaredSech(),
-    SoftCoulomb(),
-    SoftLogarithm(),
-    InversePower(),
-    Yukawa(),
-    SoftDisc(),
-    CompactHill(),
-    SuperGaussian(),
-)
-"""Profiles of a distance from a point or a line that discovery tries."""
+FITTED: dict[str, AbstractProfile] = {
+    profile.fitted: profile for profile in PROFILES.values() if profile.fitted
+}
+"""Profiles that terms of a fit may follow, by the words for them in tables."""

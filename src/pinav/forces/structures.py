@@ -253,14 +253,6 @@ def exponential_of_shear(p: Scalar, q: Scalar) -> Float[Array, "2 2"]:
     return jnp.cosh(size) * jnp.eye(2) + jnp.sinh(size) / size * shear
 
 
-def check_rotation(term: AbstractTerm, dim: int) -> None:
-    """Refuse a rotational term outside of the plane."""
-    if term.rotational and dim != 2:
-        raise InputError(
-            f"{type(term).__name__}.rotational: expected a plane, got dimension {dim}"
-        )
-
-
 Remainder = KernelPotential | KernelForce | KernelMixture
 """Free kernels beside structured terms."""
 
@@ -282,8 +274,12 @@ class StructuredForce(AbstractLearnedForce):
     def __check_init__(self) -> None:
         if not self.terms:
             raise InputError("StructuredForce.terms: expected one or more, got none")
-        for term in self.terms:
-            check_rotation(term, self.dim)
+        turning = [term for term in self.terms if term.rotational]
+        if turning and self.dim != 2:
+            raise InputError(
+                f"{type(turning[0]).__name__}.rotational: expected a plane, got "
+                f"dimension {self.dim}"
+            )
 
     @property
     def parameters(self) -> PyTree:

@@ -340,28 +340,6 @@ class WallTerm(AbstractProfileTerm):
         return jnp.stack([jnp.cos(self.angle), jnp.sin(self.angle)])
 
 
-class SegmentTerm(AbstractProfileTerm):
-    """A force away from a segment, a fibre with round ends; or a swirl about it."""
-
-    weights: Float[Array, " weight"]
-    ends: Float[Array, "2 2"]
-    places: Places
-    width: Scalar
-    rotational: bool = eqx.field(static=True, default=False)
-    law: FittedLaw | None = None
-
-    kinds = ("segment",)
-    formulas = (r"f(z)\,\nabla z,\ z = \mathrm{dist}(x, \overline{ab})",)
-    shaped_by = ("ends",)
-
-    def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
-        along = self.ends[1] - self.ends[0]
-        length = along @ along + (ROUNDING * self.width) ** 2
-        fraction = jnp.clip((x - self.ends[0]) @ along / length, 0.0, 1.0)
-        offset = x - self.ends[0] - fraction * along
-        return distance(offset, ROUNDING * self.width)[None]
-
-
 class ObstaclesTerm(AbstractProfileTerm):
     """Obstacles of one kind: central forces about several centres, one profile."""
 

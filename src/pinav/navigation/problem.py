@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import jax
 import numpy as np
-from jaxtyping import Float, PRNGKeyArray
+from jaxtyping import Array, Float, Key
 
 from pinav.dynamics import (
     AbstractDynamics,
@@ -142,7 +142,7 @@ class NavigationProblem:
     def attempt(
         self,
         steering: AbstractController,
-        keys: PRNGKeyArray,
+        keys: Key[Array, " episode"],
         numbers: Sequence[int] | None = None,
     ) -> Episodes:
         """Closed loops of a controller, one for each key, over the possible truths.
@@ -164,7 +164,7 @@ class NavigationProblem:
         return concatenate_episodes(parts).select(np.argsort(np.concatenate(order)))
 
 
-def episode_keys(seed: int, count: int) -> PRNGKeyArray:
+def episode_keys(seed: int, count: int) -> Key[Array, " {count}"]:
     """Random keys of so many closed loops."""
     return jax.random.split(jax.random.key(seed), count)
 

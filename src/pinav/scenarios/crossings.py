@@ -15,11 +15,11 @@ from pinav.forces import (
     CircularMotion,
     Domain,
     GaussianBarrier,
-    GaussianSwirl,
     LinearDrag,
     MagneticPropulsion,
     Moving,
     SumForce,
+    gaussian_swirl,
     random_barriers,
     random_fibres,
 )
@@ -134,7 +134,7 @@ def swirl() -> System:
     cannot explain the data; swimmers are turned counter-clockwise about the swirl.
     Default: 16 trajectories.
     """
-    rotation = GaussianSwirl(strength=3.0, center=[6.0, 4.0], width=2.5)
+    rotation = gaussian_swirl(strength=3.0, center=[6.0, 4.0], width=2.5)
     truth = paper_swimmer(SumForce((paper_barrier(), rotation)))
     return planar_system("swirl", truth, MANY)
 

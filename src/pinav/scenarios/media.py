@@ -16,7 +16,6 @@ from pinav.forces import (
     BrinkmanTensor,
     ConstantDirector,
     Domain,
-    GaussianSwirl,
     InFlow,
     LinearDrag,
     PoiseuilleFlow,
@@ -29,6 +28,7 @@ from pinav.forces import (
     VortexFlow,
     WavyDirector,
     ZeroForce,
+    gaussian_swirl,
 )
 from pinav.scenarios.catalogue import with_random_starts
 from pinav.scenarios.crossings import DAMPING, MANY, RING, paper_swimmer, planar_system
@@ -155,7 +155,7 @@ def drift_current() -> System:
     Default: 8 trajectories.
     """
     drift = Advection(UniformFlow([0.25, -0.15]))
-    swirl = GaussianSwirl(strength=1.0, center=[6.0, 5.0], width=2.5)
+    swirl = gaussian_swirl(strength=1.0, center=[6.0, 5.0], width=2.5)
     return _current("drift-current", SumForce((drift, swirl)))
 
 

@@ -29,6 +29,8 @@ import pinav.forces
 import pinav.systems
 from pinav.codec import kebab, members
 from pinav.errors import InputError
+from pinav.forces.landscapes import NAMED
+from pinav.forces.laws import LawForce
 
 TOML = dict[str, Any]
 
@@ -44,12 +46,16 @@ class Context(typing.NamedTuple):
     folder: Path | None
 
 
-def kinds(family: type) -> dict[str, type]:
-    """The concrete classes of a family that pinav defines, by their kind."""
+def kinds(family: type) -> dict[str, Callable]:
+    """The concrete classes of a family that pinav defines, by their kind.
+
+    Laws with names of their own are known by the functions that make them.
+    """
     for package in (pinav.forces, pinav.systems):
         for module in pkgutil.iter_modules(package.__path__):
             importlib.import_module(f"{package.__name__}.{module.name}")
-    return members(family)
+    laws = {make.__name__.replace("_", "-"): make for make in NAMED}
+    return members(family) | (laws if issubclass(LawForce, family) else {})
 
 
 def encode(key: str, value: Any) -> Any:
@@ -205,7 +211,7 @@ def decode_module(key: str, family: type, value: Any, context: Context) -> Any:
         raise InputError(f"{key}: {' '.join(str(error).split())}") from error
 
 
-def _class_of(key: str, family: type, value: TOML, context: Context) -> type:
+def _class_of(key: str, family: type, value: TOML, context: Context) -> Callable:
     usual = USUAL.get(family) if inspect.isabstract(family) else kebab(family)
     kind = value.get("kind", usual)
     known = kinds(family)
@@ -231,13 +237,13 @@ def _constructor(
     cls: Any, table: TOML
 ) -> tuple[Callable, dict[str, tuple[Any, bool]], list[str]]:
     """Callable for an instance: annotations with converters, and required keys."""
+    if not isinstance(cls, type):
+        return cls, *_parameters(cls)
     fields = [field for field in dataclasses.fields(cls) if field.init]
     names = {field.name for field in fields}
     if hasattr(cls, "of") and not set(table) <= names:
-        parameters = inspect.signature(cls.of).parameters
-        if set(table) & (set(parameters) - names):
-            annotations = {n: (p.annotation, False) for n, p in parameters.items()}
-            needed = [n for n, p in parameters.items() if p.default is p.empty]
+        annotations, needed = _parameters(cls.of)
+        if set(table) & (set(annotations) - names):
             return cls.of, annotations, needed
     annotations = {f.name: (f.type, "converter" in f.metadata) for f in fields}
     needed = [
@@ -246,6 +252,14 @@ def _constructor(
         if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
     ]
     return cls, annotations, needed
+
+
+def _parameters(
+    make: Callable,
+) -> tuple[dict[str, tuple[Any, bool]], list[str]]:
+    parameters = inspect.signature(make).parameters
+    annotations = {name: (p.annotation, False) for name, p in parameters.items()}
+    return annotations, [n for n, p in parameters.items() if p.default is p.empty]
 
 
 def check_keys(

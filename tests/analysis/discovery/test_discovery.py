@@ -5,21 +5,27 @@ import numpy as np
 import pytest
 import scipy.optimize
 from tests.fitted_runs import crossing_system
+from tests.fitting.problems import observing
 
 from pinav.analysis import Verdict, discover_law
+from pinav.analysis.discovery.candidates import CONSTANT_FORCE, GAUSSIAN, HARMONIC
 from pinav.analysis.discovery.discovery import estimates
-from pinav.analysis.discovery.geometries import Center, ProfileLaw
-from pinav.analysis.discovery.laws import LawForce
-from pinav.analysis.discovery.potentials import CONSTANT_FORCE, GAUSSIAN, HARMONIC
-from pinav.analysis.discovery.refit import Refit, RefitProblem, laplace_posterior, refit
+from pinav.analysis.discovery.refit import (
+    LearnedOnPaths,
+    Refit,
+    laplace_posterior,
+    refit,
+)
 from pinav.dynamics import Adaptive, NeuralDynamics, rollout
 from pinav.errors import FitError, InputError
-from pinav.fitting import Outcome, Posterior
+from pinav.fitting import Outcome
 from pinav.fitting.engine.local_model import known_model
 from pinav.forces import GaussianBarrier
+from pinav.forces.geometries import Center
+from pinav.forces.laws import LawForce, ProfileLaw
 from pinav.forces.profiles import Lorentzian
 from pinav.systems import Observation
-from pinav.trajectories import Trajectories, simulate, smooth_states
+from pinav.trajectories import simulate, smooth_states
 
 TRUTH = np.array([5.25, 5.0, 5.0, 2.9])
 LORENTZIAN = ProfileLaw(Lorentzian(), Center())
@@ -34,18 +40,19 @@ def crossings():
     """Four short noisy crossings of which the positions are seen, and the truth."""
     scenario = crossing_system(4, 61, observation=Observation(0.01))
     data = simulate(scenario, key=jax.random.key(1))
-    observed = np.broadcast_to(np.arange(4) < 2, data.states.shape)
-    return scenario.truth, Trajectories.from_arrays(
-        list(data.times), list(data.states), channels=data.channels, observed=observed
-    )
+    seen = np.broadcast_to(np.arange(4) < 2, data.states.shape)
+    return scenario.truth, observing(data, seen)
 
 
 @pytest.fixture(scope="module")
-def found(crossings):
-    truth, data = crossings
-    posterior = laplace_posterior(truth, data, environment)
+def posterior(crossings):
+    return laplace_posterior(*crossings, environment)
+
+
+@pytest.fixture(scope="module")
+def found(crossings, posterior):
     candidates = (GAUSSIAN, LORENTZIAN, HARMONIC)
-    return discover_law(posterior, data, laws=candidates, refits=2)
+    return discover_law(posterior, crossings[1], laws=candidates, refits=2)
 
 
 def test_the_true_law_comes_first_with_intervals(found):
@@ -68,18 +75,16 @@ def test_a_wrong_law_does_not_fit_and_stands_below(found):
     assert criteria == sorted(criteria)
 
 
-def test_no_law_fits_where_none_can(crossings):
-    truth, data = crossings
-    posterior = laplace_posterior(truth, data, environment)
-    found = discover_law(posterior, data, laws=(CONSTANT_FORCE,))
+def test_no_law_fits_where_none_can(crossings, posterior):
+    found = discover_law(posterior, crossings[1], laws=(CONSTANT_FORCE,))
     assert found.verdict is Verdict.NO_LAW_FITS
 
 
-def test_refit_is_the_least_squares_of_rollouts(crossings, found):
+def test_refit_is_the_least_squares_of_rollouts(crossings, posterior, found):
     """Independent check: no neighbouring rollouts have a smaller sum of squares."""
     truth, data = crossings
-    problem = RefitProblem.of(data, smooth_states(data))
-    result = refit(GAUSSIAN, TRUTH * 1.05, truth, problem)
+    learned = LearnedOnPaths.of(posterior, data)
+    result = refit(GAUSSIAN, TRUTH * 1.05, truth, learned)
     assert result.outcome is Outcome.CONVERGED
     best = [own.value for own in found.best.constants]
     sd = np.array([own.sd for own in found.best.constants])
@@ -123,13 +128,13 @@ def test_wide_intervals_are_not_identifiable():
     assert rows[1].low == pytest.approx(5.0 - 0.196)
 
 
-def test_singular_directions_have_infinite_intervals(crossings):
+def test_singular_directions_have_infinite_intervals(crossings, posterior):
     """Far from the data a barrier is felt as nothing: none of it is determined."""
     truth, data = crossings
-    problem = RefitProblem.of(data, smooth_states(data))
+    learned = LearnedOnPaths.of(posterior, data)
     far = np.array([1e-3, 90.0, 90.0, 1.0])
-    result = refit(GAUSSIAN, far, truth, problem)
-    assert not any(own.identifiable for own in estimates(result, problem.extent)[1:])
+    result = refit(GAUSSIAN, far, truth, learned)
+    assert not any(own.identifiable for own in estimates(result, learned.extent)[1:])
 
 
 def test_bic_counts_constants():
@@ -140,9 +145,8 @@ def test_bic_counts_constants():
     assert diverged.bic == np.inf
 
 
-def test_messages(crossings):
+def test_messages(crossings, posterior):
     truth, data = crossings
-    posterior = laplace_posterior(truth, data, environment)
     with pytest.raises(InputError, match="one or more candidates and refits"):
         discover_law(posterior, data, refits=0)
     network = eqx.nn.MLP(5, 4, 2, 1, key=jax.random.key(0))
@@ -153,4 +157,3 @@ def test_messages(crossings):
     cliff = GaussianBarrier(height=np.inf, center=[5.0, 5.0], width=0.1)
     with pytest.raises(FitError, match="does not explain the trajectories"):
         laplace_posterior(eqx.tree_at(environment, truth, cliff), data, environment)
-    assert isinstance(posterior, Posterior)

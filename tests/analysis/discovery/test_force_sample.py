@@ -3,23 +3,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.analysis.discovery.force_sample import (
-    Centrality,
-    ForceSample,
-    central_test,
-    spread_points,
-)
-from pinav.analysis.discovery.geometries import Center, ProfileLaw
-from pinav.analysis.discovery.law_regression import (
-    fit_law,
-    fit_sum,
-    law_force,
-    screen,
-)
-from pinav.analysis.discovery.potentials import (
+from pinav.analysis.discovery.candidates import (
     CHANNEL,
     CONSTANT_FORCE,
-    ELLIPTIC_GAUSSIAN,
     GAUSSIAN,
     GAUSSIAN_SWIRL,
     HARMONIC,
@@ -28,8 +14,22 @@ from pinav.analysis.discovery.potentials import (
     RING,
     WALL,
 )
+from pinav.analysis.discovery.force_sample import (
+    Centrality,
+    ForceSample,
+    central_test,
+    spread_points,
+)
+from pinav.analysis.discovery.law_regression import (
+    fit_law,
+    fit_sum,
+    law_force,
+    screen,
+)
 from pinav.errors import InputError
-from pinav.forces.profiles import CompactHill, Lorentzian
+from pinav.forces.geometries import Center, Ellipse
+from pinav.forces.laws import ProfileLaw
+from pinav.forces.profiles import CompactHill, Gaussian, Lorentzian
 
 POSITIONS = np.random.default_rng(0).uniform(0.0, 8.0, (60, 2))
 BARRIER = np.array([5.25, 5.0, 4.0, 2.9])
@@ -46,7 +46,7 @@ CASES = {
     ProfileLaw(Lorentzian(), Center()): [-3.0, 4.0, 4.5, 1.5],
     ProfileLaw(CompactHill(), Center()): [3.0, 4.0, 4.5, 3.5, 3.0],
     RING: [2.0, 4.0, 4.5, 2.5, 0.8],
-    ELLIPTIC_GAUSSIAN: [4.0, 5.0, 4.0, 0.4, 0.4, 1.9],
+    ProfileLaw(Gaussian(), Ellipse()): [4.0, 5.0, 4.0, 0.4, 0.4, 1.9],
     WALL: [3.0, 0.4, 4.5, 0.8],
     CHANNEL: [3.0, 0.4, 4.5, 2.5, 0.8],
     PLANE_WAVE: [0.7, -0.4, 1.5, 0.6],

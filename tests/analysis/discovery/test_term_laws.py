@@ -6,9 +6,19 @@ import pytest
 from benchmarks.open_forms import sample_profile
 from tests.fitted_runs import crossing_system
 
+from pinav import forces
 from pinav.analysis import Verdict, discover_law
+from pinav.analysis.discovery.candidates import (
+    ANISOTROPIC_TRAP,
+    GAUSSIAN,
+    LATTICES,
+    LIBRARY,
+    RING,
+    SADDLE,
+    WALL,
+    turn,
+)
 from pinav.analysis.discovery.force_sample import ForceSample, Sampling
-from pinav.analysis.discovery.geometries import Center, ProfileLaw
 from pinav.analysis.discovery.law_regression import (
     exchange_terms,
     fit_law,
@@ -17,16 +27,6 @@ from pinav.analysis.discovery.law_regression import (
     law_force,
     screen,
     screen_terms,
-)
-from pinav.analysis.discovery.potentials import (
-    ANISOTROPIC_TRAP,
-    GAUSSIAN,
-    LATTICES,
-    LIBRARY,
-    RING,
-    SADDLE,
-    SWIRLS,
-    WALL,
 )
 from pinav.analysis.discovery.refit import laplace_posterior
 from pinav.analysis.discovery.term_laws import (
@@ -38,18 +38,9 @@ from pinav.analysis.discovery.term_laws import (
 from pinav.errors import InputError
 from pinav.fitting.engine.local_model import known_model
 from pinav.fitting.environments.summary import learned_part
-from pinav.forces import (
-    CentralTerm,
-    EllipticTerm,
-    KernelPotential,
-    LatticeTerm,
-    LinearTerm,
-    ObstaclesTerm,
-    SegmentTerm,
-    StructuredForce,
-    WallTerm,
-)
 from pinav.forces.fitted_laws import FittedLaw
+from pinav.forces.geometries import Center
+from pinav.forces.laws import ProfileLaw
 from pinav.forces.profiles import SuperGaussian
 from pinav.forces.terms import HARMONICS
 from pinav.systems import Observation
@@ -66,11 +57,11 @@ def sample_of(force):
 
 def hill(center=CENTER, **options):
     law = FittedLaw("hill", (jnp.log(2.9), jnp.asarray(0.0)))
-    return CentralTerm(jnp.array([5.25]), center, NONE, 1.0, law=law, **options)
+    return forces.CentralTerm(jnp.array([5.25]), center, NONE, 1.0, law=law, **options)
 
 
 def wall(angle=0.7):
-    return WallTerm(jnp.ones(5), angle, jnp.zeros(2), PLACES, 0.8)
+    return forces.WallTerm(jnp.ones(5), angle, jnp.zeros(2), PLACES, 0.8)
 
 
 def term_of(term, law, constants):
@@ -84,13 +75,15 @@ def test_geometry_gives_the_starts():
     sample = sample_of(law_force(GAUSSIAN, np.array([5.0, 3.0, 4.5, 2.0]), POSITIONS))
     assert term_landscape(hill(), sample).centers == ((3.0, 4.5),)
     assert term_landscape(wall(0.3), sample).direction == pytest.approx(0.3)
-    ellipse = EllipticTerm(jnp.ones(5), CENTER, jnp.array([0.0, 0.4]), PLACES, 0.8)
+    ellipse = forces.EllipticTerm(
+        jnp.ones(5), CENTER, jnp.array([0.0, 0.4]), PLACES, 0.8
+    )
     start = term_landscape(ellipse, sample)
     # e^{2S} is largest at 45 degrees: there the axis is short
     assert start.direction == pytest.approx(np.pi / 4)
     assert start.aspect == pytest.approx(np.exp(-0.8))
     places = jnp.array([[1.0, 2.0], [5.0, 6.0]])
-    obstacles = ObstaclesTerm(jnp.ones(5), places, PLACES, 0.8)
+    obstacles = forces.ObstaclesTerm(jnp.ones(5), places, PLACES, 0.8)
     assert term_landscape(obstacles, sample).centers == ((1.0, 2.0), (5.0, 6.0))
 
 
@@ -99,17 +92,17 @@ def test_the_waves_of_a_lattice_are_its_strongest_harmonics():
     weights[0, HARMONICS.index((1, 1))] = 2.0
     weights[1, HARMONICS.index((1, -1))] = 1.5
     vectors = jnp.array([[1.0, 0.0], [0.0, 1.0]])
-    lattice = LatticeTerm(jnp.asarray(weights.ravel()), vectors, jnp.zeros(2))
+    lattice = forces.LatticeTerm(jnp.asarray(weights.ravel()), vectors, jnp.zeros(2))
     sample = sample_of(law_force(GAUSSIAN, np.array([5.0, 3.0, 4.5, 2.0]), POSITIONS))
     assert term_landscape(lattice, sample).wave_vectors == ((1.0, 1.0), (1.0, -1.0))
 
 
 def test_a_swirl_is_asked_for_swirls():
-    assert laws_of(hill(rotational=True)) == SWIRLS
+    assert laws_of(hill(rotational=True)) == tuple(map(turn, laws_of(hill())))
     assert GAUSSIAN in laws_of(hill())
     assert RING in laws_of(hill())
     assert set(LATTICES) == set(
-        laws_of(LatticeTerm(jnp.ones(12), jnp.eye(2), jnp.zeros(2)))
+        laws_of(forces.LatticeTerm(jnp.ones(12), jnp.eye(2), jnp.zeros(2)))
     )
 
 
@@ -152,20 +145,21 @@ def structured():
     """The posterior of a hill that is known to be central, and its data."""
     scenario = crossing_system(4, 61, observation=Observation(0.01))
     data = simulate(scenario, key=jax.random.key(1)).only(("x", "y"))
-    rest = KernelPotential.with_zero_weights(POSITIONS[:4], 2.0)
-    force = StructuredForce((hill(jnp.array([5.0, 5.0])),), rest)
+    rest = forces.KernelPotential.with_zero_weights(POSITIONS[:4], 2.0)
+    force = forces.StructuredForce((hill(jnp.array([5.0, 5.0])),), rest)
     model = scenario.truth.with_environment(force)
     with jax.enable_x64(new_val=True):
         return laplace_posterior(model, data, learned_part), data
 
 
 def test_terms_without_laws_leave_the_whole_force(structured):
-    ends = jnp.array([[1.0, 1.0], [4.0, 4.0]])
-    segment = SegmentTerm(jnp.ones(5), ends, PLACES, 0.8)
-    linear = LinearTerm(jnp.ones(5), jnp.zeros(2), 1.0)
-    assert laws_of(segment) == ()
+    swirls = forces.HillsTerm(
+        jnp.ones(3), CENTER[None], jnp.zeros((1, 3)), rotational=True
+    )
+    linear = forces.LinearTerm(jnp.ones(5), jnp.zeros(2), 1.0)
+    assert laws_of(swirls) == ()
     sampling = Sampling.of(*structured, 10.0)
-    for terms in ([], [segment], [linear] * 4):
+    for terms in ([], [swirls], [linear] * 4):
         assert term_laws(terms, sampling) is None
 
 
@@ -200,9 +194,9 @@ def test_the_profile_of_a_term_is_known_along_its_coordinate(structured):
 
 def test_a_lattice_has_no_profile(structured):
     posterior, data = structured
-    lattice = LatticeTerm(jnp.ones(12), jnp.eye(2), jnp.zeros(2))
-    rest = KernelPotential.with_zero_weights(POSITIONS[:4], 2.0)
-    model = posterior.model.with_environment(StructuredForce((lattice,), rest))
+    lattice = forces.LatticeTerm(jnp.ones(12), jnp.eye(2), jnp.zeros(2))
+    rest = forces.KernelPotential.with_zero_weights(POSITIONS[:4], 2.0)
+    model = posterior.model.with_environment(forces.StructuredForce((lattice,), rest))
     other = eqx.tree_at(lambda p: p.free, posterior, known_model(model))
     with pytest.raises(InputError, match=r"term 0 .*\(lattice\) has no profile"):
         sample_profile(Sampling.of(other, data, 10.0), 0)

@@ -7,22 +7,17 @@ import scipy.linalg
 from pinav.analysis import lyapunov_map
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer, rollout
 from pinav.errors import InputError
-from pinav.forces import AbstractForce, LinearDrag, ZeroForce
+from pinav.forces import LinearDrag, LinearForce, ZeroForce
 from pinav.scenarios import barrier_crossings
 
 MATRIX = np.array([[0.3, 1.0], [-0.4, -0.2]])
 TIMES = np.linspace(0.0, 2.0, 41)
 
 
-class LinearForce(AbstractForce):
-    matrix: jax.Array
-
-    def __call__(self, t, x, v):
-        return self.matrix @ x
-
-
 def test_growth_in_a_linear_flow_is_that_of_its_exponential():
-    flow = OverdampedSwimmer(ZeroForce(), LinearForce(jnp.asarray(MATRIX)), 1.0)
+    flow = OverdampedSwimmer(
+        ZeroForce(), LinearForce(jnp.asarray(MATRIX), [0.0, 0.0]), 1.0
+    )
     axis = np.linspace(-1.0, 1.0, 3)
     found = lyapunov_map(flow, axis, axis, TIMES)
     exact = scipy.linalg.expm(2.0 * MATRIX)

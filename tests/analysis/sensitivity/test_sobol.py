@@ -2,6 +2,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.refusals import refusals
 
 from pinav.analysis import Factor, RolloutStudy, sobol_indices
 from pinav.dynamics import FixedStep, Swimmer, rollout
@@ -76,20 +77,21 @@ def test_a_seed_repeats_the_intervals():
     assert not np.array_equal(one.total, other.total)
 
 
-def test_bad_input_is_refused():
-    good = [Factor("a", 0.0, 1.0)]
-    with pytest.raises(InputError, match="Factor a: expected a finite range"):
-        Factor("a", 1.0, 1.0)
-    with pytest.raises(InputError, match="factors: expected one or more"):
-        sobol_indices(lambda x: x, [], ["y"])
-    with pytest.raises(InputError, match="expected a power of two"):
-        sobol_indices(lambda x: x, good, ["y"], samples=100)
-    with pytest.raises(InputError, match="expected between 0 and 1"):
-        sobol_indices(lambda x: x, good, ["y"], confidence=1.0)
-    with pytest.raises(InputError, match="an outcome is not finite"):
-        sobol_indices(lambda x: np.full_like(x, np.nan), good, ["y"])
-    with pytest.raises(InputError, match="a row per sample and a column per"):
-        sobol_indices(lambda x: x[:, 0], good, ["y"])
+ONE = Factor("a", 0.0, 1.0)
+
+
+def indices_of(function=lambda x: x, factors=(ONE,), **options):
+    return lambda: sobol_indices(function, factors, ["y"], **options)
+
+
+test_bad_input_is_refused = refusals(
+    (lambda: Factor("a", 1.0, 1.0), "Factor a: expected a finite range"),
+    (indices_of(factors=()), "factors: expected one or more"),
+    (indices_of(samples=100), "expected a power of two"),
+    (indices_of(confidence=1.0), "expected between 0 and 1"),
+    (indices_of(lambda x: np.full_like(x, np.nan)), "an outcome is not finite"),
+    (indices_of(lambda x: x[:, 0]), "a row per sample and a column per"),
+)
 
 
 TIMES = np.linspace(0.0, 4.0, 41)

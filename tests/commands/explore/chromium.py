@@ -1,13 +1,11 @@
 """A headless Chromium, driven over the pipe of its DevTools protocol."""
 
-import base64
 import json
 import os
 import shutil
 import subprocess
 import tempfile
 import time
-from pathlib import Path
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 
@@ -137,13 +135,6 @@ class Chromium:
         """One event of the mouse: Pressed, Moved or Released."""
         at = {"x": x, "y": y, "button": "left", "buttons": 1, "clickCount": 1}
         self.send("Input.dispatchMouseEvent", type=f"mouse{kind}", **{**at, **more})
-
-    def screenshot(self, path: Path, *, whole: bool = False) -> None:
-        """What the page looks like, as PNG."""
-        answer = self.send(
-            "Page.captureScreenshot", format="png", captureBeyondViewport=whole
-        )
-        path.write_bytes(base64.b64decode(answer["data"]))
 
     def close(self) -> None:
         """End the browser."""

@@ -11,8 +11,8 @@ import jax.flatten_util
 import numpy as np
 import pytest
 from tests.commands.explore.chromium import Chromium, find_chromium
-from tests.commands.test_heat import small
 from tests.commands.test_heat_voxels import write as write_voxels
+from tests.heat_cases import small
 
 from pinav import cli
 from pinav.commands.explore.document import document
@@ -127,7 +127,7 @@ def straight_plan(run):
 def heated(tmp_path_factory):
     """A tumour of 24 cells, heated: the folder of its run, and its page."""
     folder = tmp_path_factory.mktemp("heat")
-    case = small("tumour", folder, step=5.0)
+    case = small("tumour", folder, {"step": 5.0})
     out = folder / "run"
     with jax.numpy_dtype_promotion("standard"):
         assert cli.run(["heat", "simulate", str(case), "--out", str(out)]) == 0
@@ -380,10 +380,51 @@ def test_nothing_is_wider_than_the_page(width, browser, pages):
 
 
 def test_the_table_of_the_path_has_its_units_and_numbers(browser, pages):
-    opened(browser, pages("identified")[1])
+    run, address = pages("identified")
+    opened(browser, address, width=400)
     lines = browser.run("explorer.table()").split("\n")
     assert lines[0] == "t [s],x [um],y [um],sd x [um],sd y [um]"
     assert all(re.fullmatch(r"[-\d.e+]+(,[-\d.e+]+){4}", row) for row in lines[1:-1])
+    assert browser.run("explorer.run.tracks.length") == len(run.data)
+    track = browser.run("[...explorer.experiment.tracks[0].x]")
+    seen = run.data.states[0, :, 0][run.data.observed[0, :, 0]]
+    np.testing.assert_allclose(track, seen[:: len(seen) // len(track)], rtol=1e-5)
+    assert "µm" in browser.run("document.getElementById('panel').textContent")
+
+
+SLIDE = """((label, value) => {
+  const slide = document.querySelector(`input[type=range][aria-label^="${label}"]`);
+  slide.value = value ?? slide.max;
+  for (const kind of ["input", "change"]) slide.dispatchEvent(new Event(kind));
+  return Number(slide.value);
+})"""
+"""Drag a slider, by the beginning of its name, to a value or to its end."""
+
+
+def test_every_slider_does_what_it_says(browser, pages):
+    """From the replay of recorded commands on."""
+
+    def end(change):
+        value = browser.run(change)
+        browser.wait_for("!explorer.request")
+        return value, np.array(browser.run("[...explorer.mean.states.at(-1)]"))
+
+    opened(browser, pages("identified")[1])
+    end("explorer.goToTrack(0)")
+    assert browser.run("explorer.conditions.replay")
+    before = browser.run("explorer.conditions.frequency")
+    hertz, faster = end(f"{SLIDE}('frequency', {before} + 1)")
+    assert browser.run("explorer.conditions.frequency") == pytest.approx(hertz)
+    assert not browser.run("explorer.conditions.replay")
+    _, turned = end(f"{SLIDE}('heading', 90)")
+    assert np.isfinite(turned).all()
+    assert np.linalg.norm(turned - faster) > 0
+    end("void explorer.change({ show: ['band', 'tracks'] })")
+    narrow = browser.run("explorer.band.sd.at(-1)[0]")
+    end(f"{SLIDE}('noise')")
+    assert browser.run("explorer.band.sd.at(-1)[0]") > narrow
+    assert "s=" in browser.run("location.hash")
+    browser.check_quiet()
 
 
 def test_numbers_that_are_damaged_are_said_to_be(browser, pages, tmp_path):

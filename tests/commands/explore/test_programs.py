@@ -13,16 +13,11 @@ from tests.forces.test_forces import FORCES
 
 import pinav.forces as forces
 from pinav.actuation import StepOutResponse
+from pinav.commands.explore import printing
 from pinav.commands.explore.document import script_json
 from pinav.commands.explore.force_table import TableBox, tabulate
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.primitives import RULES
-from pinav.commands.explore.printing import (
-    Constants,
-    UnknownPrimitive,
-    number,
-    print_function,
-)
 from pinav.dynamics import FixedStep, drive_by_commands, rollout
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.learning.learned import Learned
@@ -37,12 +32,12 @@ class Entries:
     """Printed functions, which are asked in one call of Node."""
 
     def __init__(self):
-        self.constants, self.calls, self.expected = Constants(), [], {}
+        self.constants, self.calls, self.expected = printing.Constants(), [], {}
 
     def add(self, name, function, early, late):
         """Print a function; its entries are compared with its own results."""
         shapes = [{n: np.shape(v) for n, v in part.items()} for part in (early, late)]
-        program = print_function(function, *shapes, self.constants, RULES)
+        program = printing.print_function(function, *shapes, self.constants, RULES)
         before, after = (", ".join(map(argument, p.values())) for p in (early, late))
         # Called twice: no call may leave anything behind in its buffers.
         self.calls.append(
@@ -50,7 +45,7 @@ class Entries:
             call({after}{", " * bool(after)}out);
             call({after}{", " * bool(after)}out); return out; }})()"""
         )
-        values = function(*map(jnp.asarray, early.values()), *late.values())
+        values = jax.jit(function)(*map(jnp.asarray, early.values()), *late.values())
         self.expected[name] = np.ravel(values)
         return program
 
@@ -70,7 +65,7 @@ class Entries:
 def argument(value):
     """A number or an array as an argument in JavaScript."""
     if np.shape(value) == ():
-        return number(float(value))
+        return printing.number(float(value))
     return f"Float64Array.from({np.ravel(value).tolist()})"
 
 
@@ -229,8 +224,8 @@ class StrangeForce(forces.AbstractForce):
 def test_a_force_that_is_not_printed_is_read_from_a_table():
     late = {name: POINT[name] for name in ("t", "x")}
     shapes = {name: np.shape(value) for name, value in late.items()}
-    with pytest.raises(UnknownPrimitive, match="sort"):
-        print_function(swarm, {}, shapes, Constants(), RULES)
+    with pytest.raises(printing.UnknownPrimitive, match="sort"):
+        printing.print_function(swarm, {}, shapes, printing.Constants(), RULES)
     hill = FORCES["barrier"]()
     table, error = tabulate(hill, TableBox((0.0, 0.0), (10.0, 10.0), (0.0, 2.0)))
     assert error < 1e-3

@@ -5,13 +5,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.fitted_runs import crossing_system, crossings
+from tests.fitting.problems import STATES, observing
 
+from pinav.dynamics import FixedStep, rollout
 from pinav.errors import FitError, InputError
 from pinav.evaluation.force_fields import exact_forces, force_error_at_samples
 from pinav.fitting import Outcome, fit_bayes, kernel_environment
 from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
 from pinav.forces.priors import WeightPrior
-from pinav.scenarios import barrier_crossings
+from pinav.systems import Observation
 from pinav.trajectories import Trajectories, simulate
 
 NOISE = 0.02
@@ -20,16 +23,18 @@ NOISE = 0.02
 @pytest.fixture(scope="module")
 def scenario():
     """Four of the crossings, for their first six time units."""
-    return eqx.tree_at(
-        lambda s: (s.starts, s.times),
-        barrier_crossings(),
-        replace_fn=lambda a: a[:4] if a.ndim == 2 else a[:61],
-    )
+    return crossing_system(4, 61)
 
 
 @pytest.fixture(scope="module")
-def data(scenario):
-    return simulate(scenario, key=jax.random.key(1))
+def exact():
+    """The same without noise."""
+    return simulate(crossing_system(4, 61, observation=Observation(0.0)))
+
+
+@pytest.fixture(scope="module")
+def data():
+    return crossings(61, key=1)
 
 
 @pytest.fixture(scope="module")
@@ -41,15 +46,6 @@ def untrained(scenario, data):
 @pytest.fixture(scope="module")
 def fitted(untrained, data):
     return fit_bayes(untrained, data)
-
-
-def observing(data, observed):
-    return Trajectories.from_arrays(
-        [piece.times for piece in data],
-        [piece.states for piece in data],
-        channels=data.channels,
-        observed=[observed[i, :n] for i, n in enumerate(data.lengths)],
-    )
 
 
 def error(fit, scenario, data):
@@ -65,19 +61,12 @@ def test_a_kernel_potential_learns_the_force_from_noisy_crossings(
     assert fitted.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
 
 
-def test_the_smoothed_states_are_a_rollout_nearer_to_the_truth(fitted, scenario, data):
-    solver = fitted_rollout(fitted, data)
-    np.testing.assert_allclose(fitted.states, solver, atol=1e-4)
-    truth = simulate(eqx.tree_at(lambda s: s.observation.noise, scenario, 0.0)).states
-    smoothed = np.sqrt(np.mean((fitted.states - truth) ** 2))
-    assert smoothed < 0.5 * NOISE
-
-
-def fitted_rollout(fitted, data):
+def test_the_smoothed_states_are_a_rollout_nearer_to_the_truth(fitted, data, exact):
     band = fitted.posterior.rollout_band
-    return np.stack(
-        [band(own[0], data.times[0]).ys for own in fitted.states], dtype=float
-    )
+    rolled = [band(own[0], data.times[0]).ys for own in fitted.states]
+    np.testing.assert_allclose(fitted.states, rolled, atol=1e-4)
+    smoothed = np.sqrt(np.mean((fitted.states - exact.states) ** 2))
+    assert smoothed < 0.5 * NOISE
 
 
 def test_the_band_covers_the_true_force(fitted, scenario, data):
@@ -122,13 +111,10 @@ def test_the_band_of_a_rollout_is_the_spread_of_sampled_rollouts(fitted, data):
     np.testing.assert_allclose(band.sd[0], 0.01)
     fixed = fitted.posterior.rollout_band(start, times)
     assert np.all(fixed.sd <= band.sd)
-    from pinav.dynamics import FixedStep
-
-    ts = jnp.asarray(times)
-    solve = eqx.filter_jit(lambda m: FixedStep().solve(m, jnp.asarray(start), ts)[0])
+    solve = eqx.filter_jit(rollout)
     models = fitted.posterior.samples(200, key=jax.random.key(1))
-    draws = np.stack([solve(model) for model in models])
-    np.testing.assert_allclose(draws[:, -1].std(axis=0), fixed.sd[-1], rtol=0.25)
+    draws = [solve(m, start, times, solver=FixedStep()).ys[-1] for m in models]
+    np.testing.assert_allclose(np.std(draws, axis=0), fixed.sd[-1], rtol=0.25)
 
 
 @pytest.mark.slow
@@ -174,12 +160,11 @@ def test_holes_and_trajectories_of_different_lengths_are_no_obstacle(
 
 
 @pytest.mark.slow
-def test_data_without_noise_converge_to_little_noise(untrained, scenario):
-    clean = simulate(eqx.tree_at(lambda s: s.observation.noise, scenario, 0.0))
-    found = fit_bayes(untrained, clean, throw=False)
+def test_data_without_noise_converge_to_little_noise(untrained, scenario, exact):
+    found = fit_bayes(untrained, exact, throw=False)
     assert found.outcome is Outcome.CONVERGED
     assert found.hyperparameters.noise < 1e-3
-    assert error(found, scenario, clean) < 1e-3
+    assert error(found, scenario, exact) < 1e-3
 
 
 @pytest.mark.slow
@@ -218,56 +203,48 @@ def test_a_step_to_where_nothing_is_finite_is_a_divergence(untrained, data):
     assert found.constants["drag.square"].value < 0
 
 
-def test_two_constants_of_which_only_the_product_matters_are_singular(untrained, data):
+SINGULAR = {
+    "only their product matters": (0.2, lambda p: (p.gain, p.field.amplitude)),
+    "it does nothing": (0.0, lambda p: p.axis),
+}
+
+
+@pytest.mark.parametrize(("gain", "learn"), SINGULAR.values(), ids=SINGULAR)
+def test_constants_that_data_cannot_tell_are_singular(untrained, data, gain, learn):
+    model = eqx.tree_at(lambda m: m.propulsion.gain, untrained, gain)
     with pytest.raises(FitError, match="do not determine the learned constants"):
-        fit_bayes(
-            untrained,
-            data,
-            learn=lambda m: (m.propulsion.gain, m.propulsion.field.amplitude),
-        )
+        fit_bayes(model, data, learn=lambda m: learn(m.propulsion))
 
 
-def test_a_constant_that_does_nothing_makes_the_fit_singular(untrained, data):
-    idle = eqx.tree_at(lambda m: m.propulsion.gain, untrained, 0.0)
-    with pytest.raises(FitError, match="do not determine the learned constants"):
-        fit_bayes(idle, data, learn=lambda m: m.propulsion.axis)
-
-
-def test_too_few_observations_are_refused(untrained, data):
+def test_what_was_observed_too_little_is_refused(untrained, data):
+    observed = data.observed.copy()
+    observed[2, :, 0] = False
+    with pytest.raises(InputError, match="channel 'x' of trajectory 2: 0 obs"):
+        fit_bayes(untrained, observing(data, observed))
+    observed[..., 0] = False
+    hidden = observing(data, observed)
+    with pytest.raises(InputError, match="channel 'x' of trajectory 0: 0 obs"):
+        fit_bayes(untrained, hidden)
+    still = Trajectories.from_arrays([0.0, 1.0], np.zeros((2, 4)), channels=STATES)
+    for seen in (hidden, still):
+        with pytest.raises(InputError, match="two or more different observed positio"):
+            kernel_environment(KernelPotential, seen)
     observed = np.zeros_like(data.observed)
     observed[:, [0, 30], :2] = True
     with pytest.raises(InputError, match="channel 'vx'|16 observations are no more"):
         fit_bayes(untrained, observing(data, observed))
 
 
-def test_a_channel_that_nobody_saw_is_refused(untrained, data):
-    observed = data.observed.copy()
-    observed[2, :, 0] = False
-    with pytest.raises(InputError, match="channel 'x' of trajectory 2: 0 obs"):
-        fit_bayes(untrained, observing(data, observed))
-    observed[..., 0] = False
-    with pytest.raises(InputError, match="channel 'x' of trajectory 0: 0 obs"):
-        fit_bayes(untrained, observing(data, observed))
-    with pytest.raises(InputError, match="two or more different observed positions"):
-        kernel_environment(KernelPotential, observing(data, observed))
-
-
-@pytest.mark.parametrize("noise", [0.0, -1.0, float("nan"), float("inf")])
-def test_noise_must_be_a_positive_number(untrained, data, noise):
-    with pytest.raises(InputError, match="noise: expected a finite number > 0"):
-        fit_bayes(untrained, data, noise=noise)
-
-
 def test_other_mistakes_are_named(untrained, data):
+    for noise in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="noise: expected a finite number > 0"):
+            fit_bayes(untrained, data, noise=noise)
     with pytest.raises(InputError, match="max_iterations: expected >= 1, got 0"):
         fit_bayes(untrained, data, max_iterations=0)
     with pytest.raises(InputError, match="environment.width belongs to the environ"):
         fit_bayes(untrained, data, learn=lambda m: m.environment.width)
-    one_dim = Trajectories.from_arrays(
-        data.times[0], data.states[0][:, [0, 2]], channels=("x", "vx")
-    )
     with pytest.raises(InputError, match="expected 4 channels"):
-        fit_bayes(untrained, one_dim)
+        fit_bayes(untrained, data.only(("x", "vx")))
 
 
 @pytest.mark.parametrize("kind", [KernelForce, KernelPotential])
@@ -279,14 +256,6 @@ def test_an_environment_made_from_data_surrounds_them(data, kind):
     assert distance.min(axis=1).max() < made.width
     assert distance.min(axis=0).max() < 4 * made.width
     assert not np.any(exact_forces(made, positions))
-
-
-def test_data_at_one_point_have_no_extent():
-    still = Trajectories.from_arrays(
-        [0.0, 1.0], np.zeros((2, 4)), channels=("x", "y", "vx", "vy")
-    )
-    with pytest.raises(InputError, match="two or more different observed positions"):
-        kernel_environment(KernelPotential, still)
 
 
 def test_a_wide_envelope_is_no_envelope_and_a_narrow_one_fades():
@@ -301,17 +270,16 @@ def test_a_wide_envelope_is_no_envelope_and_a_narrow_one_fades():
 
 
 @pytest.mark.slow
-def test_two_obstacles_are_learned_with_a_wide_envelope(scenario, untrained):
+def test_two_obstacles_are_learned_with_a_wide_envelope(scenario):
     """Where the field does not fade away from one place the evidence notices."""
-    barriers = GaussianBarrier(4.0, [2.0, 3.0], 1.5) + GaussianBarrier(
-        -3.0, [8.0, 6.0], 2.0
+    hill, pit = (
+        GaussianBarrier(4.0, [2.0, 3.0], 1.5),
+        GaussianBarrier(-3.0, [8, 6], 2.0),
     )
-    two = scenario.with_truth(barriers)
+    two = scenario.with_truth(hill + pit)
     seen = simulate(two, key=jax.random.key(3))
-    model = eqx.tree_at(
-        lambda s: s.environment, untrained, kernel_environment(KernelPotential, seen)
-    )
-    found = fit_bayes(model, seen)
+    kernels = kernel_environment(KernelPotential, seen)
+    found = fit_bayes(scenario.swimmer.with_environment(kernels), seen)
     assert found.outcome is Outcome.CONVERGED
     assert error(found, two, seen) < 0.1
     assert found.hyperparameters.shape[1] > 0.5

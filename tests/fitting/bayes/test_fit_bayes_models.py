@@ -1,56 +1,23 @@
 """`fit_bayes` of parametric environments and of dynamics of first order."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxtyping import Array, Float
+from tests.fitted_runs import crossing_system, crossings
+from tests.fitting.problems import Drifter, observing
 
 from pinav.dynamics import AbstractDynamics, FixedStep, rollout
 from pinav.errors import InputError
+from pinav.evaluation.force_fields import force_error_at_samples
 from pinav.fitting import Outcome, fit_bayes, kernel_environment, model_evidence
-from pinav.forces import (
-    AbstractForce,
-    GaussianBarrier,
-    KernelForce,
-    KernelPotential,
-    ZeroForce,
-)
-from pinav.scenarios import barrier_crossings
-from pinav.trajectories import Trajectories, simulate
+from pinav.forces import GaussianBarrier, KernelForce, KernelPotential
+from pinav.trajectories import Trajectories
 
 pytestmark = pytest.mark.slow
 
 NOISE = 0.02
 BARRIER = GaussianBarrier(2.0, [1.0, 0.5], 1.2)
-
-
-class Drifter(AbstractDynamics):
-    """Without inertia: the force is the velocity, as is the constant drift."""
-
-    drift: Float[Array, " dim"]
-    environment: AbstractForce
-
-    def __call__(self, t, y):
-        return self.drift + self.environment(t, y, jnp.zeros_like(y))
-
-    def with_environment(self, environment):
-        return eqx.tree_at(lambda m: m.environment, self, environment)
-
-    def without_environment(self):
-        return self.with_environment(ZeroForce())
-
-
-@pytest.fixture(scope="module")
-def crossings():
-    """Three noisy crossings of the barrier, for their first five time units."""
-    scenario = eqx.tree_at(
-        lambda s: (s.starts, s.times),
-        barrier_crossings(),
-        replace_fn=lambda a: a[:3] if a.ndim == 2 else a[:51],
-    )
-    return scenario, simulate(scenario, key=jax.random.key(1))
 
 
 @pytest.fixture(scope="module")
@@ -80,11 +47,11 @@ def values(barrier):
 
 
 @pytest.fixture(scope="module", params=["second order", "first order"])
-def parametric(request, crossings, drifts):
+def parametric(request, drifts):
     if request.param == "first order":
         truth, data = drifts
     else:
-        truth, data = crossings[0].truth, crossings[1]
+        truth, data = crossing_system(3, 51).truth, crossings(51, count=3, key=1)
     return truth, data, fit_bayes(guess(truth), data, learn=lambda m: m.environment)
 
 
@@ -105,7 +72,6 @@ def test_a_parametric_environment_is_found_within_its_intervals(parametric):
     assert found.hyperparameters.shape.size == 0
 
 
-@pytest.mark.slow
 def test_the_intervals_are_those_of_least_squares_on_rollouts(parametric):
     """Starts and parameters together, by an independent Jacobian."""
     truth, data, found = parametric
@@ -163,53 +129,34 @@ def test_known_kernels_stay_as_they_are(drifts):
     assert found.model.environment.weights.shape == kernels.weights.shape
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", [KernelForce, KernelPotential])
 def test_kernels_are_fitted_to_dynamics_of_first_order(drifts, kind):
     truth, data = drifts
-    environment = kernel_environment(kind, data, dim=2)
-    model = truth.with_environment(environment)
-    found = fit_bayes(model, data)
+    found = fit_bayes(truth.with_environment(kernel_environment(kind, data)), data)
     assert found.outcome is Outcome.CONVERGED
     assert found.hyperparameters.noise == pytest.approx(NOISE, rel=0.15)
-    points = jnp.asarray(data.states.reshape(-1, 2))
-
-    def forces(force):
-        return np.asarray(jax.vmap(lambda x: force(0.0, x, jnp.zeros(2)))(points))
-
-    miss = forces(found.model.environment) - forces(truth.environment)
-    assert np.linalg.norm(miss) < 0.1 * np.linalg.norm(forces(truth.environment))
+    assert force_error_at_samples(found.model.environment, BARRIER, data) < 0.1
 
 
 def test_positions_are_no_velocities_of_each_other(drifts):
     truth, data = drifts
-    half = Trajectories.from_arrays(
-        data.times[0],
-        list(data.states),
-        channels=("x", "y"),
-        observed=[np.tile([True, False], (31, 1))] * 6,
-    )
+    half = observing(data, np.broadcast_to([True, False], data.states.shape))
     with pytest.raises(InputError, match="channel 'y' of trajectory 0: 0 observ"):
         fit_bayes(truth, half, learn=lambda m: m.environment)
 
 
-def test_models_with_nothing_to_learn_are_refused(crossings, drifts):
-    scenario, data = crossings
-    without = scenario.truth.without_environment()
+def test_models_with_nothing_to_learn_are_refused(drifts):
+    truth, data = drifts
     with pytest.raises(InputError, match="learn: ZeroForce has no weights"):
-        fit_bayes(without, data)
+        fit_bayes(truth.without_environment(), data)
     with pytest.raises(InputError, match="force called environment, got EmptyDyn"):
         fit_bayes(EmptyDynamics(), data)
-    wrong = "expected 2 or 4 channels, got x, y, z"
-    three = Trajectories.from_arrays(
-        [0.0, 1.0], np.arange(6.0).reshape(2, 3), channels=("x", "y", "z")
-    )
-    kernels = kernel_environment(KernelPotential, drifts[1], dim=2)
-    drifting = drifts[0].with_environment(kernels)
-    with pytest.raises(InputError, match=wrong):
-        fit_bayes(drifting, three)
+    three = Trajectories.from_arrays([0.0, 1.0], np.eye(2, 3), channels=("x", "y", "z"))
+    kernels = kernel_environment(KernelPotential, data, dim=2)
+    with pytest.raises(InputError, match="expected 2 or 4 channels, got x, y, z"):
+        fit_bayes(truth.with_environment(kernels), three)
     with pytest.raises(InputError, match="kernel_environment dim: expected 1 to 2"):
-        kernel_environment(KernelPotential, drifts[1], dim=3)
+        kernel_environment(KernelPotential, data, dim=3)
 
 
 class EmptyDynamics(AbstractDynamics):

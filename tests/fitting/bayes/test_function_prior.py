@@ -1,9 +1,12 @@
 """A Gaussian process as the prior of a network, in its tangent space."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.fitting.problems import quadratic_of
 
 from pinav.fitting.bayes.distillation import DistillationTargets, forces
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
@@ -61,13 +64,9 @@ def quadratic():
     rng = np.random.default_rng(3)
     rows = rng.normal(size=(8, len(GRID))) * np.geomspace(1.0, 1e-3, 8)[:, None]
     residuals = rows @ rng.normal(size=len(GRID)) + NOISE * rng.normal(size=8)
-    return Quadratic(
-        point=np.zeros(len(GRID)),
-        hessian=rows.T @ rows,
-        gradient=rows.T @ residuals,
-        squares=float(residuals @ residuals) + 0.3,
-        num_free=100,
-        log_determinant=1.7,
+    own = quadratic_of(rows, -residuals)
+    return dataclasses.replace(
+        own, squares=own.squares + 0.3, num_free=100, log_determinant=1.7
     )
 
 
@@ -202,20 +201,19 @@ class Bowl(AbstractLocalModel):
         return 0.0
 
 
+def cost(noise):
+    bowl = Bowl(quadratic_of(np.eye(1), np.ones(1)))
+    return PenalisedSquares(bowl, np.zeros(1), noise, lambda _: 0.0, ConstantPriors())
+
+
 @pytest.mark.parametrize(("mean", "reached"), [(0.9, 0.9), (3.0, 1.5), (-1.0, 0.0)])
 def test_a_step_is_shortened_until_it_lowers_the_cost(mean, reached):
-    quadratic = Quadratic(np.zeros(1), np.eye(1), -np.ones(1), 1.0, 1, 0.0)
-    bowl = Bowl(quadratic)
-    cost = PenalisedSquares(bowl, np.zeros(1), 1.0, lambda _: 0.0, ConstantPriors())
-    move = ShortenedStep()(cost, np.array([mean]))
+    move = ShortenedStep()(cost(1.0), np.array([mean]))
     np.testing.assert_allclose(move.theta, [reached])
     np.testing.assert_allclose(move.states, [[[reached]]])
 
 
 def test_corrections_with_the_jacobian_held_reach_the_least_squares():
     """Where the linear model asks for too little; the bowl is least at one."""
-    quadratic = Quadratic(np.zeros(1), np.eye(1), -np.ones(1), 1.0, 1, 0.0)
-    bowl = Bowl(quadratic)
-    cost = PenalisedSquares(bowl, np.zeros(1), 1e-3, lambda _: 0.0, ConstantPriors())
-    move = ShortenedStep(corrections=6)(cost, np.array([0.4]))
+    move = ShortenedStep(corrections=6)(cost(1e-3), np.array([0.4]))
     np.testing.assert_allclose(move.theta, [1.0], atol=1e-3)

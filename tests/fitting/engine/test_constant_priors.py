@@ -3,22 +3,21 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
+from tests.fitted_runs import crossing_system, crossings
+from tests.fitting.problems import quadratic_of
 
 from pinav.fitting import fit_bayes, kernel_environment, model_evidence
 from pinav.fitting.engine.evidence_fit import iterate
 from pinav.fitting.engine.local_model import ConstantPriors, wide_priors
-from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat
+from pinav.fitting.evidence.quadratic import eliminate_flat
 from pinav.fitting.evidence.weights import NoWeights
 from pinav.fitting.least_squares import Regression
 from pinav.forces import KernelPotential
-from pinav.scenarios import barrier_crossings
 from pinav.systems.priors import FreeNumber, LogNormal, Normal
-from pinav.trajectories import simulate
 
 pytestmark = pytest.mark.slow
 
@@ -29,20 +28,7 @@ NOISE = 0.5
 def linear_problem():
     rng = np.random.default_rng(0)
     column = rng.normal(size=12)
-    data = 0.9 * column + NOISE * rng.normal(size=12)
-    return column, data
-
-
-def quadratic_at(point, column, data):
-    residuals = column * point - data
-    return Quadratic(
-        point=np.array([point]),
-        hessian=np.array([[column @ column]]),
-        gradient=np.array([column @ residuals]),
-        squares=float(residuals @ residuals),
-        num_free=len(data),
-        log_determinant=0.0,
-    )
+    return column, 0.9 * column + NOISE * rng.normal(size=12)
 
 
 def test_standardised_values_are_standard_deviations():
@@ -57,7 +43,7 @@ def test_a_normal_prior_of_a_constant_gives_the_exact_evidence_and_posterior():
     column, data = linear_problem()
     prior = PRIORS["normal"]
     added = ConstantPriors((0,), (prior,)).add_to(
-        quadratic_at(0.3, column, data), NOISE
+        quadratic_of(column[:, None], data, np.array([0.3])), NOISE
     )
     reduced, block = eliminate_flat(added, np.array([True]))
     found = NoWeights().infer(reduced, np.zeros(0), NOISE).hyperparameters
@@ -93,41 +79,29 @@ def test_the_evidence_of_a_first_step_does_not_depend_on_the_noise_before_it():
     assert values[0] == pytest.approx(values[1], abs=0.05)
 
 
-@pytest.fixture(scope="module")
-def crossings():
-    scenario = eqx.tree_at(
-        lambda s: (s.starts, s.times),
-        barrier_crossings(),
-        replace_fn=lambda a: a[:3] if a.ndim == 2 else a[:41],
-    )
-    return scenario.truth, simulate(scenario, key=jax.random.key(1))
-
-
-def test_a_tight_prior_holds_a_constant_and_a_wide_one_leaves_it(crossings):
-    truth, data = crossings
-    kernels = kernel_environment(KernelPotential, data)
-    model = eqx.tree_at(lambda m: m.environment, truth, kernels)
+def test_a_tight_prior_holds_a_constant_and_a_wide_one_leaves_it():
+    truth, data = crossing_system(3, 41).truth, crossings(41, count=3, key=1)
     true = float(truth.drag.damping)
-    start = eqx.tree_at(lambda m: m.drag.damping, model, jnp.asarray(true))
+    start = eqx.tree_at(
+        lambda m: (m.environment, m.drag.damping),
+        truth,
+        (kernel_environment(KernelPotential, data), jnp.asarray(true)),
+    )
 
-    def fit(prior):
-        learn = (FreeNumber("drag.damping", prior),)
-        return fit_bayes(start, data, learn=learn, refine=None)
+    def fitted(learn):
+        fit = fit_bayes(start, data, learn=learn, refine=None)
+        evidence = model_evidence(fit.linear, fit.hyperparameters).log_evidence
+        return fit.constants["drag.damping"], evidence
 
-    def damping(prior):
-        return fit(prior).constants["drag.damping"]
+    def under(prior):
+        return fitted((FreeNumber("drag.damping", prior),))
 
-    def evidence(fit):
-        return model_evidence(fit.linear, fit.hyperparameters).log_evidence
-
-    flat = fit_bayes(start, data, learn=lambda m: m.drag.damping, refine=None)
-    free = flat.constants["drag.damping"]
-    held = damping(Normal(true + 5 * free.sd, 1e-3 * free.sd))
+    free, flat = fitted(lambda m: m.drag.damping)
+    held, _ = under(Normal(true + 5 * free.sd, 1e-3 * free.sd))
     assert held.value == pytest.approx(true + 5 * free.sd, abs=0.1 * free.sd)
-    wide_fit = fit(LogNormal(free.value, 10.0))
-    wide = wide_fit.constants["drag.damping"]
-    assert evidence(wide_fit) == pytest.approx(evidence(flat), abs=0.1)
+    wide, evidence = under(LogNormal(free.value, 10.0))
+    assert evidence == pytest.approx(flat, abs=0.1)
     assert wide.value == pytest.approx(free.value, abs=0.1 * free.sd)
     assert wide.sd == pytest.approx(free.sd, rel=0.05)
-    between = damping(Normal(free.value, free.sd))
+    between, _ = under(Normal(free.value, free.sd))
     assert between.sd == pytest.approx(free.sd / np.sqrt(2), rel=0.1)

@@ -3,6 +3,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.fitting.problems import STATES
 
 from pinav.dynamics import RK4, FixedStep, Swimmer
 from pinav.fitting.engine.local_model import ravel_model
@@ -24,15 +25,14 @@ ENVIRONMENTS = {
     "potential": KernelPotential(jnp.array([0.3, -0.5, 0.8]), CENTERS, 0.8),
     "force": KernelForce(0.5 * jnp.cos(jnp.arange(6.0)).reshape(3, 2), CENTERS, 0.8),
 }
-NAMES = ("x", "y", "vx", "vy")
 GENERATOR = np.random.default_rng(0)
 TIMES = np.cumsum(GENERATOR.uniform(0.05, 0.2, 20))
 SHORT = TIMES[:13] ** 1.1
 STARTS = jnp.array([[-1.0, 0.1, 1.2, 0.3], [1.5, -0.5, -0.4, 0.9]])
 
 
-def make(environment):
-    swimmer = Swimmer(ZeroForce(), LinearDrag(0.4), environment)
+def ravelled(environment):
+    swimmer = Swimmer(ZeroForce(), LinearDrag(jnp.array(0.4)), environment)
     return ravel_model(swimmer, lambda m: (m.environment.weights, m.drag.damping))
 
 
@@ -51,7 +51,7 @@ def plain_rollout(free, theta, y0, times):
 @pytest.fixture(scope="module")
 def problem():
     """Two trajectories of different lengths with holes, states off the dynamics."""
-    free, theta = make(ENVIRONMENTS["potential"])
+    free, theta = ravelled(ENVIRONMENTS["potential"])
     times = [TIMES, SHORT]
     states = [
         np.asarray(plain_rollout(free, theta, y0, ts))
@@ -59,7 +59,7 @@ def problem():
         for y0, ts in zip(STARTS, times, strict=True)
     ]
     observed = [GENERATOR.uniform(size=y.shape) > 0.3 for y in states]
-    data = Trajectories.from_arrays(times, states, channels=NAMES, observed=observed)
+    data = Trajectories.from_arrays(times, states, channels=STATES, observed=observed)
     lifted = np.array(data.states)
     for index, own in enumerate(states):
         lifted[index, : len(own)] = own + 0.1 * np.sin(np.arange(len(own)))[:, None]
@@ -71,7 +71,7 @@ def problem():
     "kind", ["force", pytest.param("potential", marks=pytest.mark.slow)]
 )
 def test_without_defects_the_columns_are_the_jacobian_of_the_rollout(kind):
-    free, theta = make(ENVIRONMENTS[kind])
+    free, theta = ravelled(ENVIRONMENTS[kind])
     times = jnp.asarray(TIMES)
     ys = plain_rollout(free, theta, STARTS[0], times)
     by_theta, by_start = jax.jacrev(
@@ -120,26 +120,19 @@ def dense(free, theta, states, observations):
     return np.concatenate(rows), np.concatenate(residuals)
 
 
-def test_elimination_is_the_dense_projection(problem):
+def test_elimination_and_step_are_those_of_dense_least_squares(problem):
     free, theta, states, observations = problem
     rows, residuals = dense(free, theta, states, observations)
-    starts = rows[:, len(theta) :]
+    by_theta, starts = rows[:, : len(theta)], rows[:, len(theta) :]
     onto_rest = np.eye(len(rows)) - starts @ np.linalg.pinv(starts)
-    by_theta = rows[:, : len(theta)]
     found = linearise(free, theta, states, observations, SOLVER)
-    hessian = by_theta.T @ onto_rest @ by_theta
-    np.testing.assert_allclose(found.hessian, hessian, rtol=1e-9)
-    gradient = by_theta.T @ onto_rest @ residuals
-    np.testing.assert_allclose(found.gradient, gradient, rtol=1e-9)
-    squares = residuals @ onto_rest @ residuals
-    np.testing.assert_allclose(found.squares, squares, rtol=1e-9)
-
-
-def test_the_step_is_the_dense_least_squares_step(problem):
-    free, theta, states, observations = problem
-    rows, residuals = dense(free, theta, states, observations)
+    for ours, exact in (
+        (found.hessian, by_theta.T @ onto_rest @ by_theta),
+        (found.gradient, by_theta.T @ onto_rest @ residuals),
+        (found.squares, residuals @ onto_rest @ residuals),
+    ):
+        np.testing.assert_allclose(ours, exact, rtol=1e-9)
     step = -np.linalg.lstsq(rows, residuals, rcond=None)[0]
-    found = linearise(free, theta, states, observations, SOLVER)
     change = jnp.linalg.solve(found.hessian, -found.gradient)
     np.testing.assert_allclose(change, step[: len(theta)], rtol=1e-8)
     moved = advance(states, found, change)
@@ -210,9 +203,6 @@ def test_fewer_rows_than_starts_leave_nothing():
 
 @pytest.mark.parametrize("environment", ENVIRONMENTS.values(), ids=ENVIRONMENTS)
 def test_a_model_outside_of_compiled_functions_is_the_same(environment):
-    swimmer = Swimmer(ZeroForce(), LinearDrag(jnp.array(0.4)), environment)
-    free, theta = ravel_model(
-        swimmer, lambda m: (m.environment.weights, m.drag.damping)
-    )
+    free, theta = ravelled(environment)
     placed = free.at(np.asarray(theta) + 0.1)
     assert eqx.tree_equal(placed, free(theta + 0.1))

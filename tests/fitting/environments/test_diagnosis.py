@@ -1,10 +1,10 @@
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.fitting.problems import STATES, beginning, follow
 
-from pinav.dynamics import Adaptive, Swimmer
+from pinav.dynamics import Swimmer
 from pinav.fitting.environments.diagnosis import (
     NOISES,
     Cause,
@@ -15,12 +15,12 @@ from pinav.fitting.environments.diagnosis import (
 from pinav.forces import (
     ConstantForce,
     GaussianBarrier,
-    GaussianSwirl,
     KernelForce,
     KernelPotential,
     LinearDrag,
     LinearForce,
     SumForce,
+    gaussian_swirl,
 )
 from pinav.trajectories import Trajectories
 
@@ -29,19 +29,16 @@ TRUTH = Swimmer(ConstantForce([0.0, 0.05]), LinearDrag(0.3), BARRIER)
 UNTRAINED = KernelPotential.with_zero_weights(np.zeros((1, 2)), 1.0)
 
 
-def _start(angle: float) -> jax.Array:
+def start(angle: float) -> np.ndarray:
     """From a ring towards the barrier; paths cross, and some turn back."""
     inwards = np.array([np.cos(angle), np.sin(angle)])
     place = np.array([2.0, 0.3]) - 4.0 * inwards + 0.3 * inwards[::-1]
-    return jnp.asarray(np.concatenate([place, (2.5 + 0.4 * angle) * inwards]))
+    return np.concatenate([place, (2.5 + 0.4 * angle) * inwards])
 
 
 def observe(truth: Swimmer, interval: float = 0.05) -> Trajectories:
-    times = jnp.arange(0.0, 8.0, interval)
-    starts = [_start(angle) for angle in range(6)]
-    states = [np.asarray(Adaptive().solve(truth, y0, times)[0]) for y0 in starts]
-    channels = ("x", "y", "vx", "vy")
-    return Trajectories.from_arrays([np.asarray(times)] * 6, states, channels=channels)
+    times = np.arange(0.0, 8.0, interval)
+    return follow(truth, [start(angle) for angle in range(6)], [times] * 6)
 
 
 def cause_of(truth: Swimmer, known: Swimmer, interval: float = 0.05) -> Cause | None:
@@ -59,11 +56,11 @@ def test_a_wrong_drag_is_wrong_physics():
 
 
 def test_a_swirl_has_no_potential_but_a_field():
-    swirl = SumForce((BARRIER, GaussianSwirl(2.0, [2.0, 0.3], 1.5)))
+    swirl = SumForce((BARRIER, gaussian_swirl(2.0, [2.0, 0.3], 1.5)))
     truth = TRUTH.with_environment(swirl)
-    assert cause_of(truth, truth) is Cause.NO_POTENTIAL
-    free = KernelForce.with_zero_weights(np.zeros((1, 2)), 1.0)
-    assert diagnose(truth.with_environment(free), observe(truth)) is Cause.SEARCH
+    seen, free = observe(truth), KernelForce.with_zero_weights(np.zeros((1, 2)), 1.0)
+    for untrained, cause in ((UNTRAINED, Cause.NO_POTENTIAL), (free, Cause.SEARCH)):
+        assert diagnose(truth.with_environment(untrained), seen) is cause
 
 
 @pytest.mark.slow
@@ -75,10 +72,8 @@ def test_a_narrow_hill_between_two_samples_asks_for_shorter_intervals():
 def test_differences_on_a_saddle_grow_exponentially():
     saddle = LinearForce(jnp.diag(jnp.array([4.0, -4.0])), [0.0, 0.0])
     model = Swimmer(ConstantForce([0.0, 0.0]), LinearDrag(0.0), saddle)
-    times = np.linspace(0.0, 3.0, 301)
-    rest = Trajectories.from_arrays(
-        [times], [np.zeros((301, 4))], channels=("x", "y", "vx", "vy")
-    )
+    times, still = np.linspace(0.0, 3.0, 301), np.zeros((301, 4))
+    rest = Trajectories.from_arrays(times, still, channels=STATES)
     # Of (x, vx / 2) the growth is exp(2 t); in x and vx the norm is that of this
     # matrix of hyperbolic functions.
     c, s = np.cosh(6.0), np.sinh(6.0)
@@ -87,10 +82,7 @@ def test_differences_on_a_saddle_grow_exponentially():
 
 
 def test_too_few_samples_tell_no_cause():
-    data = observe(TRUTH)
-    few = Trajectories.from_arrays(
-        [data.times[0, :5]], [data.states[0, :5]], channels=data.channels
-    )
+    few = beginning(observe(TRUTH), 5)
     assert diagnose(TRUTH.with_environment(UNTRAINED), few) is None
 
 

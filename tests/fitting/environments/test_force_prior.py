@@ -1,3 +1,5 @@
+import functools
+
 import numpy as np
 import pytest
 
@@ -16,10 +18,21 @@ PATH = np.stack(
 )
 
 
-def test_the_root_is_that_of_the_smooth_process_and_a_white_part():
-    barrier = GaussianBarrier(3.0, [2.0, 0.3], 1.5)
-    prior = choose_kernels(KernelPotential, PATH, PATH, exact_forces(barrier, PATH))
+@functools.cache
+def laid(kind, scale=1.5):
+    """Kernels for the forces of a barrier along the path."""
+    forces = exact_forces(GaussianBarrier(3.0, [2.0, 0.3], scale), PATH)
+    prior = choose_kernels(kind, PATH, PATH, forces)
     assert prior is not None
+    return prior, forces
+
+
+every_kind = pytest.mark.parametrize("kind", [KernelPotential, KernelForce])
+
+
+@every_kind
+def test_the_root_is_that_of_the_smooth_process_and_a_white_part(kind):
+    prior, _ = laid(kind)
     root, size = prior.root(), prior.chosen.amplitude
     smooth = prior.environment.prior().covariance(prior.chosen.shape)
     whole = size**2 * smooth + prior.white**2 * np.eye(len(smooth))
@@ -30,24 +43,17 @@ def test_the_root_is_that_of_the_smooth_process_and_a_white_part():
 
 
 def test_kernels_are_as_fine_as_the_force_asks_for():
-    widths = []
-    for scale in (2.0, 0.5):
-        barrier = GaussianBarrier(3.0, [2.0, 0.3], scale)
-        forces = exact_forces(barrier, PATH)
-        prior = choose_kernels(KernelPotential, PATH, PATH, forces)
-        assert prior is not None
+    wide, narrow = (laid(KernelPotential, scale)[0] for scale in (1.5, 0.5))
+    for prior in (wide, narrow):
         assert prior.suits
         assert prior.missed < NOISE
         assert not AS_FINE_AS_FORCES.is_needed(prior.environment, prior.chosen.shape)
-        widths.append(float(prior.environment.kernels.width))
-    assert widths[1] < widths[0]
+    assert narrow.environment.kernels.width < wide.environment.kernels.width
 
 
-def test_the_force_of_the_mean_is_that_at_the_samples():
-    barrier = GaussianBarrier(3.0, [2.0, 0.3], 1.5)
-    forces = exact_forces(barrier, PATH)
-    prior = choose_kernels(KernelForce, PATH, PATH, forces)
-    assert prior is not None
+@every_kind
+def test_the_force_of_the_mean_is_that_at_the_samples(kind):
+    prior, forces = laid(kind)
     missed = exact_forces(prior.force, PATH) - forces
     size = np.sqrt(np.mean(forces**2))
     assert np.sqrt(np.mean(missed**2)) == pytest.approx(prior.missed * size)

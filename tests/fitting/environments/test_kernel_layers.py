@@ -6,7 +6,7 @@ from pinav.evaluation import exact_forces
 from pinav.fitting.environments.force_prior import AS_FINE_AS_FORCES
 from pinav.fitting.environments.kernel_layers import lay_layers, layers_root
 from pinav.fitting.environments.kernels import num_weights
-from pinav.forces import GaussianBarrier, KernelPotential, LayeredPotential, PowerHill
+from pinav.forces import GaussianBarrier, KernelPotential, LayeredPotential, power_hill
 
 CENTER = np.array([1.0, 2.0])
 ANGLES = np.linspace(0.0, 2.0, 4)[:, None, None]
@@ -18,7 +18,7 @@ POSITIONS = LINES.reshape(-1, 2) + [0.1, 0.0]
 @pytest.fixture(scope="module")
 def layers():
     return lay_layers(
-        POSITIONS, POSITIONS, exact_forces(PowerHill(3.0, CENTER, 0.8, 2.0), POSITIONS)
+        POSITIONS, POSITIONS, exact_forces(power_hill(3.0, CENTER, 0.8, 2.0), POSITIONS)
     ).layers
 
 

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
+from tests.fitting.problems import STATES, beginning
 
 from pinav.fitting import substeps_for
 from pinav.fitting.environments.rates import (
@@ -10,21 +11,18 @@ from pinav.fitting.environments.rates import (
 )
 from pinav.trajectories import Trajectories
 
-CHANNELS = ("x", "y", "vx", "vy")
-
 
 def observe(curves, times):
     slopes = [curve.deriv() for curve in curves]
     states = np.stack([curve(times) for curve in (*curves, *slopes)], axis=1)
-    return Trajectories.from_arrays([times], [states], channels=CHANNELS)
+    return Trajectories.from_arrays([times], [states], channels=STATES)
 
 
-def oscillate(interval, periods=6.0):
-    times = np.arange(0.0, 2 * np.pi * periods, interval)
+def oscillate(interval):
+    """Six periods of a circle."""
+    times = np.arange(0.0, 12 * np.pi, interval)
     waves = [np.cos(times), np.sin(times), -np.sin(times), np.cos(times)]
-    return Trajectories.from_arrays(
-        [times], [np.stack(waves, axis=1)], channels=CHANNELS
-    )
+    return Trajectories.from_arrays(times, np.stack(waves, axis=1), channels=STATES)
 
 
 def path_of(data):
@@ -62,13 +60,11 @@ def test_the_doubts_of_dense_samples_are_those_of_splines_through_velocities():
 
 
 def test_first_order_states_and_few_samples():
-    times = np.linspace(0.0, 3.0, 30)
-    states = np.stack([np.sin(times), np.cos(times)], axis=1)
-    alone = Trajectories.from_arrays([times], [states], channels=("x", "y"))
+    alone = oscillate(0.1).only(STATES[:2])
     rates = observed_rates(alone)
     assert rates is not None
-    np.testing.assert_allclose(rates.rates[:, 0], np.cos(rates.times), atol=1e-6)
-    few = Trajectories.from_arrays([times[:5]], [states[:5]], channels=("x", "y"))
+    np.testing.assert_allclose(rates.rates[:, 1], np.cos(rates.times), atol=1e-6)
+    few = beginning(alone, 5)
     assert observed_rates(few) is None
     assert substeps_for(few) == 1
 

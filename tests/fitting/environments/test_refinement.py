@@ -1,14 +1,13 @@
 """Kernels are laid anew where the evidence finds them too coarse, and only there."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxtyping import Array, Float
+from tests.fitting.problems import Drifter
+from tests.refusals import refusals
 
-from pinav.dynamics import AbstractDynamics, FixedStep, rollout
-from pinav.errors import InputError
+from pinav.dynamics import FixedStep, rollout
 from pinav.evaluation.force_fields import force_error_at_samples
 from pinav.fitting import (
     KernelGrid,
@@ -19,10 +18,9 @@ from pinav.fitting import (
     kernel_environment,
     neural_environment,
 )
-from pinav.fitting.environments.kernels import MOST_WEIGHTS, OFTEN
+from pinav.fitting.environments.kernels import MOST_WEIGHTS, OFTEN, num_weights
 from pinav.fitting.environments.refinement import WORTH
 from pinav.forces import (
-    AbstractForce,
     KernelForce,
     KernelMixture,
     KernelPotential,
@@ -37,16 +35,6 @@ pytestmark = pytest.mark.slow
 NOISE = 0.003
 LINE, PLANE = ("x",), ("x", "y")
 STARTS = (0.0, 0.2)
-
-
-class Drifter(AbstractDynamics):
-    """Without inertia: the force is the velocity, as is the constant drift."""
-
-    drift: Float[Array, " dim"]
-    environment: AbstractForce
-
-    def __call__(self, t, y):
-        return self.drift + self.environment(t, y, jnp.zeros_like(y))
 
 
 def bumps(width):
@@ -71,8 +59,9 @@ FEW = KernelGrid(across=8)
 
 
 def untrained(truth, data, grid=FEW):
-    environment = kernel_environment(KernelPotential, data, grid, dim=1)
-    return eqx.tree_at(lambda m: m.environment, truth, environment)
+    return truth.with_environment(
+        kernel_environment(KernelPotential, data, grid, dim=1)
+    )
 
 
 def error(fit, truth, data):
@@ -111,15 +100,17 @@ def test_the_result_is_that_of_a_fit_on_the_finer_grid(rough, refined):
     assert direct.iterations == refined.iterations
 
 
-@pytest.mark.slow
 def test_a_network_is_taught_by_kernels_as_fine_as_asked(rough, refined):
     truth, data = rough
     network = neural_environment(
         NeuralForce, data, key=jax.random.key(0), width=4, depth=1, dim=1
     )
-    model = eqx.tree_at(lambda m: m.environment, truth, network)
     found = fit_bayes(
-        model, data, refine=Refinement(factor=2.0), max_iterations=1, throw=False
+        truth.with_environment(network),
+        data,
+        refine=Refinement(factor=2.0),
+        max_iterations=1,
+        throw=False,
     )
     process = found.linear.weights.process
     begun = kernel_environment(KernelForce, data, dim=1)
@@ -168,6 +159,8 @@ def test_finer_kernels_are_of_the_same_kind_and_width_of_their_spacing(walk, kin
     assert both[1].width == pytest.approx(both[0].width / 2)
     spacing = np.diff(np.unique(np.asarray(both[1].centers)[:, 0]))
     np.testing.assert_allclose(spacing, both[1].width, rtol=1e-6)
+    as_many = Refinement(max_weights=num_weights(made))
+    assert as_many.finer(made, walk) is None
 
 
 def test_a_change_in_time_stays_as_it_is(walk):
@@ -176,11 +169,6 @@ def test_a_change_in_time_stays_as_it_is(walk):
     assert finer is not None
     assert finer.change is made.change
     assert finer.static.width < made.static.width
-
-
-def test_too_many_weights_are_refused(walk):
-    made = kernel_environment(KernelForce, walk, dim=2)
-    assert Refinement(max_weights=made.weights.size).finer(made, walk) is None
 
 
 def test_in_space_a_finer_grid_has_at_most_so_many_kernels():
@@ -200,30 +188,24 @@ def test_in_space_a_finer_grid_has_at_most_so_many_kernels():
 def test_only_parts_that_have_a_say_are_asked(walk):
     mixture = kernel_environment(KernelMixture, walk, dim=2)
     first, second = np.log([0.5, 9.0, 1.0, 1.0]), np.log([3.0, 9.0, 1.0, 1.0])
-    ask = Refinement().is_needed
-    assert ask(mixture, np.concatenate([first, second, [0.0]]))
-    assert ask(mixture, np.concatenate([second, first, [0.0]]))
-    assert not ask(mixture, np.concatenate([second, second, [0.0]]))
-    assert not ask(mixture, np.concatenate([first, second, [7.0]]))
-    assert not ask(mixture, np.concatenate([second, first, [-7.0]]))
+    for one, other, ratio, asked in (
+        (first, second, 0.0, True),
+        (second, first, 0.0, True),
+        (second, second, 0.0, False),
+        (first, second, 7.0, False),
+        (second, first, -7.0, False),
+    ):
+        shape = np.concatenate([one, other, [ratio]])
+        assert Refinement().is_needed(mixture, shape) == asked
     changing = changing_environment(walk, dim=2)
-    change = np.append(first, 1.0)
-    assert not ask(changing, np.concatenate([second, change, [0.0]]))
-    assert ask(changing, np.concatenate([first, change, [0.0]]))
+    for one, asked in ((second, False), (first, True)):
+        shape = np.concatenate([one, first, [1.0, 0.0]])
+        assert Refinement().is_needed(changing, shape) == asked
+    assert not Refinement().is_needed(ZeroForce(), np.zeros(0)), "it has no kernels"
 
 
-def test_what_has_no_kernels_is_never_refined():
-    assert not Refinement().is_needed(ZeroForce(), np.zeros(0))
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "message"),
-    [
-        ("factor", 1.0, "Refinement.factor: expected > 1, got 1.0"),
-        ("shortest", 0.0, "Refinement.shortest: expected > 0, got 0.0"),
-        ("max_weights", 0, "Refinement.max_weights: expected > 0, got 0"),
-    ],
+test_bad_numbers_are_refused = refusals(
+    (lambda: Refinement(factor=1.0), "Refinement.factor: expected > 1, got 1.0"),
+    (lambda: Refinement(shortest=0.0), "Refinement.shortest: expected > 0, got 0.0"),
+    (lambda: Refinement(max_weights=0), "Refinement.max_weights: expected > 0, got 0"),
 )
-def test_bad_numbers_are_refused(field, value, message):
-    with pytest.raises(InputError, match=message):
-        Refinement(**{field: value})

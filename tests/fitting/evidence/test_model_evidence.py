@@ -3,15 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.special
 import scipy.stats
+from tests.fitting.problems import STATES, quadratic_of
 
 from pinav.errors import InputError
-from pinav.fitting import (
-    LinearFit,
-    model_evidence,
-    timed_kernel_environment,
-)
+from pinav.fitting import LinearFit, model_evidence, timed_kernel_environment
 from pinav.fitting.engine.local_model import ConstantPriors
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
@@ -22,13 +20,9 @@ from pinav.fitting.evidence.evidence import (
     shape_slope,
 )
 from pinav.fitting.evidence.model_evidence import LOG_RANGE, evidence_without_second
-from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat
+from pinav.fitting.evidence.quadratic import eliminate_flat
 from pinav.fitting.evidence.weights import GaussianWeights, NoWeights
-from pinav.forces import (
-    KernelMixture,
-    KernelPotential,
-    TimedKernelPotential,
-)
+from pinav.forces import KernelMixture, KernelPotential, TimedKernelPotential
 from pinav.forces.priors import AbstractPrior, IsotropicPrior, MixturePrior
 from pinav.systems.priors import Normal
 from pinav.trajectories import Trajectories
@@ -56,17 +50,6 @@ def problem(count, rows=60):
     design, noise = RNG.normal(size=(rows, count)), 0.1 * RNG.normal(size=rows)
     data = design @ RNG.normal(size=count) + noise
     return design, data, quadratic_of(design, data)
-
-
-def quadratic_of(design, data):
-    return Quadratic(
-        point=np.zeros(design.shape[1]),
-        hessian=design.T @ design,
-        gradient=-design.T @ data,
-        squares=float(data @ data),
-        num_free=len(data),
-        log_determinant=0.0,
-    )
 
 
 @every_prior
@@ -125,46 +108,42 @@ class Fixed(AbstractPrior):
         return np.array([2 * self.spread * np.vdot(pull, self.covariance(shape))])
 
 
+IDLE = Fixed(0.0)
+
+
+def chosen_for(quadratic, noise=0.1, shape=(0.0,), prior=IDLE):
+    """The fit with a prior, and its amplitude at a shape."""
+    lines, shape = LinearisedObservations.of(quadratic), np.array(shape)
+    chosen = at_shape(lines, prior.covariance, shape, noise)
+    weights, rows = GaussianWeights(prior), quadratic.num_free
+    return LinearFit(quadratic, weights, noise, rows, 0.0), chosen
+
+
 def test_evidence_compares_models_by_their_marginal_likelihood():
     """Two priors of one data set: closed-form Gaussian marginal likelihoods."""
     design, data, quadratic = problem(3)
-    wide, narrow = 1.0, 0.05
-    best, exact = [], []
-    for amplitude in (wide, narrow):
-        chosen = Hyperparameters(
-            shape=np.zeros(1),
-            amplitude=amplitude,
-            noise=0.1,
-            log_evidence=log_density(design, data, amplitude),
-        )
-        linear = LinearFit(quadratic, GaussianWeights(Fixed(0.0)), 0.1, len(data), 0.0)
-        best.append(model_evidence(linear, chosen).best)
-        exact.append(log_density(design, data, amplitude))
-        found = at_shape(
-            LinearisedObservations.of(quadratic),
-            Fixed(0.0).covariance,
-            np.zeros(1),
-            0.1,
-        )
-        np.testing.assert_allclose(
-            found.log_evidence, log_density(design, data, found.amplitude), rtol=1e-9
-        )
+    linear, found = chosen_for(quadratic)
+    exact = log_density(design, data, found.amplitude)
+    np.testing.assert_allclose(found.log_evidence, exact, rtol=1e-9)
+    exact = [log_density(design, data, amplitude) for amplitude in (1.0, 0.05)]
+    best = [
+        model_evidence(linear, Hyperparameters(np.zeros(1), amplitude, 0.1, value)).best
+        for amplitude, value in zip((1.0, 0.05), exact, strict=True)
+    ]
     np.testing.assert_allclose(np.subtract(*best), np.subtract(*exact), rtol=1e-10)
 
 
 def log_density(design, data, amplitude, noise=0.1):
     covariance = amplitude**2 * design @ design.T + noise**2 * np.eye(len(data))
-    return scipy.stats.multivariate_normal(np.zeros(len(data)), covariance).logpdf(data)
+    factor = np.linalg.cholesky(covariance)
+    white = scipy.linalg.solve_triangular(factor, data, lower=True)
+    return -0.5 * (white @ white + np.log(2 * np.pi * np.diag(factor) ** 2).sum())
 
 
 def test_hyperparameters_cost_the_logarithm_of_the_range_they_lose():
     """Against the integral over amplitude, by quadrature; an idle shape is free."""
     design, data, quadratic = problem(3)
-    prior = Fixed(0.0)
-    chosen = at_shape(
-        LinearisedObservations.of(quadratic), prior.covariance, np.zeros(1), 0.1
-    )
-    linear = LinearFit(quadratic, GaussianWeights(prior), 0.1, len(data), 0.0)
+    linear, chosen = chosen_for(quadratic)
     logs = np.log(chosen.amplitude) + np.linspace(-LOG_RANGE / 2, LOG_RANGE / 2, 401)
     values = np.array([log_density(design, data, np.exp(v)) for v in logs])
     exact = -np.log(np.mean(np.exp(values - chosen.log_evidence)))
@@ -174,99 +153,70 @@ def test_hyperparameters_cost_the_logarithm_of_the_range_they_lose():
 def test_a_part_that_is_not_needed_costs_the_share_of_ratios_at_which_it_vanishes():
     """Two parts with fixed shapes: the integral over the ratio, by quadrature."""
     design, _, _ = problem(4)
-    useful, idle = design[:, :2], design[:, 2:]
-    data = useful @ np.array([1.0, -0.7]) + 0.1 * RNG.normal(size=len(design))
+    data = design[:, :2] @ np.array([1.0, -0.7]) + 0.1 * RNG.normal(size=len(design))
     prior = MixturePrior(IsotropicPrior(2), IsotropicPrior(2), least_ratio=-12.0)
-    chosen = at_shape(
-        LinearisedObservations.of(quadratic_of(design, data)),
-        prior.covariance,
-        np.array([-4.0]),
-        0.1,
-    )
-    linear = LinearFit(
-        quadratic_of(design, data), GaussianWeights(prior), 0.1, len(data), 0.0
-    )
+    linear, chosen = chosen_for(quadratic_of(design, data), 0.1, (-4.0,), prior)
     amplitudes = np.exp(np.linspace(-4.0, 4.0, 81)) * chosen.amplitude
-    ratios = np.linspace(*prior.bounds[0], 81)
+    ratios = np.exp(np.linspace(*prior.bounds[0], 81))
     values = [
-        [both_parts(useful, idle, data, a, np.exp(r)) for r in ratios]
+        [log_density(design * [1, 1, r, r], data, a) for r in ratios]
         for a in amplitudes
     ]
     exact = scipy.special.logsumexp(values) - np.log(np.size(values))
-    value = evidence_without_second(linear, chosen)
-    assert value == pytest.approx(exact, abs=0.5)
-
-
-def both_parts(first, second, data, amplitude, ratio, noise=0.1):
-    covariance = amplitude**2 * (first @ first.T + ratio**2 * second @ second.T)
-    factor = np.linalg.cholesky(covariance + noise**2 * np.eye(len(data)))
-    surprise = np.linalg.solve(factor, data)
-    normalisation = np.log(2 * np.pi * np.diag(factor) ** 2).sum()
-    return -0.5 * (surprise @ surprise + normalisation)
+    assert evidence_without_second(linear, chosen) == pytest.approx(exact, abs=0.5)
 
 
 def test_the_evidence_at_many_scales_asks_once_for_the_prior(monkeypatch):
     """By the closed form; most of the work is that of the prior, once for a shape."""
     design, data, quadratic = problem(3)
-    lines = LinearisedObservations.of(quadratic)
-    at = evidence_of_scales(lines, np.eye(3))
+    at = evidence_of_scales(LinearisedObservations.of(quadratic), np.eye(3))
     scales = [(1.0, 0.1), (0.5, 0.1), (0.5, 0.2)]
     levels = np.array([at(*scale) for scale in scales])
     exact = np.array([log_density(design, data, *scale) for scale in scales])
     np.testing.assert_allclose(levels, exact, rtol=1e-9)
 
-    asked, prior, plain = [], Fixed(0.0), Fixed.covariance
+    asked, plain = [], Fixed.covariance
 
     def counted(prior, shape):
         asked.append(tuple(shape))
         return plain(prior, shape)
 
-    chosen = at_shape(lines, prior.covariance, np.zeros(1))
+    fit = chosen_for(quadratic, None)
     monkeypatch.setattr(Fixed, "covariance", counted)
-    linear = LinearFit(quadratic, GaussianWeights(prior), None, len(data), 0.0)
-    model_evidence(linear, chosen)
+    model_evidence(*fit)
     assert asked
     assert len(asked) == len(set(asked))
 
 
+def cost_of_a_constant(quadratic, noise, rows=40):
+    """Evidence of a model with one constant and no weights."""
+    reduced, _ = eliminate_flat(quadratic, np.array([True]))
+    chosen = NoWeights().infer(reduced, np.zeros(0), noise).hyperparameters
+    linear = LinearFit(reduced, NoWeights(), noise, rows, float(np.log(rows)))
+    return model_evidence(linear, chosen).log_evidence
+
+
 def test_a_flat_constant_costs_half_the_logarithm_of_the_data():
     """Unit information: as the Bayesian information criterion, in any unit."""
-    rows = 40
-    column, data = RNG.normal(size=(rows, 1)), RNG.normal(size=rows)
-    costs = []
-    for unit in (1.0, 1e3):
-        quadratic, _ = eliminate_flat(
-            quadratic_of(unit * column, data), np.array([True])
-        )
-        found = NoWeights().infer(quadratic, np.zeros(0), 1.0).hyperparameters
-        linear = LinearFit(quadratic, NoWeights(), 1.0, rows, float(np.log(rows)))
-        costs.append(model_evidence(linear, found).log_evidence)
-    residual = data - column[:, 0] * (column[:, 0] @ data) / (
-        column[:, 0] @ column[:, 0]
-    )
+    column, data = RNG.normal(size=(40, 1)), RNG.normal(size=40)
+    costs = [cost_of_a_constant(quadratic_of(u * column, data), 1.0) for u in (1, 1e3)]
+    residual = data - column @ np.linalg.lstsq(column, data, rcond=None)[0]
     likelihood = scipy.stats.norm.logpdf(residual).sum()
-    np.testing.assert_allclose(costs, likelihood - 0.5 * np.log(rows), rtol=1e-10)
+    np.testing.assert_allclose(costs, likelihood - 0.5 * np.log(40), rtol=1e-10)
 
 
 def test_a_wide_prior_of_a_constant_costs_what_a_flat_one_does():
-    rows, noise = 40, 0.02
-    column, data = RNG.normal(size=(rows, 1)), noise * RNG.normal(size=rows)
-    costs = []
-    for entries, priors in (((), ()), ((0,), (Normal(0.0, 100.0),))):
-        whole = ConstantPriors(entries, priors).add_to(
-            quadratic_of(column, data), noise
-        )
-        quadratic, _ = eliminate_flat(whole, np.array([True]))
-        chosen = NoWeights().infer(quadratic, np.zeros(0), noise).hyperparameters
-        linear = LinearFit(quadratic, NoWeights(), noise, rows, float(np.log(rows)))
-        costs.append(model_evidence(linear, chosen).log_evidence)
+    noise = 0.02
+    flat = quadratic_of(RNG.normal(size=(40, 1)), noise * RNG.normal(size=40))
+    wide = ConstantPriors((0,), (Normal(0.0, 100.0),)).add_to(flat, noise)
+    costs = [cost_of_a_constant(one, noise) for one in (flat, wide)]
     assert costs[0] == pytest.approx(costs[1], abs=1e-3)
 
 
 def test_kernels_in_time_keep_their_number_small():
     times = np.linspace(1.0, 9.0, 30)
     states = np.stack([times, np.sin(times), times, times], axis=1)
-    data = Trajectories.from_arrays(times, states, channels=("x", "y", "vx", "vy"))
+    data = Trajectories.from_arrays(times, states, channels=STATES)
     made = timed_kernel_environment(data, intervals=4, max_weights=700)
     assert made.weights.shape[1] == 7
     assert made.weights.size <= 700

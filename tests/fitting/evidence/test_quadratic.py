@@ -4,12 +4,9 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from tests.fitting.problems import quadratic_of
 
-from pinav.fitting.evidence.quadratic import (
-    Quadratic,
-    eliminate_flat,
-    joint_posterior,
-)
+from pinav.fitting.evidence.quadratic import eliminate_flat, joint_posterior
 
 
 @given(
@@ -21,11 +18,8 @@ def test_elimination_is_the_dense_solution(seed, flat, weights):
     count = flat + weights
     rows, data = rng.normal(size=(40, count)), rng.normal(size=40)
     point = rng.normal(size=count)
-    residuals = rows @ point - data
     mask = rng.permutation(np.arange(count) < flat)
-    whole = Quadratic(
-        point, rows.T @ rows, rows.T @ residuals, float(residuals @ residuals), 40, 0.0
-    )
+    whole = quadratic_of(rows, data, point)
     reduced, block = eliminate_flat(whole, mask)
     # the least sum of squares, and where it is, for the weights at their best
     best = np.linalg.lstsq(rows, data, rcond=None)[0]

@@ -24,25 +24,20 @@ INTERVALS = RNG.uniform(0.5, 1.5, (COUNT, 1))
 EXPOSURE, VARIANCE = 0.4, 0.3
 
 
-def bands(exposure=EXPOSURE, variance=VARIANCE, diffusion=DIFFUSION):
-    return increment_bands(
-        jnp.asarray(diffusion), jnp.asarray(INTERVALS), exposure, variance
-    )
+def bands(exposure=EXPOSURE, variance=VARIANCE, share=1.0):
+    """Of a diffusion that varies, times a share."""
+    diffusion = share * jnp.asarray(DIFFUSION)
+    return increment_bands(diffusion, jnp.asarray(INTERVALS), exposure, variance)
 
 
 def dense(matrix):
-    below = np.asarray(matrix.beside)[:-1, 0]
-    return (
-        np.diag(np.asarray(matrix.diagonal)[:, 0])
-        + np.diag(below, 1)
-        + np.diag(below, -1)
-    )
+    below = np.diag(np.asarray(matrix.beside)[:-1, 0], -1)
+    return np.diag(np.asarray(matrix.diagonal)[:, 0]) + below + below.T
 
 
 def test_blur_and_error_of_equal_intervals_follow_the_law_of_berglund():
-    constant = np.full((COUNT, 1), 0.7)
-    equal = jnp.full((COUNT, 1), 0.9)
-    matrix = increment_bands(jnp.asarray(constant), equal, EXPOSURE, VARIANCE)
+    constant, equal = jnp.full((COUNT, 1), 0.7), jnp.full((COUNT, 1), 0.9)
+    matrix = increment_bands(constant, equal, EXPOSURE, VARIANCE)
     share = EXPOSURE / (6 * 0.9)
     variance = 2 * 0.7 * 0.9 * (1 - 2 * share) + 2 * VARIANCE
     np.testing.assert_allclose(matrix.diagonal, variance)
@@ -79,23 +74,18 @@ def test_factor_solutions_and_inverse_are_those_of_dense_matrices():
 
 @pytest.mark.slow
 def test_the_gradient_is_that_of_differences():
-    residuals = jnp.asarray(RNG.normal(size=(COUNT, 1)))
-    whole = jnp.ones((COUNT, 1))
-
-    def value(entries):
-        matrix = bands(entries[0], entries[1], DIFFUSION * entries[2])
-        return score(cut(matrix, whole), residuals)
-
-    entries = np.array([EXPOSURE, VARIANCE, 1.0])
+    residuals, whole = jnp.asarray(RNG.normal(size=(COUNT, 1))), jnp.ones((COUNT, 1))
 
     def of(entries):
-        return cut(bands(entries[0], entries[1], DIFFUSION * entries[2]), whole)
+        return cut(bands(*entries), whole)
 
-    _, chain = jax.vjp(of, jnp.asarray(entries))
-    (slopes,) = chain(value(entries).by_bands)
-    for i, step in enumerate(1e-5 * np.eye(3)):
-        change = value(entries + step).value - value(entries - step).value
-        assert float(slopes[i]) == pytest.approx(float(change) / 2e-5, rel=1e-5)
+    entries = jnp.array([EXPOSURE, VARIANCE, 1.0])
+    _, chain = jax.vjp(of, entries)
+    (slopes,) = chain(score(of(entries), residuals).by_bands)
+    for i, step in enumerate(1e-5 * jnp.eye(3)):
+        upper, lower = (score(of(entries + s), residuals) for s in (step, -step))
+        change = float(upper.value - lower.value)
+        assert float(slopes[i]) == pytest.approx(change / 2e-5, rel=1e-5)
 
 
 def test_padding_changes_nothing():

@@ -4,31 +4,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.fitting.problems import in_a_trap
 
+from pinav import fitting
 from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer
 from pinav.errors import InputError
-from pinav.fitting import (
-    ConstantDiffusion,
-    Estimate,
-    KernelDiffusion,
-    LearnedObservation,
-    Observation,
-    SlowReference,
-    fit_langevin,
-    profile_environment,
-    warp_at_slow_end,
-)
+from pinav.evaluation import exact_forces
 from pinav.fitting.langevin import Increments
 from pinav.fitting.langevin.diffusion import DiffusionField
 from pinav.fitting.langevin.drift import second_order
 from pinav.fitting.langevin.increments import Relation
-from pinav.forces import (
-    HarmonicTrap,
-    KernelAxis,
-    KernelBasis,
-    KernelTensor,
-    ZeroForce,
-)
+from pinav.forces import HarmonicTrap, KernelAxis, KernelBasis, KernelTensor, ZeroForce
 from pinav.trajectories import Trajectories
 
 TURN = 2 * np.pi
@@ -66,14 +52,19 @@ def tracks(times, seen, observed=None):
     )
 
 
-def swimmer(data, *axes, along=None, across=6):
-    environment = profile_environment(data, axes, along=along, across=across)
-    return OverdampedSwimmer(ZeroForce(), environment, 1.0)
-
-
 def number(fit):
-    assert isinstance(fit.thermal.diffusion, Estimate)
+    assert isinstance(fit.thermal.diffusion, fitting.Estimate)
     return fit.thermal.diffusion
+
+
+def path_of(data, *axes, across=6, **options):
+    """A fit of the drift along some axes, without a bond to the diffusion."""
+    environment = fitting.profile_environment(data, axes, across=across)
+    model = OverdampedSwimmer(ZeroForce(), environment, 1.0)
+    return fitting.fit_langevin(model, data, einstein=False, **options)
+
+
+LINE = OverdampedSwimmer(ZeroForce(), HarmonicTrap(RATE, [0.0]), 1.0)
 
 
 def field(fit):
@@ -86,15 +77,11 @@ def drift(fit, points):
     return np.asarray(at(jnp.asarray(points, jnp.float64)))
 
 
-def trapped(interval, seed=0, count=40, samples=400):
-    """Exact paths of Ornstein and Uhlenbeck along a line."""
-    rng, decay = np.random.default_rng(seed), np.exp(-RATE * interval)
-    spread = np.sqrt(DIFFUSION / RATE)
-    x = [spread * rng.normal(size=(count, 1))]
-    for _ in range(samples - 1):
-        kick = np.sqrt(1 - decay**2) * spread * rng.normal(size=(count, 1))
-        x.append(decay * x[-1] + kick)
-    return tracks(interval * np.arange(samples), np.stack(x, axis=1))
+def trapped(interval, count=40, samples=400):
+    """Exact paths along a line."""
+    rng, times = np.random.default_rng(0), interval * np.arange(samples)
+    path = in_a_trap(rng, times, (count, 1), RATE, DIFFUSION)
+    return tracks(times, path.swapaxes(0, 1))
 
 
 def pull(fit):
@@ -114,14 +101,13 @@ def test_terms_of_second_order_are_those_of_the_exact_propagator():
     increments = Increments(
         np.zeros(3), places, np.zeros((3, 1)), np.full(3, tau), (3,)
     )
-    model = OverdampedSwimmer(ZeroForce(), HarmonicTrap(RATE, [0.0]), 1.0)
     tensor = KernelTensor(
         jnp.log(jnp.array([DIFFUSION])),
         jnp.zeros((1, 0)),
         KernelBasis.constant(),
         ((0,),),
     )
-    terms = second_order(model, tensor, increments, FREE)
+    terms = second_order(LINE, tensor, increments, FREE)
     mean = np.expm1(-RATE * tau) * places + RATE * tau * places
     np.testing.assert_allclose(terms.means, mean, rtol=tau)
     variance = -np.expm1(-2 * RATE * tau) / (2 * RATE * tau)
@@ -137,18 +123,17 @@ def test_the_likelihood_knows_what_the_diffusion_changes_in_terms_of_second_orde
     )
     basis = KernelBasis.around((KernelAxis(0),), places, across=4, margin=1)
     weights = jnp.linspace(-0.3, 0.4, len(basis.centers))[None]
-    model = OverdampedSwimmer(ZeroForce(), HarmonicTrap(RATE, [0.0]), 1.0)
     bound = Relation(thermal_energy=0.7, learn_diffusion=True, observation=None)
     for relation in (FREE, bound):
 
         def logarithms(numbers, relation=relation):
             tensor = KernelTensor(numbers[:1], numbers[None, 1:], basis, ((0,),))
-            factors = second_order(model, tensor, increments, relation).factors
+            factors = second_order(LINE, tensor, increments, relation).factors
             return np.log(np.asarray(factors)[:, 0])
 
         numbers = jnp.concatenate([jnp.log(jnp.array([DIFFUSION])), weights[0]])
         tensor = KernelTensor(numbers[:1], weights, basis, ((0,),))
-        slopes = second_order(model, tensor, increments, relation).slopes[:, 0]
+        slopes = second_order(LINE, tensor, increments, relation).slopes[:, 0]
         for index in range(len(numbers)):
             change = 1e-5 * jnp.eye(len(numbers))[index]
             difference = logarithms(numbers + change) - logarithms(numbers - change)
@@ -160,9 +145,8 @@ def test_the_likelihood_knows_what_the_diffusion_changes_in_terms_of_second_orde
 def test_terms_of_second_order_lower_the_bias_of_long_steps():
     tau = 0.3
     data = trapped(tau)
-    model = swimmer(data, KernelAxis(0))
-    short = fit_langevin(model, data, einstein=False)
-    long = fit_langevin(model, data, einstein=False, observation=Observation())
+    short = path_of(data, KernelAxis(0))
+    long = path_of(data, KernelAxis(0), observation=fitting.Observation())
     first, second = number(short).value, number(long).value
     of_one_lag = -np.expm1(-2 * RATE * tau) / (2 * RATE * tau)
     assert first == pytest.approx(of_one_lag * DIFFUSION, rel=0.05)
@@ -190,12 +174,13 @@ def round_the_ring():
     start = np.linspace(0, TURN, 24, endpoint=False)[:, None]
     frames = 10 * np.arange(1, 401)
     data = tracks(*film(ito, mobile, start, frames, exposed=6, error=0.03))
-    axis = KernelAxis(0, TURN)
-    return fit_langevin(
-        BrownianSwimmer(swimmer(data, axis, across=10), 1.0),
+    axes = (KernelAxis(0, TURN),)
+    kernels = fitting.profile_environment(data, axes, across=10)
+    return fitting.fit_langevin(
+        BrownianSwimmer(OverdampedSwimmer(ZeroForce(), kernels, 1.0), 1.0),
         data,
-        diffusion=KernelDiffusion((axis,), across=10),
-        observation=LearnedObservation(),
+        diffusion=fitting.KernelDiffusion(axes, across=10),
+        observation=fitting.LearnedObservation(),
     )
 
 
@@ -217,9 +202,7 @@ def test_a_field_of_diffusion_is_learned_in_spite_of_blur_and_error(round_the_ri
 @pytest.mark.slow
 def test_the_divergence_of_the_diffusion_is_no_force(round_the_ring):
     """Left out, it would be a force of 0.6 cos x beside the constant one."""
-    environment = round_the_ring.model.environment
-    at = jax.vmap(lambda x: environment(0.0, x, jnp.zeros(1)))
-    force = np.asarray(at(jnp.asarray(ANGLES)))
+    force = exact_forces(round_the_ring.model.environment, ANGLES)
     sd = round_the_ring.posterior.force_sd(ANGLES)
     assert np.mean(np.abs(force - FORCE) < 2.5 * sd) > 0.8
     assert force.mean() == pytest.approx(FORCE, abs=0.3)
@@ -246,13 +229,12 @@ def test_a_reference_that_drifts_is_followed_from_two_starts():
         10 * np.arange(1, 801),
     )
     data = tracks(times, seen)
-    model = swimmer(data, KernelAxis(0))
 
     def follow(start=None):
-        reference = SlowReference(0, knots=16, start=start)
-        fit = fit_langevin(model, data, einstein=False, reference=reference)
-        assert fit.thermal.reference is not None
-        return fit.thermal.reference
+        reference = fitting.SlowReference(0, knots=16, start=start)
+        found = path_of(data, KernelAxis(0), reference=reference).thermal.reference
+        assert found is not None
+        return found
 
     path = follow()
     truth = trap(path.times) - trap(path.times).mean()
@@ -280,12 +262,11 @@ def test_irregular_times_and_lost_frames_in_space():
     )
     observed = np.repeat(rng.random((10, 400, 1)) > 0.15, 3, axis=2)
     data = tracks(times, seen, list(observed))
-    fit = fit_langevin(
-        swimmer(data, KernelAxis(2)),
+    fit = path_of(
         data,
-        einstein=False,
-        diffusion=ConstantDiffusion(((0, 1), (2,))),
-        observation=LearnedObservation(),
+        KernelAxis(2),
+        diffusion=fitting.ConstantDiffusion(((0, 1), (2,))),
+        observation=fitting.LearnedObservation(),
     )
     for estimate, level in zip(field(fit).estimates(), levels[1:], strict=True):
         assert abs(estimate.value - level) < 3 * estimate.sd
@@ -311,12 +292,8 @@ def test_a_drift_that_turns_in_the_plane():
         error=0.03,
     )
     data = tracks(times, seen)
-    fit = fit_langevin(
-        swimmer(data, KernelAxis(0), KernelAxis(1), across=4),
-        data,
-        einstein=False,
-        observation=LearnedObservation(),
-    )
+    axes, seen = (KernelAxis(0), KernelAxis(1)), fitting.LearnedObservation()
+    fit = path_of(data, *axes, across=4, observation=seen)
     diffusion = number(fit)
     assert abs(diffusion.value - DIFFUSION) < 3 * diffusion.sd
     angles = np.linspace(0, TURN, 16, endpoint=False)
@@ -334,9 +311,9 @@ def test_the_warp_begins_where_steps_are_short():
         heights.append(heights[-1] * (1.02 if upwards else 1 / 1.02))
     for sign in (1.0, -1.0):
         path = sign * np.array(heights)[None, :, None]
-        warp = warp_at_slow_end(tracks(np.arange(4001.0), path), 0)
+        warp = fitting.warp_at_slow_end(tracks(np.arange(4001.0), path), 0)
         assert warp.origin == pytest.approx(sign * 0.5, abs=0.02)
         assert warp.scale == pytest.approx(0.02 * 0.5, rel=0.1)
     few = tracks(np.arange(20.0), np.zeros((2, 20, 1)))
     with pytest.raises(InputError, match="expected 100 or more steps, got 38"):
-        warp_at_slow_end(few, 0)
+        fitting.warp_at_slow_end(few, 0)

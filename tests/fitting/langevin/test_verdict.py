@@ -19,19 +19,14 @@ COUNT, FINE = 6000, 20
 
 def paths(exposure=0.0, error=0.0, rate=0.0):
     """Positions at unit times with D = 1/2: a step has variance one."""
-    x, seen = np.zeros(2), np.zeros((COUNT, 2))
-    kicks = RNG.normal(size=(COUNT, FINE, 2)) / np.sqrt(FINE)
+    x, path = np.zeros(2), []
+    for kick in RNG.normal(size=(COUNT * FINE, 2)) / np.sqrt(FINE):
+        x = x * (1 - rate / FINE) + kick
+        path.append(x)
     kept = max(1, round(exposure * FINE))
-    for n in range(COUNT):
-        inside = []
-        for kick in kicks[n]:
-            x = x * (1 - rate / FINE) + kick
-            inside.append(x)
-        seen[n] = np.mean(inside[-kept:], axis=0)
+    seen = np.reshape(path, (COUNT, FINE, 2))[:, -kept:].mean(axis=1)
     seen += error * RNG.normal(size=seen.shape)
-    return Trajectories.from_arrays(
-        np.arange(COUNT, dtype=float), seen, channels=("x", "y")
-    )
+    return Trajectories.from_arrays(np.arange(COUNT * 1.0), seen, channels=("x", "y"))
 
 
 def test_exact_positions_are_said_to_be():
@@ -57,8 +52,9 @@ def test_blur_and_error_are_told_apart_by_their_sign():
 def test_smooth_motion_is_not_thermal():
     times = np.linspace(0, 20, 500)
     states = np.stack([np.sin(times), np.cos(times)], axis=1)
-    smooth = Trajectories.from_arrays(times, states, channels=("x", "y"))
-    verdict = judge_increments(smooth)
+    verdict = judge_increments(
+        Trajectories.from_arrays(times, states, channels=("x", "y"))
+    )
     assert not verdict.is_thermal
     assert "no thermal motion without inertia" in verdict.statement
 

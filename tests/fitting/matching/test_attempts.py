@@ -3,18 +3,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.fitting.problems import follow
 
-from pinav.dynamics import Adaptive, FixedStep, Swimmer
-from pinav.fitting import (
-    Adam,
-    Outcome,
-    RateMatching,
-    Rates,
-    TrajectoryLoss,
-    curriculum,
-    fit_in_turns,
-    fit_with_finer_steps,
-)
+from pinav import fitting
+from pinav.dynamics import FixedStep, Swimmer
 from pinav.fitting.matching.recipes import _is_worse, _join, _shuffle
 from pinav.fitting.matching.state import Fit
 from pinav.forces import (
@@ -25,7 +17,6 @@ from pinav.forces import (
     ZeroForce,
     tanh_network,
 )
-from pinav.trajectories import Trajectories
 
 TRUTH = Swimmer(ZeroForce(), LinearDrag(0.5), GaussianBarrier(2.0, [1.0, 0.2], 0.8))
 START = eqx.tree_at(lambda s: s.environment.height, TRUTH, 1.0)
@@ -33,12 +24,7 @@ START = eqx.tree_at(lambda s: s.environment.height, TRUTH, 1.0)
 
 @pytest.fixture(scope="module")
 def data():
-    times = jnp.arange(0.0, 2.0, 0.1)
-    states = np.asarray(
-        Adaptive().solve(TRUTH, jnp.asarray([-1.0, 0.1, 1.5, 0.1]), times)[0]
-    )
-    channels = ("x", "y", "vx", "vy")
-    return Trajectories.from_arrays([np.asarray(times)], [states], channels=channels)
+    return follow(TRUTH, [[-1.0, 0.1, 1.5, 0.1]], [np.arange(0.0, 2.0, 0.1)])
 
 
 def ended(outcome, *losses):
@@ -46,28 +32,23 @@ def ended(outcome, *losses):
 
 
 def test_the_better_attempt_is_kept_with_the_losses_of_both():
-    first = ended(Outcome.STALLED, 9.0, 1.0)
-    worse, better = (ended(Outcome.MISFIT, 9.0, x) for x in (2.0, 0.5))
+    first = ended(fitting.Outcome.STALLED, 9.0, 1.0)
+    worse, better = (ended(fitting.Outcome.MISFIT, 9.0, x) for x in (2.0, 0.5))
     kept = _join(first, worse, worse, keep=True)
-    assert kept.outcome is Outcome.STALLED
+    assert kept.outcome is fitting.Outcome.STALLED
     assert kept.losses.tolist() == [9.0, 1.0, 9.0, 1.0]
     assert kept.phases == (("Adam", 0), ("Adam", 2))
     after = _join(first, better, better, keep=False)
-    assert (after.outcome, after.losses[-1]) == (Outcome.MISFIT, 0.5)
-    assert _is_worse(worse, first)
-    assert not _is_worse(better, first)
-
-
-def test_a_diverged_attempt_gives_way_and_never_wins():
-    lost = ended(Outcome.DIVERGED, 9.0, np.nan)
-    fine = ended(Outcome.STALLED, 9.0, 3.0)
-    assert _is_worse(lost, fine)
-    assert not _is_worse(fine, lost)
+    assert (after.outcome, after.losses[-1]) == (fitting.Outcome.MISFIT, 0.5)
+    lost = ended(fitting.Outcome.DIVERGED, 9.0, np.nan)
+    for one, other in ((worse, first), (first, better), (lost, worse)):
+        assert _is_worse(one, other)
+        assert not _is_worse(other, one)
 
 
 def test_what_converged_waits_for_the_others():
-    other = ended(Outcome.STALLED, 9.0, 8.0, 7.0)
-    kept = _join(ended(Outcome.CONVERGED, 9.0, 1.0), None, other, keep=False)
+    other = ended(fitting.Outcome.STALLED, 9.0, 8.0, 7.0)
+    kept = _join(ended(fitting.Outcome.CONVERGED, 9.0, 1.0), None, other, keep=False)
     assert kept.losses.tolist() == [9.0, 1.0, 1.0, 1.0, 1.0]
 
 
@@ -89,8 +70,8 @@ def test_a_later_attempt_begins_with_another_network_of_the_same_weights():
 @pytest.mark.slow
 def test_a_fit_that_ended_well_has_one_attempt(data):
     options = {"trainable": lambda m: m.environment.height, "dtype": jnp.float64}
-    recipes = ((Adam(1e-2, 2),), (Adam(1e-2, 3),))
-    (fit,) = fit_in_turns([START], data, recipes, **options)
+    recipes = ((fitting.Adam(1e-2, 2),), (fitting.Adam(1e-2, 3),))
+    (fit,) = fitting.fit_in_turns([START], data, recipes, **options)
     assert len(fit.losses) == 3
 
 
@@ -98,40 +79,43 @@ def test_a_fit_that_ended_well_has_one_attempt(data):
 def test_a_fit_that_failed_is_tried_again(data):
     at = jnp.asarray(data.states[0])
     rates = np.asarray(jnp.stack([TRUTH(0.0, y) for y in at]))
-    targets = Rates(data.times[0], data.states[0], rates)
-    hasty = curriculum(data, max_steps=1)[:1]
-    recipes = (hasty, (RateMatching(targets), *curriculum(data)))
+    targets = fitting.Rates(data.times[0], data.states[0], rates)
+    hasty = fitting.curriculum(data, max_steps=1)[:1]
+    recipes = (hasty, (fitting.RateMatching(targets), *fitting.curriculum(data)))
     options = {"trainable": lambda m: m.environment, "dtype": jnp.float64}
-    (fit,) = fit_in_turns([START], data, recipes, **options)
-    assert fit.outcome is Outcome.CONVERGED
+    (fit,) = fitting.fit_in_turns([START], data, recipes, **options)
+    assert fit.outcome is fitting.Outcome.CONVERGED
     assert fit.model.environment.height == pytest.approx(2.0, rel=1e-4)
     assert [name for name, _ in fit.phases][:2] == ["L = 1", "Rates"]
 
 
 FINER = {
     "trainable": lambda m: m.environment.height,
-    "objective": TrajectoryLoss(FixedStep(substeps=8)),
+    "objective": fitting.TrajectoryLoss(FixedStep(substeps=8)),
     "dtype": jnp.float64,
 }
 
 
+def converged_beside_stalled(model):
+    """Two fits, of which the first ended well at a model."""
+    good = Fit(model, START, np.array([9.0, 1e-12]), (), fitting.Outcome.CONVERGED)
+    return [good, ended(fitting.Outcome.STALLED, 9.0, 8.0)]
+
+
 def test_a_fit_that_follows_the_data_by_finer_steps_is_left_alone(data):
-    fits = [
-        Fit(TRUTH, START, np.array([9.0, 1e-12]), (), Outcome.CONVERGED),
-        ended(Outcome.STALLED, 9.0, 8.0),
-    ]
-    after = fit_with_finer_steps(fits, data, curriculum(data)[-1:], **FINER)
+    fits = converged_beside_stalled(TRUTH)
+    after = fitting.fit_with_finer_steps(
+        fits, data, fitting.curriculum(data)[-1:], **FINER
+    )
     assert all(one is other for one, other in zip(after, fits, strict=True))
 
 
 @pytest.mark.slow
 def test_a_fit_that_only_its_own_steps_follow_goes_on_by_finer_ones(data):
     near = eqx.tree_at(lambda s: s.environment.height, TRUTH, 1.99)
-    fits = [
-        Fit(near, START, np.array([9.0, 1e-12]), (), Outcome.CONVERGED),
-        ended(Outcome.STALLED, 9.0, 8.0),
-    ]
-    after, other = fit_with_finer_steps(fits, data, curriculum(data)[-1:], **FINER)
+    after, other = fitting.fit_with_finer_steps(
+        converged_beside_stalled(near), data, fitting.curriculum(data)[-1:], **FINER
+    )
     assert after.model.environment.height == pytest.approx(2.0, rel=1e-6)
     assert after.initial_model is START
     assert other.model is TRUTH

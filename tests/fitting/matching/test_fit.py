@@ -5,23 +5,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.fitting.problems import follow, observing
 
+from pinav import fitting
 from pinav.actuation import RotatingField
-from pinav.dynamics import RK4, Adaptive, FixedStep, Swimmer
+from pinav.dynamics import RK4, FixedStep, Swimmer
 from pinav.errors import FitError, InputError
-from pinav.fitting import (
-    LBFGS,
-    AbstractCheckpoint,
-    AbstractPhase,
-    Adam,
-    FitState,
-    GaussNewton,
-    Outcome,
-    TrajectoryLoss,
-    curriculum,
-    fit,
-    fit_many,
-)
 from pinav.fitting.matching.fit import _FitTask
 from pinav.fitting.matching.state import Observations
 from pinav.forces import (
@@ -42,16 +31,11 @@ TRUTH = Swimmer(
     LinearDrag(0.5),
     BARRIER,
 )
-OBJECTIVE = TrajectoryLoss(FixedStep(RK4))
+OBJECTIVE = fitting.TrajectoryLoss(FixedStep(RK4))
 
 
 def observe(starts, lengths) -> Trajectories:
-    times = [np.linspace(0.0, 0.1 * (n - 1), n) for n in lengths]
-    states = [
-        np.asarray(Adaptive().solve(TRUTH, jnp.asarray(y0), jnp.asarray(ts))[0])
-        for y0, ts in zip(starts, times, strict=True)
-    ]
-    return Trajectories.from_arrays(times, states, channels=("x", "y", "vx", "vy"))
+    return follow(TRUTH, starts, [np.linspace(0.0, 0.1 * (n - 1), n) for n in lengths])
 
 
 @pytest.fixture(scope="module")
@@ -79,25 +63,30 @@ def test_phases_to_come_are_compiled_once_for_each_program(data, monkeypatch):
         return take_steps(self, state, count)
 
     monkeypatch.setattr(_FitTask, "take_steps", note)
-    windows = [GaussNewton(window, target=1e-9, steps=1) for window in (1, 5)]
-    steps = [Adam(learning_rate=1e-3, steps=2), Adam(learning_rate=1e-3, steps=2)]
-    result = fit(network_swimmer(0), data, [*windows, *steps], trainable=environment)
+    windows = [fitting.GaussNewton(window, target=1e-9, steps=1) for window in (1, 5)]
+    steps = [
+        fitting.Adam(learning_rate=1e-3, steps=2),
+        fitting.Adam(learning_rate=1e-3, steps=2),
+    ]
+    result = fitting.fit(
+        network_swimmer(0), data, [*windows, *steps], trainable=environment
+    )
     assert compiled == [2]
     assert [start for _, start in result.phases] == [0, 1, 2, 4]
 
 
-RECIPE = (Adam(1e-2, 300), LBFGS(40))
+RECIPE = (fitting.Adam(1e-2, 300), fitting.LBFGS(40))
+ASKED = {"trainable": environment, "objective": OBJECTIVE}
+EXACTLY = ASKED | {"dtype": jnp.float64}
 
 
 @pytest.fixture(scope="module")
 def fitted(data):
-    return fit(
-        network_swimmer(0), data, RECIPE, trainable=environment, objective=OBJECTIVE
-    )
+    return fitting.fit(network_swimmer(0), data, RECIPE, **ASKED)
 
 
 def test_a_network_learns_the_force(fitted, data):
-    assert fitted.outcome is Outcome.COMPLETED
+    assert fitted.outcome is fitting.Outcome.COMPLETED
     assert fitted.losses[-1] < 1e-3 * fitted.losses[0]
     final = OBJECTIVE(fitted.model, Observations.of(data, jnp.float32))
     assert final == pytest.approx(fitted.losses[-1], rel=1e-5)
@@ -112,15 +101,20 @@ def test_only_the_selected_leaves_change(fitted):
     assert after.environment.network.layers[0].weight.dtype == jnp.float32
 
 
-def test_the_same_seed_gives_the_same_numbers(fitted, data):
-    again = fit(
-        network_swimmer(0), data, RECIPE, trainable=environment, objective=OBJECTIVE
-    )
+def test_the_same_seed_gives_the_same_numbers_and_progress_covers_every_step_once(
+    fitted, data
+):
+    seen = []
+    again = fitting.fit(network_swimmer(0), data, RECIPE, **ASKED, on_chunk=seen.append)
     np.testing.assert_array_equal(again.losses, fitted.losses)
     assert eqx.tree_equal(again.model, fitted.model)
+    assert sum(p.losses.shape[1] for p in seen) == 340
+    assert [p.done for p in seen] == [250, 300, 325, 340]
+    assert {p.total for p in seen} == {340}
+    assert [p.phase for p in seen] == ["Adam", "Adam", "L-BFGS", "L-BFGS"]
 
 
-class Halving(AbstractPhase):
+class Halving(fitting.AbstractPhase):
     """Halves all parameters until they are small; says each time that it did."""
 
     heard: Callable[[], None] = eqx.field(static=True)
@@ -152,7 +146,7 @@ def halvings(models, data, **options):
     """How often the fits of several models took a step in all."""
     heard = []
     recipe = (Halving(lambda: heard.append(1), **options),)
-    fit_many(models, data, recipe, trainable=environment, objective=OBJECTIVE)
+    fitting.fit_many(models, data, recipe, **ASKED)
     jax.effects_barrier()
     return len(heard)
 
@@ -174,10 +168,9 @@ def test_a_fit_that_is_done_takes_no_steps_while_others_do(data):
 
 def test_gauss_newton_fits_of_many_are_the_single_fits(data):
     models = [network_swimmer(seed) for seed in range(2)]
-    options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
-    recipe = curriculum(data, max_steps=4)
-    together = fit_many(models, data, recipe, at_once=2, **options)
-    in_turns = fit_many(models, data, recipe, **options)
+    recipe = fitting.curriculum(data, max_steps=4)
+    together = fitting.fit_many(models, data, recipe, at_once=2, **EXACTLY)
+    in_turns = fitting.fit_many(models, data, recipe, **EXACTLY)
     for one, other in zip(together, in_turns, strict=True):
         np.testing.assert_allclose(other.losses[-1], one.losses[-1], rtol=1e-3)
 
@@ -186,12 +179,10 @@ def test_gauss_newton_fits_of_many_are_the_single_fits(data):
 def test_many_fits_are_the_single_fits_each_with_data_of_its_own(data, at_once):
     models = [network_swimmer(seed) for seed in range(3)]
     other = observe([[0.5, 0.0, 0.3, 0.8], [0.0, 1.0, 0.5, 0.1]], [15, 22])
-    own = [data, other, data]
-    recipe = (Adam(1e-2, 20),)
-    options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
-    many = fit_many(models, own, recipe, at_once=at_once, **options)
+    own, recipe = [data, other, data], (fitting.Adam(1e-2, 20),)
+    many = fitting.fit_many(models, own, recipe, at_once=at_once, **EXACTLY)
     for model, mine, found in zip(models, own, many, strict=True):
-        alone = fit(model, mine, recipe, **options)
+        alone = fitting.fit(model, mine, recipe, **EXACTLY)
         np.testing.assert_allclose(found.losses, alone.losses, rtol=1e-7)
     assert len({float(one.losses[-1]) for one in many}) == 3
 
@@ -199,48 +190,41 @@ def test_many_fits_are_the_single_fits_each_with_data_of_its_own(data, at_once):
 def test_gauss_newton_runs_in_float32_and_on_resamples(data):
     models = [network_swimmer(seed) for seed in range(2)]
     draws = [data.select([0, 0]), data.select([1, 0])]
-    options = {"trainable": environment, "objective": OBJECTIVE}
-    recipe = curriculum(data, max_steps=6)
-    single = fit_many(models, draws, recipe, dtype=jnp.float32, **options)
-    for found in single:
+    recipe = fitting.curriculum(data, max_steps=6)
+    for found in fitting.fit_many(models, draws, recipe, dtype=jnp.float32, **ASKED):
         assert found.model.environment.network.layers[0].weight.dtype == jnp.float32
         assert found.losses[-1] < 1e-4 * found.losses[0]
 
 
 def test_damping_and_gain_can_be_learned_with_the_barrier_known(data):
-    start = eqx.tree_at(
-        lambda s: (s.drag.damping, s.propulsion.gain), TRUTH, (0.2, 0.1)
-    )
-    found = fit(
+    def constants(swimmer):
+        return swimmer.drag.damping, swimmer.propulsion.gain
+
+    start = eqx.tree_at(constants, TRUTH, (0.2, 0.1))
+    objective = fitting.TrajectoryLoss()
+    found = fitting.fit(
         start,
         data,
-        (LBFGS(40),),
-        trainable=lambda s: (s.drag.damping, s.propulsion.gain),
-        objective=TrajectoryLoss(),
+        (fitting.LBFGS(40),),
+        trainable=constants,
+        objective=objective,
         dtype=jnp.float64,
     )
-    assert found.model.drag.damping == pytest.approx(0.5, rel=1e-5)
-    assert found.model.propulsion.gain == pytest.approx(0.3, rel=1e-5)
+    assert constants(found.model) == pytest.approx((0.5, 0.3), rel=1e-5)
 
 
 def test_what_was_not_observed_does_not_count(data):
     masked = data.observed.copy()
     masked[:, 5:9, 2:] = False
-    states = np.where(masked, data.states, 0.0)
-    lengths = data.lengths
-    with_gaps = Trajectories.from_arrays(
-        [t[:n] for t, n in zip(data.times, lengths, strict=True)],
-        [s[:n] for s, n in zip(states, lengths, strict=True)],
-        observed=[m[:n] for m, n in zip(masked, lengths, strict=True)],
-        channels=data.channels,
+    loss, everything = (
+        OBJECTIVE(TRUTH, Observations.of(seen, jnp.float64))
+        for seen in (observing(data, masked), data)
     )
-    loss = OBJECTIVE(TRUTH, Observations.of(with_gaps, jnp.float64))
     assert loss < 1e-7
-    everything = OBJECTIVE(TRUTH, Observations.of(data, jnp.float64))
     assert loss < everything
 
 
-class Memory(AbstractCheckpoint):
+class Memory(fitting.AbstractCheckpoint):
     """Keeps states, and may break off like a killed process."""
 
     def __init__(self, stop_after=None):
@@ -254,7 +238,7 @@ class Memory(AbstractCheckpoint):
         assert jax.tree.structure(shape.params) == jax.tree.structure(saved.params)
         return saved
 
-    def save(self, state: FitState):
+    def save(self, state: fitting.FitState):
         self.states.append(state)
         if self.stop_after and len(self.states) == self.stop_after:
             raise KeyboardInterrupt
@@ -262,64 +246,36 @@ class Memory(AbstractCheckpoint):
 
 @pytest.mark.parametrize("chunks", [1, 2, 3])
 def test_an_interrupted_fit_goes_on_to_the_same_numbers(fitted, data, chunks):
-    checkpoint = Memory(stop_after=chunks)
-    call = {"trainable": environment, "objective": OBJECTIVE, "checkpoint": checkpoint}
+    call = ASKED | {"checkpoint": Memory(stop_after=chunks)}
     with pytest.raises(KeyboardInterrupt):
-        fit(network_swimmer(0), data, RECIPE, **call)
-    resumed = fit(network_swimmer(0), data, RECIPE, **call)
+        fitting.fit(network_swimmer(0), data, RECIPE, **call)
+    resumed = fitting.fit(network_swimmer(0), data, RECIPE, **call)
     np.testing.assert_array_equal(resumed.losses, fitted.losses)
     assert eqx.tree_equal(resumed.model, fitted.model)
 
 
-def test_progress_covers_every_step_once(data):
-    seen = []
-    fit(
-        network_swimmer(0),
-        data,
-        RECIPE,
-        trainable=environment,
-        objective=OBJECTIVE,
-        on_chunk=seen.append,
-    )
-    assert sum(p.losses.shape[1] for p in seen) == 340
-    assert [p.done for p in seen] == [250, 300, 325, 340]
-    assert {p.total for p in seen} == {340}
-    assert [p.phase for p in seen] == ["Adam", "Adam", "L-BFGS", "L-BFGS"]
-
-
 def test_a_diverging_fit_says_so(data):
-    wild = (Adam(1e30, 5),)
-    call = {"trainable": environment, "objective": OBJECTIVE}
+    wild = (fitting.Adam(1e30, 5),)
     with pytest.raises(FitError, match="the fit diverged: its loss is not finite; use"):
-        fit(network_swimmer(0), data, wild, **call)
-    result = fit(network_swimmer(0), data, wild, throw=False, **call)
-    assert result.outcome is Outcome.DIVERGED
+        fitting.fit(network_swimmer(0), data, wild, **ASKED)
+    result = fitting.fit(network_swimmer(0), data, wild, throw=False, **ASKED)
+    assert result.outcome is fitting.Outcome.DIVERGED
 
 
 def test_bad_requests_are_refused(data):
-    call = {"trainable": environment, "objective": OBJECTIVE}
+    models = [network_swimmer(0), network_swimmer(1)]
     with pytest.raises(InputError, match="expected at least one model and one phase"):
-        fit(network_swimmer(0), data, (), **call)
+        fitting.fit(models[0], data, (), **ASKED)
     nothing = {"trainable": lambda s: s.environment.network.activation}
     with pytest.raises(InputError, match="the selection holds no floating-point array"):
-        fit(network_swimmer(0), data, RECIPE, **nothing)
-    observed = data.observed.copy()
-    observed[1, 0, 2] = False
-    late = Trajectories.from_arrays(
-        list(data.times[:, :20]),
-        list(np.where(observed, data.states, 0.0)[:, :20]),
-        observed=list(observed[:, :20]),
-        channels=data.channels,
-    )
-    with pytest.raises(
-        InputError, match="trajectory 1: its first sample must be fully"
-    ):
-        fit(network_swimmer(0), late, RECIPE, **call)
-    models = [network_swimmer(0), network_swimmer(1)]
-    options = {"trainable": environment, "objective": OBJECTIVE}
+        fitting.fit(models[0], data, RECIPE, **nothing)
+    late = data.observed.copy()
+    late[1, 0, 2] = False
+    with pytest.raises(InputError, match="trajectory 1: its first sample must be full"):
+        fitting.fit(models[0], observing(data, late), RECIPE, **ASKED)
     with pytest.raises(InputError, match="at_once: expected 1 or more, got 0"):
-        fit_many(models, data, RECIPE, at_once=0, **options)
+        fitting.fit_many(models, data, RECIPE, at_once=0, **ASKED)
     with pytest.raises(InputError, match="one for each of the 2 models, got 3"):
-        fit_many(models, [data] * 3, RECIPE, **options)
+        fitting.fit_many(models, [data] * 3, RECIPE, **ASKED)
     with pytest.raises(InputError, match="as many trajectories and channels"):
-        fit_many(models, [data, data.select([0])], RECIPE, **options)
+        fitting.fit_many(models, [data, data.select([0])], RECIPE, **ASKED)

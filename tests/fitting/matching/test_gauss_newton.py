@@ -4,7 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
+from tests.fitting.problems import follow, observing
 
+from pinav import fitting
 from pinav.dynamics import (
     Adaptive,
     FixedStep,
@@ -13,19 +15,6 @@ from pinav.dynamics import (
     Swimmer,
 )
 from pinav.errors import InputError
-from pinav.fitting import (
-    GaussNewton,
-    KernelGrid,
-    Observations,
-    Outcome,
-    Problem,
-    RateMatching,
-    Rates,
-    TrajectoryLoss,
-    curriculum,
-    fit,
-    kernel_environment,
-)
 from pinav.fitting.matching.damped_steps import low_rank
 from pinav.fitting.matching.fit import run_chunk
 from pinav.fitting.matching.state import split_trainable
@@ -43,7 +32,6 @@ from pinav.forces import (
 from pinav.trajectories import Trajectories
 
 KEY = jax.random.key(0)
-CHANNELS = ("x", "y", "vx", "vy")
 TRUTH = Swimmer(ZeroForce(), LinearDrag(0.5), GaussianBarrier(2.0, [1.0, 0.2], 0.8))
 
 
@@ -54,31 +42,21 @@ FIRST_ORDER = OverdampedSwimmer(
 
 
 def observe(*lengths, irregular=False, truth=TRUTH) -> Trajectories:
-    rng = np.random.default_rng(3)
-    times, states = [], []
+    rng, size = np.random.default_rng(3), 4 if truth is TRUTH else 2
+    times, starts = [], []
     for length in lengths:
         steps = rng.uniform(0.05, 0.15, length) if irregular else np.full(length, 0.1)
-        ts = np.cumsum(steps) - steps[0]
-        y0 = jnp.asarray([-1.0, rng.normal(0.0, 0.3), 1.5, 0.1])
-        y0 = y0 if truth is TRUTH else y0[:2]
-        times.append(ts)
-        states.append(np.asarray(Adaptive().solve(truth, y0, jnp.asarray(ts))[0]))
-    return Trajectories.from_arrays(
-        times, states, channels=CHANNELS[: states[0].shape[1]]
-    )
+        times.append(np.cumsum(steps) - steps[0])
+        starts.append([-1.0, rng.normal(0.0, 0.3), 1.5, 0.1][:size])
+    return follow(truth, starts, times)
 
 
 def with_gaps(data: Trajectories) -> Trajectories:
     """The same without some samples, and some components of others."""
-    observed = [t.observed.copy() for t in data]
-    for mask in observed:
-        mask[5:8] = False
-        mask[10, mask.shape[1] // 2 :] = False
-    states = [np.where(m, t.states, 0.0) for m, t in zip(observed, data, strict=True)]
-    times = [t.times for t in data]
-    return Trajectories.from_arrays(
-        times, states, observed=observed, channels=data.channels
-    )
+    observed = data.observed.copy()
+    observed[:, 5:8] = False
+    observed[:, 10, observed.shape[2] // 2 :] = False
+    return observing(data, observed)
 
 
 def network_swimmer(truth=TRUTH) -> Swimmer | OverdampedSwimmer:
@@ -92,18 +70,16 @@ def black_box() -> NeuralDynamics:
     return NeuralDynamics(network, (0.0,) * 5, (1.0,) * 5)
 
 
+def network(model):
+    return model.environment.parameters
+
+
 MODELS = {
-    "network": (network_swimmer, lambda m: m.environment.parameters),
-    "network and damping": (
-        network_swimmer,
-        lambda m: (m.environment.parameters, m.drag.damping),
-    ),
+    "network": (network_swimmer, network),
+    "network and damping": (network_swimmer, lambda m: (network(m), m.drag.damping)),
     "black box": (black_box, lambda m: m.parameters),
     "barrier": (lambda: TRUTH, lambda m: (m.environment, m.drag.damping)),
-    "network of first order": (
-        lambda: network_swimmer(FIRST_ORDER),
-        lambda m: m.environment.parameters,
-    ),
+    "network of first order": (lambda: network_swimmer(FIRST_ORDER), network),
     "barrier and mobility": (
         lambda: FIRST_ORDER,
         lambda m: (m.environment, m.mobility.value),
@@ -114,8 +90,8 @@ MODELS = {
 def windows(data, name, window):
     make, trainable = MODELS[name]
     params, static = split_trainable(make(), trainable, jnp.float64)
-    observations = Observations.of(data, jnp.float64)
-    problem = Problem(static, observations, TrajectoryLoss(FixedStep()))
+    observations = fitting.Observations.of(data, jnp.float64)
+    problem = fitting.Problem(static, observations, fitting.TrajectoryLoss(FixedStep()))
     inputs = jnp.asarray(window), FixedStep()
     return Windows.of(problem, params, *inputs), ravel_pytree(params)[0]
 
@@ -172,14 +148,20 @@ def test_the_projection_holds_a_matrix_of_low_rank():
 
 
 def kernel_swimmer(data: Trajectories) -> Swimmer:
-    force = kernel_environment(KernelPotential, data, KernelGrid(10, 1.5, 2.0))
+    force = fitting.kernel_environment(
+        KernelPotential, data, fitting.KernelGrid(10, 1.5, 2.0)
+    )
     return TRUTH.with_environment(force)
 
 
-def learn_environment(model, data, recipe, **options):
-    options |= {"objective": TrajectoryLoss(FixedStep()), "dtype": jnp.float64}
-    return fit(
-        model, data, recipe, trainable=lambda m: m.environment.parameters, **options
+STEPS = fitting.TrajectoryLoss(FixedStep())
+
+
+def learn(
+    model, data, recipe, trainable=lambda m: m.environment.parameters, objective=STEPS
+):
+    return fitting.fit(
+        model, data, recipe, trainable=trainable, objective=objective, dtype=jnp.float64
     )
 
 
@@ -191,15 +173,10 @@ def data():
 @pytest.mark.slow
 def test_the_curriculum_fits_kernels_and_compiles_once(data):
     compiled = run_chunk._cached._cache_size()
-    found = learn_environment(kernel_swimmer(data), data, curriculum(data))
+    found = learn(kernel_swimmer(data), data, fitting.curriculum(data))
     assert found.losses[-1] < 1e-8 * found.losses[0]
     assert len(found.losses) - 1 <= 20
-    assert [name for name, _ in found.phases] == [
-        "L = 1",
-        "L = 5",
-        "L = 25",
-        "L = 30",
-    ]
+    assert [name for name, _ in found.phases] == ["L = 1", "L = 5", "L = 25", "L = 30"]
     assert run_chunk._cached._cache_size() == compiled + 1
 
 
@@ -208,15 +185,12 @@ def test_barrier_and_damping_are_found_exactly(data):
     start = eqx.tree_at(
         lambda s: (s.environment.height, s.drag.damping), TRUTH, (1.0, 0.2)
     )
-    found = fit(
-        start,
-        data,
-        curriculum(data, precision=1e-9),
-        trainable=lambda m: (m.environment, m.drag.damping),
-        objective=TrajectoryLoss(FixedStep(substeps=4)),
-        dtype=jnp.float64,
+    recipe, finer = (
+        fitting.curriculum(data, precision=1e-9),
+        fitting.TrajectoryLoss(FixedStep(substeps=4)),
     )
-    assert found.outcome is Outcome.CONVERGED
+    found = learn(start, data, recipe, MODELS["barrier"][1], finer)
+    assert found.outcome is fitting.Outcome.CONVERGED
     found = found.model
     assert found.environment.height == pytest.approx(2.0, rel=1e-7)
     np.testing.assert_allclose(found.environment.center, [1.0, 0.2], rtol=1e-6)
@@ -229,69 +203,56 @@ def test_the_default_recipe_finds_barrier_and_mobility_without_inertia():
     wrong = OverdampedSwimmer(
         FIRST_ORDER.propulsion, GaussianBarrier(0.5, [0.0, 0.2], 0.8), 1.1
     )
-    result = fit(
-        wrong,
-        data,
-        curriculum(data),
-        trainable=MODELS["barrier and mobility"][1],
-        objective=TrajectoryLoss(FixedStep(substeps=2)),
-        dtype=jnp.float64,
+    learned, finer = (
+        MODELS["barrier and mobility"][1],
+        fitting.TrajectoryLoss(FixedStep(substeps=2)),
     )
-    found, _ = ravel_pytree((result.model.environment, result.model.mobility))
-    true, _ = ravel_pytree((FIRST_ORDER.environment, FIRST_ORDER.mobility))
+    result = learn(wrong, data, fitting.curriculum(data), learned, finer)
+    found, true = (ravel_pytree(learned(m))[0] for m in (result.model, FIRST_ORDER))
     np.testing.assert_allclose(found, true, rtol=1e-5)
 
 
 def test_a_phase_that_is_done_stays_where_it_is(data):
-    reached = GaussNewton(window=jnp.asarray(30), target=1e9, steps=5)
-    found = learn_environment(kernel_swimmer(data), data, (reached,))
+    reached = fitting.GaussNewton(window=jnp.asarray(30), target=1e9, steps=5)
+    found = learn(kernel_swimmer(data), data, (reached,))
     assert len(found.losses) == 2, "one step, then it saw that the target is met"
 
 
 @pytest.mark.slow
 def test_a_stalled_phase_ends(data):
-    phase = GaussNewton(window=jnp.asarray(1), target=0.0, steps=50)
-    found = learn_environment(kernel_swimmer(data), data, (phase,))
+    phase = fitting.GaussNewton(window=jnp.asarray(1), target=0.0, steps=50)
+    found = learn(kernel_swimmer(data), data, (phase,))
     assert len(found.losses) < 40
 
 
 def test_windows_follow_the_longest_trajectory(data):
-    steps = [int(phase.window) for phase in curriculum(data)]
+    steps = [int(phase.window) for phase in fitting.curriculum(data)]
     assert steps == [1, 5, 25, 30]
-    assert [int(phase.window) for phase in curriculum(observe(6))] == [1, 5]
+    assert [int(phase.window) for phase in fitting.curriculum(observe(6))] == [1, 5]
 
 
 def test_bad_requests_are_refused(data):
     with pytest.raises(InputError, match="GaussNewton.rank: expected 1 or more, got 0"):
-        GaussNewton(window=jnp.asarray(1), target=0.0, rank=0)
+        fitting.GaussNewton(window=jnp.asarray(1), target=0.0, rank=0)
     with pytest.raises(InputError, match="curriculum max_steps: expected >= 1, got 0"):
-        curriculum(data, max_steps=0)
+        fitting.curriculum(data, max_steps=0)
     with pytest.raises(InputError, match="RateMatching.steps: expected >= 1, got 0"):
-        RateMatching(Rates(np.zeros(1), np.zeros((1, 4)), np.zeros((1, 2))), 0)
-    with pytest.raises(InputError, match="expected an objective with a FixedStep"):
-        fit(
-            kernel_swimmer(data),
-            data,
-            curriculum(data),
-            trainable=lambda m: m.environment.parameters,
-            objective=TrajectoryLoss(Adaptive()),
-            dtype=jnp.float64,
+        fitting.RateMatching(
+            fitting.Rates(np.zeros(1), np.zeros((1, 4)), np.zeros((1, 2))), 0
         )
+    freely, recipe = fitting.TrajectoryLoss(Adaptive()), fitting.curriculum(data)
+    with pytest.raises(InputError, match="expected an objective with a FixedStep"):
+        learn(kernel_swimmer(data), data, recipe, objective=freely)
 
 
 @pytest.mark.slow
 def test_outcomes_tell_stalled_from_a_misfit(data):
     full = jnp.asarray(10**6)
-    few = (GaussNewton(full, target=1e-12, steps=1),)
-    hasty = learn_environment(kernel_swimmer(data), data, few)
-    assert hasty.outcome is Outcome.STALLED
-    drag = fit(  # a constant that cannot explain the barrier: the best one is reached
-        TRUTH.without_environment(),
-        data,
-        (GaussNewton(full, target=1e-9, patience=jnp.asarray(3)),),
-        trainable=lambda m: m.drag.damping,
-        objective=TrajectoryLoss(FixedStep()),
-        dtype=jnp.float64,
-    )
+    few = (fitting.GaussNewton(full, target=1e-12, steps=1),)
+    assert learn(kernel_swimmer(data), data, few).outcome is fitting.Outcome.STALLED
+    # a constant that cannot explain the barrier: the best one is reached
+    patient = (fitting.GaussNewton(full, target=1e-9, patience=jnp.asarray(3)),)
+    known = TRUTH.without_environment()
+    drag = learn(known, data, patient, lambda m: m.drag.damping)
     assert drag.losses[-1] > 1e-3
-    assert drag.outcome is Outcome.MISFIT, "nothing more to gain, but no noise"
+    assert drag.outcome is fitting.Outcome.MISFIT, "nothing more to gain, but no noise"

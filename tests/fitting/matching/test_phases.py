@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import rosen
+from tests.refusals import refusals
 
-from pinav.errors import InputError
 from pinav.fitting import LBFGS, Adam, paper_recipe
 
 PHASES = {
@@ -81,15 +81,9 @@ def test_paper_recipe_is_table_1():
     assert eqx.tree_equal(paper_recipe(3, 4), (Adam(0.01, 3), LBFGS(4)))
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Adam(0.0, 5), r"Adam.learning_rate: expected > 0, got 0.0"),
-        (lambda: Adam(0.1, 0), r"Adam.steps: expected > 0, got 0"),
-        (lambda: LBFGS(-1), r"LBFGS.steps: expected > 0, got -1"),
-        (lambda: LBFGS(5, memory=0), r"LBFGS.memory: expected > 0, got 0"),
-    ],
+test_bad_phases_are_refused = refusals(
+    (lambda: Adam(0.0, 5), r"Adam.learning_rate: expected > 0, got 0.0"),
+    (lambda: Adam(0.1, 0), r"Adam.steps: expected > 0, got 0"),
+    (lambda: LBFGS(-1), r"LBFGS.steps: expected > 0, got -1"),
+    (lambda: LBFGS(5, memory=0), r"LBFGS.memory: expected > 0, got 0"),
 )
-def test_bad_phases_are_refused(make, message):
-    with pytest.raises(InputError, match=message):
-        make()

@@ -12,12 +12,12 @@ from pinav.fitting.structure.potential_map import free_potential
 from pinav.fitting.structure.response import force_quadratic
 from pinav.forces import (
     GaussianBarrier,
-    GaussianRidge,
     HillsTerm,
     KernelPotential,
     LinearForce,
     StructuredForce,
     SumForce,
+    gaussian_ridge,
 )
 from pinav.forces.terms import MIDDLE, WIDTHS
 
@@ -28,7 +28,7 @@ BARRIERS = (
     GaussianBarrier(-2.0, [7.0, 2.5], 1.1),
     GaussianBarrier(1.5, [5.0, 7.5], 0.9),
 )
-RIDGE = GaussianRidge(2.0, [4.0, 4.0], 1.8, 0.6, 0.7)
+RIDGE = gaussian_ridge(2.0, [4.0, 4.0], 1.8, 0.6, 0.7)
 
 
 def hills_of(truth):

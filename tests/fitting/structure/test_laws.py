@@ -6,13 +6,13 @@ from pinav.fitting.structure.laws import follow_laws
 from pinav.fitting.structure.starts import Region, central_term, linear_term, wall_term
 from pinav.fitting.structure.trials import with_profiles
 from pinav.forces import (
-    CompactHill,
     LinearForce,
     PlaneWaves,
-    PowerHill,
-    RingBarrier,
-    SoftWall,
     SumForce,
+    compact_hill,
+    power_hill,
+    ring_barrier,
+    soft_wall,
 )
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
@@ -31,9 +31,9 @@ def lawful(truth, *starts):
 @pytest.mark.parametrize(
     ("truth", "tail", "size"),
     [
-        pytest.param(PowerHill(3.0, CENTER, 1.5, 0.5), 2.0, 1.5, marks=SLOW),
-        (PowerHill(3.0, CENTER, 1.5, 1.0), 1.0, 1.5 / np.sqrt(2)),
-        (CompactHill(-3.0, CENTER, 4.0), -1 / 3, 4.0 / np.sqrt(6)),
+        pytest.param(power_hill(3.0, CENTER, 1.5, 0.5), 2.0, 1.5, marks=SLOW),
+        (power_hill(3.0, CENTER, 1.5, 1.0), 1.0, 1.5 / np.sqrt(2)),
+        (compact_hill(-3.0, CENTER, 4.0), -1 / 3, 4.0 / np.sqrt(6)),
     ],
 )
 def test_a_hill_has_the_tail_and_size_of_the_true_one(truth, tail, size):
@@ -47,18 +47,18 @@ def test_a_hill_has_the_tail_and_size_of_the_true_one(truth, tail, size):
 
 def test_a_ring_and_a_wall_follow_their_laws():
     ring = lawful(
-        RingBarrier(2.0, CENTER, 3.0, 0.8), central_term(REGION, np.array([4.0, 6.0]))
+        ring_barrier(2.0, CENTER, 3.0, 0.8), central_term(REGION, np.array([4.0, 6.0]))
     )
     assert ring.law.name == "ring"
     np.testing.assert_allclose(ring.law.constants()["radius"], 3.0, atol=0.02)
-    wall = lawful(SoftWall(4.0, 0.7, 7.0, 0.8), wall_term(REGION, 0.7))
+    wall = lawful(soft_wall(4.0, 0.7, 7.0, 0.8), wall_term(REGION, 0.7))
     assert wall.law.name == "step"
     np.testing.assert_allclose(wall.law.constants()["size"], 0.8, rtol=0.05)
 
 
 @SLOW
 def test_the_law_of_a_wide_ring_does_not_vanish_at_its_centre():
-    truth = RingBarrier(2.0, CENTER, 1.8, 1.0)
+    truth = ring_barrier(2.0, CENTER, 1.8, 1.0)
     ring = lawful(truth, central_term(REGION, np.array([4.02, 5.98])))
     assert ring.law.name == "ring"
     np.testing.assert_allclose(ring.law.constants()["radius"], 1.8, atol=0.02)
@@ -67,7 +67,7 @@ def test_the_law_of_a_wide_ring_does_not_vanish_at_its_centre():
 
 def test_a_ring_narrower_than_its_flank_is_no_law():
     """It would be one of any hill whose formula is not among the laws."""
-    truth = RingBarrier(2.0, CENTER, 0.6, 1.0)
+    truth = ring_barrier(2.0, CENTER, 0.6, 1.0)
     hill = lawful(truth, central_term(REGION, np.array([4.02, 5.98])))
     assert hill is None or hill.law.name != "ring"
 
@@ -85,7 +85,7 @@ def test_stripes_follow_a_wave_of_their_period(period):
 @SLOW
 def test_the_law_of_a_term_in_a_sum_is_found():
     saddle = LinearForce(np.array([[0.2, 0.05], [0.05, -0.2]]), [5.0, 5.0])
-    truth = SumForce((PowerHill(3.0, CENTER, 1.5, 1.0), saddle))
+    truth = SumForce((power_hill(3.0, CENTER, 1.5, 1.0), saddle))
     centre = central_term(REGION, np.array([4.03, 6.02]))
     term = lawful(truth, linear_term(REGION), centre)
     assert term.law.name == "hill"
@@ -95,7 +95,7 @@ def test_the_law_of_a_term_in_a_sum_is_found():
 def test_a_profile_that_follows_no_law_keeps_its_kernels():
     """Two rings of opposite sign about one centre."""
     truth = SumForce(
-        (RingBarrier(2.0, CENTER, 3.0, 0.6), RingBarrier(-2.0, CENTER, 1.2, 0.4))
+        (ring_barrier(2.0, CENTER, 3.0, 0.6), ring_barrier(-2.0, CENTER, 1.2, 0.4))
     )
     centre = central_term(REGION, np.array([4.0, 6.0]))
     assert lawful(truth, centre) is None

@@ -17,11 +17,11 @@ from pinav.fitting.structure.survey import Survey
 from pinav.fitting.structure.trace import Trace
 from pinav.forces import (
     GaussianBarrier,
-    GaussianSwirl,
     KernelMixture,
     KernelPlaces,
     KernelPotential,
     forces_at,
+    gaussian_swirl,
     kernel_centers,
     split_structure,
 )
@@ -30,7 +30,7 @@ from pinav.trajectories import simulate, with_velocities
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
 PULL = GaussianBarrier(-3.0, [4.0, 6.0], 2.0)
-SWIRL = GaussianSwirl(1.0, [6.0, 5.0], 2.0)
+SWIRL = gaussian_swirl(1.0, [6.0, 5.0], 2.0)
 KERNELS = KernelPlaces(kernel_centers(POINTS[0], spacing=1.2, margin=2.4), 1.2)
 
 

@@ -1,5 +1,6 @@
 """The drive is found while it is recorded, and the value can be kept and read again."""
 
+import copy
 import math
 
 import jax
@@ -12,31 +13,35 @@ from pinav.identification.running import DriveGrid, RunningFit, forecast
 from pinav.identification.running.bank import Bank, CommandHistory
 from pinav.identification.running.forecast import estimate, gain_at, locate
 
-SMALL = dict(corners=(np.inf, 2.0), residuals=(1.0, 0.3), delays=(0.1, 0.3))
-
 
 def small_grid():
     """Four drives with two memories."""
-    drive = np.repeat(np.arange(4), 2)
-    blur, memory = np.full(8, 0.2), np.tile([0.4, 1.2], 4)
-    fields = {name: np.array(values) for name, values in SMALL.items()}
     return DriveGrid(
-        **fields, drive=drive, blur=blur, memory=memory, log_prior=np.zeros(8)
+        corners=np.array([np.inf, 2.0]),
+        residuals=np.array([1.0, 0.3]),
+        delays=np.array([0.1, 0.3]),
+        drive=np.repeat(np.arange(4), 2),
+        blur=np.full(8, 0.2),
+        memory=np.tile([0.4, 1.2], 4),
+        log_prior=np.zeros(8),
     )
 
 
-def headings(steps):
-    """A new heading every second and a half."""
-    return [math.remainder(2.4 * (step // 15), 2 * math.pi) for step in range(steps)]
-
-
 def run(fit, steps, robot=None, rest=20):
+    """Rest, and then a new heading every second and a half, ever faster."""
     robot = Robot() if robot is None else robot
-    for step, heading in enumerate(headings(steps)):
+    for step in range(steps):
+        heading = math.remainder(2.4 * (step // 15), 2 * math.pi)
         frequency = 0.0 if step < rest else 1.0 + step / steps
         fit = fit.after(robot.t, robot.seen(), frequency, heading)
         robot.move(frequency, heading)
     return fit, robot
+
+
+def turned_by(fit, history, times):
+    """What commands have turned by some times, for each drive and memory."""
+    turned = history.at(times, fit.grid.delays)[:, fit.grid.drive]
+    return np.einsum("mab,tmb->tma", fit.bank.mean[:, :, 3:], turned - turned[0])
 
 
 @pytest.fixture(scope="module")
@@ -67,14 +72,11 @@ def test_delay_gain_offset_and_drift_are_found(known):
 
 def test_a_rollout_stays_within_its_band(known):
     fit, robot = known
-    steps = 40
     fit = fit.after(robot.t, robot.seen(), 1.5, 0.0)
-    times = robot.t + 0.1 * np.arange(steps)
-    commands = np.full(steps, 1.5), np.linspace(0, 3, steps)
+    times = robot.t + 0.1 * np.arange(40)
+    commands = np.full(40, 1.5), np.linspace(0, 3, 40)
     ahead = forecast(fit, times, *commands)
-    twin = Robot()
-    twin.__dict__.update(robot.__dict__)
-    twin.pending = list(robot.pending)
+    twin = copy.deepcopy(robot)
     path = [(twin.x, twin.y)]
     for frequency, heading in list(zip(*commands, strict=True))[:-1]:
         twin.move(frequency, heading)
@@ -101,26 +103,16 @@ def test_forecasts_of_many_plans_are_those_of_each(known):
 def test_a_forecast_adds_commands_to_those_that_act_late(known):
     """The mean is linear in what the history of all commands together has turned."""
     fit, robot = known
-    times = robot.t + np.array([0.0, 0.15, 0.4, 1.0])
-    frequency, heading = np.array([2.0, 0.5, 1.0, 9.0]), np.array([0.1, 2.0, -1.0, 0.0])
-    ahead = forecast(fit, times, frequency, heading)
-    whole = fit.history.extend(fit.grid, times, frequency, heading)
-    turned = whole.at(times, fit.grid.delays)[:, fit.grid.drive]
-    gains = fit.bank.mean[:, :, 3:]
-    moved = np.einsum("mab,tmb->tma", gains, turned - turned[0])
-    still = forecast(fit, times, np.zeros(4), np.zeros(4)).displacement
-    before = fit.history.extend(fit.grid, times[:1], np.zeros(1), np.zeros(1))
-    turned = before.at(times, fit.grid.delays)[:, fit.grid.drive]
-    late = np.einsum("mab,tmb->tma", gains, turned - turned[0])
+    times, none = robot.t + np.array([0.0, 0.15, 0.4, 1.0]), np.zeros(4)
+    commands = np.array([2.0, 0.5, 1.0, 9.0]), np.array([0.1, 2.0, -1.0, 0.0])
+    ahead, still = (forecast(fit, times, *c) for c in (commands, (none, none)))
+    moved, late = (
+        turned_by(fit, fit.history.extend(fit.grid, *added), times)
+        for added in ((times, *commands), (times[:1], none[:1], none[:1]))
+    )
     by_drive = np.einsum("m,tma->ta", fit.bank.weight, moved - late)
-    assert np.allclose(ahead.displacement - still, by_drive, atol=1e-9)
-
-
-def test_the_position_is_followed(known):
-    fit, robot = known
-    place = locate(fit, robot.t - 0.1)
-    twin = (robot.x, robot.y)
-    assert np.all(np.abs(place.displacement[0] - twin) < 3.0)
+    added = ahead.displacement - still.displacement
+    assert np.allclose(added, by_drive, atol=1e-9)
 
 
 def test_a_fit_that_is_written_goes_on_to_the_last_bit(known):
@@ -128,11 +120,11 @@ def test_a_fit_that_is_written_goes_on_to_the_last_bit(known):
     again = decode(RunningFit, *encode(fit))
     position = robot.seen()
     one, two = (f.after(robot.t, position, 1.0, 0.3) for f in (fit, again))
-    for here, there in zip(*map(jax.tree.leaves, (one, two)), strict=True):
-        assert np.array_equal(here, there, equal_nan=True)
+    jax.tree.map(np.testing.assert_array_equal, one, two)
     fresh = RunningFit.begin(fit.grid)
-    leaves = jax.tree.structure(fresh)
-    assert jax.tree.structure(decode(RunningFit, *encode(fresh))) == leaves
+    jax.tree.map(
+        np.testing.assert_array_equal, fresh, decode(RunningFit, *encode(fresh))
+    )
 
 
 def test_a_restart_keeps_the_drive_and_forgets_the_place(known):
@@ -149,8 +141,10 @@ def test_a_restart_keeps_the_drive_and_forgets_the_place(known):
     assert np.all(np.abs(again.bank.mean[:, :, 0] - (robot.x, robot.y)) < 30)
 
 
-def test_lost_frames_are_predicted(known):
+def test_the_position_is_followed_and_lost_frames_are_predicted(known):
     fit, robot = known
+    place = locate(fit, robot.t - 0.1)
+    assert np.all(np.abs(place.displacement[0] - (robot.x, robot.y)) < 3.0)
     for step in range(1, 30):
         fit = fit.after(robot.t + 0.1 * step, None, 0.0, 0.0)
     still = locate(fit, robot.t + 3.0)
@@ -160,11 +154,8 @@ def test_lost_frames_are_predicted(known):
 
 
 def test_commands_are_integrated_with_each_delay():
-    grid = small_grid()
-    history = CommandHistory.begin(grid, 0.0, 0.0, 0.0)
-    history = history.extend(
-        grid, np.array([1.0, 2.0]), np.array([1.0, 0.0]), np.array([0.5, 0.0])
-    )
+    grid, begun = small_grid(), CommandHistory.begin(small_grid(), 0.0, 0.0, 0.0)
+    history = begun.extend(grid, *np.array([[1.0, 2.0], [1.0, 0.0], [0.5, 0.0]]))
     turned = history.at(np.array([0.5, 1.5, 9.0]), grid.delays)
     linear = turned[:, [0, 2]] @ [math.cos(0.5), math.sin(0.5)]
     assert np.allclose(linear, [[0, 0], [0.4, 0.2], [1, 1]])
@@ -176,12 +167,9 @@ def test_commands_are_integrated_with_each_delay():
 def test_the_bank_is_the_posterior_of_a_linear_model():
     """Against ordinary least squares in the limit of no wandering."""
     rng = np.random.default_rng(0)
-    bank = Bank.prior(np.zeros(1), 1.0)
     blur, memory = np.array([0.5]), np.array([1e-6])
-    position, gain = np.zeros(2), np.array([[1.0, 0.3], [-0.2, 2.0]])
-    bank = bank.place(position, np.array([1e-9]))
-    rows, seen = [], []
-    total = np.zeros(2)
+    bank = Bank.prior(np.zeros(1), 1.0).place(np.zeros(2), np.array([1e-9]))
+    gain, total, rows, seen = np.array([[1.0, 0.3], [-0.2, 2.0]]), np.zeros(2), [], []
     for step in range(1, 40):
         turn = rng.normal(size=2)
         total = total + turn

@@ -27,21 +27,22 @@ from pinav.navigation.control.controller import Observation
 PATIENCE = 6.0
 
 
-def walk(places, step=0.1, time_to_go=lambda _: 9.0):
-    """The progress after each of some places."""
+def walk(places, time_to_go=lambda _: 9.0):
+    """The progress after each of some places, a tenth apart in time."""
     first = np.array(places[0], float)
-    now = Progress(1.0, first[None], 0.0, first, PATIENCE)
-    steps = [now]
+    steps = [Progress(1.0, first[None], 0.0, first, PATIENCE)]
     for k, place in enumerate(places[1:], 1):
-        now = now.after(step * k, np.array(place, float), time_to_go)
-        steps.append(now)
+        steps.append(steps[-1].after(0.1 * k, np.array(place, float), time_to_go))
     return steps
 
 
-def test_who_moves_on_is_never_stalled():
-    way = walk([(0.06 * k, 0.02 * k) for k in range(600)])
-    assert not any(p.stalled or p.boldness for p in way)
-    assert len(way[-1].places) < 40
+def test_who_moves_on_or_goes_back_out_of_a_dead_end_is_never_stalled():
+    there = [(0.1 * k, 0.0) for k in range(150)]
+    on = walk([(0.06 * k, 0.02 * k) for k in range(600)])
+    back = walk(there + there[::-1], time_to_go=lambda state: state[0])
+    for way in (on, back):
+        assert not any(p.stalled or p.boldness for p in way)
+    assert len(on[-1].places) < 40
 
 
 ROUNDS = {
@@ -62,12 +63,6 @@ def test_who_comes_nowhere_new_is_stalled_and_becomes_bolder(move):
     assert way[-1].boldness == int((39.9 - 0.1 * last + 1e-6) / PATIENCE)
 
 
-def test_who_goes_back_out_of_a_dead_end_is_not_stalled():
-    there = [(0.1 * k, 0.0) for k in range(150)]
-    way = walk(there + there[::-1], time_to_go=lambda state: state[0])
-    assert not any(p.stalled or p.boldness for p in way)
-
-
 def test_who_comes_nearer_now_and_then_is_stalled_all_the_same():
     places = [(4 * np.sin(k / 30), 0.0) for k in range(2000)]
     way = walk(places, time_to_go=lambda state: state[0])
@@ -75,11 +70,9 @@ def test_who_comes_nearer_now_and_then_is_stalled_all_the_same():
 
 
 def test_a_new_place_ends_a_stall_and_the_boldness_stays():
-    way = walk([(0.0, 0.0)] * 130 + [(5.0, 0.0)])
-    assert way[-2].stalled
-    assert way[-2].boldness == 2
-    assert not way[-1].stalled
-    assert way[-1].boldness == 2
+    *_, held, free = walk([(0.0, 0.0)] * 130 + [(5.0, 0.0)])
+    assert (held.stalled, held.boldness) == (True, 2)
+    assert (free.stalled, free.boldness) == (False, 2)
 
 
 @pytest.fixture(scope="module")

@@ -7,20 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinav import navigation
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
-from pinav.navigation import (
-    CommandLimits,
-    Disc,
-    ReachGoal,
-    Rectangle,
-    RollingActuator,
-    SteeredSwimmer,
-    Task,
-    physics_only,
-    time_to_go,
-)
 from pinav.navigation.adaptive.flight import fly
 from pinav.navigation.adaptive.steering import AdaptiveController
 
@@ -37,16 +27,16 @@ def barrier_task(length, time, *, inertial):
     else:
         truth = OverdampedSwimmer(ZeroForce(), barrier, 1.0)
         noise, rest = 0.02 * length / time**0.5, []
-    return Task(
+    return navigation.Task(
         name="units",
-        truth=SteeredSwimmer(
-            truth, RollingActuator(0.8 * rate * jnp.eye(2), LinearResponse())
+        truth=navigation.SteeredSwimmer(
+            truth, navigation.RollingActuator(0.8 * rate * jnp.eye(2), LinearResponse())
         ),
         start=jnp.array([length, 5 * length, *rest]),
-        objective=ReachGoal([9.0 * length, 5.0 * length], 0.4 * length),
-        limits=CommandLimits(1.0),
-        arena=Rectangle([-length, -length], [11 * length, 11 * length]),
-        keep_out=(Disc([5.0 * length, 8.0 * length], length),),
+        objective=navigation.ReachGoal([9.0 * length, 5.0 * length], 0.4 * length),
+        limits=navigation.CommandLimits(1.0),
+        arena=navigation.Rectangle([-length, -length], [11 * length, 11 * length]),
+        keep_out=(navigation.Disc([5.0 * length, 8.0 * length], length),),
         step=0.125 * time,
         time_limit=60 * time,
         noise=noise,
@@ -89,7 +79,9 @@ def test_plans_in_other_units_are_the_same_plans(inertial):
     times, options = [], {"points": 15, **({"speeds": 7} if inertial else {})}
     for length, time in ((1.0, 1.0), (1e-5, 3.0), (1e4, 0.02)):
         problem = barrier_task(length, time, inertial=inertial)
-        plan = time_to_go(problem, physics_only(problem.truth), **options)
+        plan = navigation.time_to_go(
+            problem, navigation.physics_only(problem.truth), **options
+        )
         times.append(plan.time_from(problem.start) / time)
     np.testing.assert_allclose(times, times[0], rtol=1e-3)
 
@@ -98,7 +90,9 @@ def test_a_start_in_whole_numbers_is_one_in_real_numbers():
     problem = barrier_task(1.0, 1.0, inertial=False)
     whole = dataclasses.replace(problem, start=jnp.array([1, 5]))
     times = [
-        time_to_go(one, physics_only(one.truth), points=15).time_from(one.start)
+        navigation.time_to_go(
+            one, navigation.physics_only(one.truth), points=15
+        ).time_from(one.start)
         for one in (problem, whole)
     ]
     assert times[0] == times[1] < problem.time_limit

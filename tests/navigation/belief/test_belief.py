@@ -1,5 +1,6 @@
 """The belief of state and force: exact where it can be, honest where it cannot."""
 
+import copy
 import dataclasses
 
 import numpy as np
@@ -33,10 +34,14 @@ def first_frame(dim=2):
     return Frame(0.0, np.full(dim, 2.0), 0.02, np.zeros(dim))
 
 
-def believe(motion, dim=2, *, scales=(6.0, 4.0), kinds=KINDS):
+INERTIA = MOTIONS["inertia"]
+LONE = {"scales": (3.0,), "kinds": (FreeKernels,)}
+
+
+def believe(motion=INERTIA, dim=2, first=None, *, scales=(6.0, 4.0), kinds=KINDS):
     lower, upper = box(dim)
     return Belief.start(
-        first_frame(dim),
+        first_frame(dim) if first is None else first,
         lower=lower,
         upper=upper,
         motion=motion,
@@ -44,6 +49,11 @@ def believe(motion, dim=2, *, scales=(6.0, 4.0), kinds=KINDS):
         scales=scales,
         kinds=kinds,
     )
+
+
+def lost(time, thrust=(0.0, 0.0)):
+    """A frame without a position."""
+    return Frame(time, None, 0.02, np.array(thrust))
 
 
 def frames(motion, force, count, *, seed=0, sd=0.02, dim=2, step=0.1):
@@ -68,7 +78,7 @@ def frames(motion, force, count, *, seed=0, sd=0.02, dim=2, step=0.1):
     return flight, np.array(path)
 
 
-def flown(motion, count):
+def flown(count, motion=INERTIA):
     """The belief after some frames of a flight through a swirl."""
     return learned(believe(motion), frames(motion, swirl, count)[0])
 
@@ -134,7 +144,7 @@ def test_kernels_say_the_same_in_every_form(kind, dim):
 
 @pytest.mark.parametrize("kind", [PotentialKernels, FreeKernels])
 def test_the_prior_has_its_strength_everywhere_in_the_arena(kind):
-    belief = believe(MOTIONS["inertia"], kinds=(kind,), scales=(4.0,))
+    belief = believe(kinds=(kind,), scales=(4.0,))
     mean, sd = belief.force(np.random.default_rng(2).uniform(0, 8, (40, 2)))
     assert np.all(mean == 0)
     np.testing.assert_allclose(sd, 0.7, rtol=0.02)
@@ -152,30 +162,32 @@ def test_a_belief_comes_back_from_its_file(motion):
 
 
 def test_after_leaves_the_belief_as_it_was():
-    flight, _ = frames(MOTIONS["inertia"], swirl, 12)
-    belief = learned(believe(MOTIONS["inertia"]), flight[:8])
-    document, arrays = encode(belief)
-    before = {name: array.copy() for name, array in arrays.items()}
+    flight, _ = frames(INERTIA, swirl, 12)
+    belief = learned(believe(), flight[:8])
+    document, arrays = copy.deepcopy(tuple(encode(belief)))
     later = learned(belief, flight[8:])
     assert later.time > belief.time
     assert encode(belief).document == document
     for name, array in encode(belief).arrays.items():
-        np.testing.assert_array_equal(array, before[name])
+        np.testing.assert_array_equal(array, arrays[name])
 
 
 def test_a_lost_frame_widens_the_state_and_teaches_nothing():
-    belief = believe(MOTIONS["inertia"])
-    lost = belief.after(Frame(0.1, None, 0.02, np.zeros(2)))
-    assert np.all(lost.log_evidence == belief.log_evidence)
-    assert np.linalg.det(lost.state.covariance) > np.linalg.det(belief.state.covariance)
-    far = belief.after(Frame(0.4, None, 0.02, np.zeros(2)))
-    blind = [Frame(0.1 * (k + 1), None, 0.02, np.zeros(2)) for k in range(4)]
-    steps = learned(belief, blind)
+    belief = believe()
+    after = belief.after(lost(0.1))
+    assert np.all(after.log_evidence == belief.log_evidence)
+    assert np.linalg.det(after.state.covariance) > np.linalg.det(
+        belief.state.covariance
+    )
+    far, steps = (
+        belief.after(lost(0.4)),
+        learned(belief, map(lost, (0.1, 0.2, 0.3, 0.4))),
+    )
     np.testing.assert_allclose(far.state.mean, steps.state.mean, atol=1e-12)
 
 
 def test_a_restart_keeps_the_map():
-    belief = flown(MOTIONS["inertia"], 20)
+    belief = flown(20)
     again = belief.restart(first_frame())
     places = np.array([[2.0, 2.0], [5.0, 5.0]])
     for old, new in zip(belief.force(places), again.force(places), strict=True):
@@ -184,24 +196,22 @@ def test_a_restart_keeps_the_map():
 
 
 def test_the_least_probable_filters_are_given_up_where_memory_ends(monkeypatch):
-    belief = believe(MOTIONS["inertia"])
-    for frame in frames(MOTIONS["inertia"], swirl, 20)[0]:
-        before, belief = belief, belief.after(frame)
+    *earlier, last = frames(INERTIA, swirl, 20)[0]
+    before = learned(believe(), earlier)
+    belief = before.after(last)
     monkeypatch.setattr(bank, "MEMORY", before.best.nbytes)
-    last = Frame(2.1, None, 0.02, np.zeros(2))
     assert before.nbytes > before.best.nbytes
-    alone = belief.after(last)
+    alone = belief.after(lost(2.1))
     assert len(alone.filters) == 1
-    np.testing.assert_allclose(
-        alone.best.state, belief.after(last).best.state, atol=1e-12
-    )
     assert alone.log_evidence[0] == belief.log_evidence[belief.leader]
     monkeypatch.setattr(bank, "MEMORY", 10 * before.nbytes)
-    assert len(belief.after(last).filters) == len(belief.filters)
+    every = belief.after(lost(2.1))
+    assert len(every.filters) == len(belief.filters)
+    np.testing.assert_allclose(alone.best.state, every.best.state, atol=1e-12)
 
 
 def test_draws_have_the_deviation_that_is_stated():
-    belief = flown(MOTIONS["inertia"], 15)
+    belief = flown(15)
     axes = [np.array([2.0, 3.0, 6.0]), np.array([2.0, 6.0])]
     draws = belief.samples(axes, 3000, seed=3)
     places = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
@@ -217,79 +227,63 @@ def test_draws_have_the_deviation_that_is_stated():
 def test_ahead_is_what_lost_frames_would_say(motion):
     belief = believe(motion, scales=(6.0,), kinds=(PotentialKernels,))
     thrusts = np.array([[0.3, 0.1], [0.0, -0.4]])
-    states = belief.ahead(thrusts, np.full(2, 0.1))
-    for k, thrust in enumerate(thrusts):
-        belief = belief.after(Frame(0.1 * (k + 1), None, 0.02, thrust))
-        np.testing.assert_allclose(states[k].mean, belief.state.mean, atol=1e-12)
-        np.testing.assert_allclose(
-            states[k].covariance, belief.state.covariance, atol=1e-12
-        )
+    for k, state in enumerate(belief.ahead(thrusts, np.full(2, 0.1))):
+        belief = belief.after(lost(0.1 * (k + 1), thrusts[k]))
+        ours, theirs = belief.state, state
+        np.testing.assert_allclose(theirs.mean, ours.mean, atol=1e-12)
+        np.testing.assert_allclose(theirs.covariance, ours.covariance, atol=1e-12)
 
 
-def mixture(belief, means, covariances):
-    """Mean and covariance of what the filters say, weighted by their evidence."""
+def check_mixture(belief, mean, covariance, parts, rtol=1e-10):
+    """Mean and covariance are of what the filters say, weighted by their evidence."""
     odds = np.exp(belief.log_evidence - belief.log_evidence.max())
     odds[odds < bank.NEGLIGIBLE] = 0.0
     assert np.sum(odds > 0) > 1
-    probabilities = odds / odds.sum()
-    mean = sum(p * m for p, m in zip(probabilities, means, strict=True))
-    return mean, sum(
-        p * (c + np.outer(m - mean, m - mean))
-        for p, m, c in zip(probabilities, means, covariances, strict=True)
-    )
+    weights = odds / odds.sum()
+    means, covariances = map(np.array, zip(*parts, strict=True))
+    expected = weights @ means
+    off = means - expected
+    np.testing.assert_allclose(mean, expected, rtol=1e-12)
+    spread = np.tensordot(weights, covariances, axes=1) + (off.T * weights) @ off
+    np.testing.assert_allclose(covariance, spread, rtol=rtol)
 
 
 def test_what_is_believed_is_the_mixture_of_the_filters(motion):
-    belief = flown(motion, 30)
-    filters, thrust = belief.filters, np.array([0.3, 0.1])
-    states = [one.state for one in filters], [one.spread for one in filters]
-    mean, covariance = mixture(belief, *states)
-    np.testing.assert_allclose(belief.state.mean, mean, rtol=1e-12)
-    np.testing.assert_allclose(belief.state.covariance, covariance, rtol=1e-10)
+    belief = flown(30, motion)
+    filters, thrust, now = belief.filters, np.array([0.3, 0.1]), belief.state
+    states = [(one.state, one.spread) for one in filters]
+    check_mixture(belief, now.mean, now.covariance, states)
     place = np.array([[2.5, 2.5]])
-    parts = [one.force(place) for one in filters]
-    mean, covariance = mixture(
-        belief, [m[0] for m, _ in parts], [np.diag(sd[0] ** 2) for _, sd in parts]
-    )
     force, sd = belief.force(place)
-    np.testing.assert_allclose(force[0], mean, rtol=1e-12)
-    np.testing.assert_allclose(sd[0], np.sqrt(np.diag(covariance)), rtol=1e-12)
+    said = [one.force(place) for one in filters]
+    for i in ([0], [1]):  # axis by axis
+        parts = [(mean[0, i], own[:, i] ** 2) for mean, own in said]
+        check_mixture(belief, force[0, i], sd[:, i] ** 2, parts, rtol=2e-12)
     ahead = belief.ahead(np.array([thrust] * 5), np.full(5, 0.1))[-1]
     for _ in range(5):
         filters = [one.predict(thrust, 0.1) for one in filters]
-    states = [one.state for one in filters], [one.spread for one in filters]
-    mean, covariance = mixture(belief, *states)
-    np.testing.assert_allclose(ahead.mean, mean, rtol=1e-12)
-    np.testing.assert_allclose(ahead.covariance, covariance, rtol=1e-10)
+    states = [(one.state, one.spread) for one in filters]
+    check_mixture(belief, ahead.mean, ahead.covariance, states)
 
 
-@pytest.mark.parametrize("count", [1, 2, 7, 12])
-def test_there_are_as_many_draws_as_were_asked_for(count):
-    belief = learned(
-        believe(MOTIONS["inertia"]), frames(MOTIONS["inertia"], swirl, 20)[0]
-    )
+def test_there_are_as_many_draws_as_were_asked_for():
+    belief = flown(20)
     axes = [np.array([2.0, 3.0]), np.array([2.0, 6.0, 7.0])]
-    for seed in range(20):
-        assert belief.samples(axes, count, seed=seed).shape == (count, 2, 3, 2)
+    for count in (1, 2, 7, 12):
+        for seed in range(20):
+            drawn = belief.samples(axes, count, seed=seed)
+            assert drawn.shape == (count, 2, 3, 2)
 
 
-def test_a_frame_that_is_not_later_is_refused():
-    belief = believe(MOTIONS["inertia"])
-    with pytest.raises(InputError, match="expected a frame later than 0, got 0"):
-        belief.after(first_frame())
-
-
-def test_a_first_frame_without_a_position_is_refused():
-    motion = MOTIONS["inertia"]
-    lost = Frame(0.0, None, 0.02, np.zeros(2))
+def test_frames_that_cannot_be_are_refused():
     with pytest.raises(InputError, match="expected a frame with a position, got none"):
-        Belief.start(
-            lost, lower=np.zeros(2), upper=np.ones(2), motion=motion, thrust=1.0
-        )
+        believe(first=lost(0.0))
     with pytest.raises(InputError, match="restart: expected a frame with a position"):
-        believe(motion).restart(lost)
+        believe().restart(lost(0.0))
+    with pytest.raises(InputError, match="expected a frame later than 0, got 0"):
+        believe().after(first_frame())
     with pytest.raises(InputError, match="expected a scale and a kind, got none"):
-        believe(motion, scales=())
+        believe(scales=())
 
 
 @pytest.mark.parametrize("count", [100, pytest.param(10_000, marks=pytest.mark.slow)])
@@ -366,23 +360,20 @@ def test_the_force_is_that_of_the_most_probable_path(motion):
     running, batch = [], []
     for seed in range(3):
         flight, path = frames(motion, swirl, 60, seed=seed)
-        belief = believe(motion, scales=(3.0,), kinds=(FreeKernels,))
-        one, places = belief.best, path[:, :2]
-        weights = most_probable(one, motion, first_frame(), flight)
-        for frame in flight:
-            belief = belief.after(frame)
+        begun, places = believe(motion, **LONE), path[:, :2]
+        weights = most_probable(begun.best, motion, first_frame(), flight)
         truth = np.array([swirl(x) for x in places])
-        batch.append(one.kernels.basis(places) @ weights - truth)
-        running.append(belief.force(places)[0] - truth)
+        batch.append(begun.best.kernels.basis(places) @ weights - truth)
+        running.append(learned(begun, flight).force(places)[0] - truth)
     ratio = np.linalg.norm(running) / np.linalg.norm(batch)
     assert ratio < 1.03, ratio
 
 
 def test_states_and_forces_are_as_uncertain_as_they_say():
     """Squared errors over variances, over flights through forces of the prior."""
-    motion, states, forces = MOTIONS["inertia"], [], []
+    motion, states, forces = INERTIA, [], []
     for seed in range(6):
-        belief = believe(motion, scales=(3.0,), kinds=(FreeKernels,))
+        belief = believe(motion, **LONE)
         one = belief.best
         random = np.random.default_rng(seed)
         weights = one.weights.prior_sd * random.standard_normal(one.kernels.size)

@@ -72,49 +72,49 @@ def test_the_spread_is_that_of_a_fit_where_it_had_data_and_of_nobody_elsewhere()
 def test_corrected_kernels_are_kernels(begun):
     kernels = begun.best.kernels
     assert isinstance(kernels, CorrectedForce)
-    x = np.array([4.2, 5.7])
+    x, step = np.array([4.2, 5.7]), 1e-5
     local, basis = kernels.at(x), kernels.basis(x[None])[0]
     np.testing.assert_allclose(local.basis, basis[:, local.weights], atol=1e-12)
-    step = 1e-5
-    for axis in range(2):
-        moved = np.array([x, x])
-        moved[:, axis] += [step, -step]
-        ahead, behind = kernels.basis(moved)[..., local.weights]
+    for axis, shift in enumerate(step * np.eye(2)):
+        ahead, behind = kernels.basis(x + np.stack([shift, -shift]))[..., local.weights]
         slope = (ahead - behind) / (2 * step)
         np.testing.assert_allclose(local.slope[:, axis], slope, atol=1e-7)
 
 
-def fly_straight(belief, current, steps=40):
+def fly_straight(belief):
     """A swimmer of speed one to the right in a uniform current."""
     random = np.random.default_rng(1)
-    for k in range(1, steps):
-        place = np.array([2.0, 5.0]) + 0.1 * k * (np.array([1.0, 0.0]) + current)
+    for k in range(1, 40):
+        place = np.array([2.0, 5.0]) + 0.1 * k * (np.array([1.0, 0.0]) + CURRENT)
         seen = place + 0.02 * random.normal(size=2)
         belief = belief.after(Frame(0.1 * k, seen, 0.02, np.array([1.0, 0.0])))
     return belief
 
 
+def tracked(begin, end, count):
+    """Places of data along a line."""
+    return np.stack([np.linspace(begin, end, count), np.full(count, 5.0)], axis=1)
+
+
+CURRENT = np.array([0.3, 0.2])
+
+
 def test_a_fit_that_is_right_leads_on():
-    current = np.array([0.3, 0.2])
-    places = np.stack([np.linspace(2, 6, 9), np.full(9, 5.0)], axis=1)
-    believed = fly_straight(
-        prior(uniform(*current), places).lead(nothing_known()), current
-    )
+    right = prior(uniform(*CURRENT), tracked(2, 6, 9))
+    believed = fly_straight(right.lead(nothing_known()))
     assert believed.leader == 0
     mean, sd = believed.force(np.array([[4.0, 5.4]]))
-    np.testing.assert_allclose(mean[0], current, atol=0.05)
+    np.testing.assert_allclose(mean[0], CURRENT, atol=0.05)
     assert np.all(sd < SD)
 
 
 def test_a_fit_that_is_no_longer_right_is_given_up():
-    places = np.stack([np.linspace(0, 10, 21), np.full(21, 5.0)], axis=1)
-    wrong = prior(uniform(-0.8, 0.0), places)
+    wrong = prior(uniform(-0.8, 0.0), tracked(0, 10, 21))
     wrong = dataclasses.replace(wrong, covariance=wrong.covariance / 100)
-    current = np.array([0.3, 0.2])
-    believed = fly_straight(wrong.lead(nothing_known()), current)
+    believed = fly_straight(wrong.lead(nothing_known()))
     assert believed.leader > 0
     mean, _ = believed.force(np.array([[4.0, 5.4]]))
-    np.testing.assert_allclose(mean[0], current, atol=0.1)
+    np.testing.assert_allclose(mean[0], CURRENT, atol=0.1)
 
 
 def test_a_belief_with_a_given_force_is_not_stored(begun):

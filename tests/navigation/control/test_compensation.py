@@ -73,45 +73,37 @@ def test_the_predicted_state_is_that_in_which_the_command_comes_into_force(
 
 
 def test_the_controller_inside_is_told_what_will_be():
-    model = MODELS["overdamped"]
-    task = task_of(model, delay=0.2)
-    predictor = SwimmerPredictor(model)
+    task, key = task_of(MODELS["overdamped"], delay=0.2), jax.random.key(0)
+    predictor = SwimmerPredictor(task.truth)
     controller = DelayCompensation(Wanderer(2), predictor, task.timing)
-    seen = observe(task, begin(task), jax.random.key(0))
-    ahead = predict_onset(predictor, task.timing, seen)
-    _, (time, state) = controller(seen, controller.start(seen), key=jax.random.key(0))
+    seen = observe(task, begin(task), key)
+    _, (time, state) = controller(seen, controller.start(seen), key=key)
     assert float(time) == pytest.approx(0.2)
-    assert jnp.allclose(state, ahead.state)
+    assert jnp.allclose(state, predict_onset(predictor, task.timing, seen).state)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.25])
-@pytest.mark.parametrize("kind", MODELS)
-def test_the_state_is_as_far_off_as_the_filter_says(kind, delay):
-    truth = MODELS[kind]
-    task = task_of(truth, delay=delay, noise=0.05, sensor_noise=0.02)
+@pytest.mark.parametrize("truth", MODELS.values(), ids=MODELS)
+def test_the_state_is_as_far_off_as_the_filter_says(truth, delay):
+    noises = {"noise": 0.05, "sensor_noise": 0.02}
+    task = task_of(truth, delay=delay, **noises)
     controller = StateEstimation(
-        Wanderer(2),
-        SwimmerPredictor(truth),
-        task.timing,
-        noise=task.noise,
-        sensor_noise=task.sensor_noise,
+        Wanderer(2), SwimmerPredictor(truth), task.timing, **noises
     )
-    start = begin(task)
-    memory = controller.start(observe(task, start, jax.random.key(1)))
 
     def step(carry, key):
         now, memory = carry
         sensing, deciding, moving = jax.random.split(key, 3)
-        seen = observe(task, now, sensing)
-        command, memory = controller(seen, memory, key=deciding)
+        command, memory = controller(observe(task, now, sensing), memory, key=deciding)
         later, _ = advance(task, truth, now, command, moving)
         error = memory.mean - now.state
         surprise = error @ jnp.linalg.solve(memory.covariance, error)
         return (later, memory), (surprise, error)
 
+    start = begin(task)
+    memory = controller.start(observe(task, start, jax.random.key(1)))
     begun = start, jax.tree.map(jnp.asarray, memory)
     keys = jax.random.split(jax.random.key(2), 150)
     surprises, errors = eqx.filter_jit(jax.lax.scan)(step, begun, keys)[1]
-    size = errors.shape[1]
-    assert abs(jnp.mean(surprises) / size - 1) < 0.35
+    assert abs(jnp.mean(surprises) / errors.shape[1] - 1) < 0.35
     assert jnp.std(errors[:, :2]) < 0.018  # better than the sensor

@@ -1,5 +1,7 @@
 """Path integral control and shooting against optima that are known."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,8 +9,8 @@ import numpy as np
 import pytest
 from tests.navigation import steering_worlds
 from tests.navigation.steering_worlds import SwimmerPredictor, drifted_time, swimming
+from tests.refusals import refusals
 
-from pinav.errors import InputError
 from pinav.navigation.control.controller import (
     ArrivalCost,
     GradientGuide,
@@ -20,20 +22,23 @@ from pinav.navigation.control.default import controller
 from pinav.navigation.control.mppi import GradientMPC, PathIntegral
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.predictors import tabulate_model
-from pinav.navigation.task.task import (
-    CirclePath,
-    Disc,
-    FollowPath,
-    ReachGoal,
-)
+from pinav.navigation.task.task import CirclePath, Disc, FollowPath, ReachGoal
 from pinav.navigation.trials.closed_loop import run, run_many
 
 START, GOAL = steering_worlds.START[2], steering_worlds.GOAL[2]
 
 
-@pytest.fixture(scope="module")
+@functools.cache
 def tables():
     return tabulate_model(swimming(), swimming().truth, points=21)
+
+
+def course(steps=20):
+    return TrajectoryPrediction(tables().predictor, tables().control_map, 0.1, steps)
+
+
+def aim():
+    return course(), TrackingCost(swimming().objective, tables().time_cost)
 
 
 METHODS = {
@@ -45,14 +50,14 @@ METHODS = {
 
 
 @pytest.mark.parametrize("make", METHODS.values(), ids=METHODS)
-def test_both_methods_find_the_optimum_of_a_quadratic_cost(tables, make):
+def test_both_methods_find_the_optimum_of_a_quadratic_cost(make):
     """Cost and model are linear and quadratic: the optimum is by least squares."""
     steps, effort, h = 6, 0.05, 0.1
     cost = TrackingCost(
-        ReachGoal(np.array([-1.8, -0.9]), 0.1), tables.time_cost, effort
+        ReachGoal(np.array([-1.8, -0.9]), 0.1), tables().time_cost, effort
     )
     method = make(
-        TrajectoryPrediction(tables.predictor, tables.control_map, h, steps), cost
+        TrajectoryPrediction(tables().predictor, tables().control_map, h, steps), cost
     )
     seen = Observation(jnp.zeros(()), jnp.asarray(START), jnp.zeros((1, 2)))
     decide = eqx.filter_jit(lambda memory, key: method(seen, memory, key=key)[1])
@@ -83,18 +88,15 @@ def test_arrival_in_a_uniform_drift_is_that_of_the_closed_form():
 
 
 @pytest.mark.slow
-def test_shooting_arrives_as_soon_as_path_integrals(tables):
+def test_shooting_arrives_as_soon_as_path_integrals():
     task = swimming((0.2, 0.0))
     here = tabulate_model(task, task.truth, points=21)
     plan = time_to_go(task, task.truth, tables=here, points=41)
     prediction = TrajectoryPrediction(here.predictor, here.control_map, task.step, 12)
-    cost, guide = ArrivalCost(plan), GradientGuide(plan)
+    goal = prediction, ArrivalCost(plan), GradientGuide(plan)
     times = [
         run(task, method, key=jax.random.key(0)).arrival_time
-        for method in (
-            GradientMPC(prediction, cost, guide, iterations=10),
-            PathIntegral(prediction, cost, guide),
-        )
+        for method in (GradientMPC(*goal, iterations=10), PathIntegral(*goal))
     ]
     assert times[0] == pytest.approx(times[1], rel=0.02)
 
@@ -121,38 +123,24 @@ def test_a_path_is_followed_through_a_delay():
 
 
 @pytest.mark.slow
-def test_a_course_is_that_of_the_model(tables):
-    task = swimming((0.4, -0.3))
-    prediction = TrajectoryPrediction(
-        SwimmerPredictor(task.truth), tables.control_map, 0.1, 5
-    )
+def test_a_course_is_that_of_the_model():
+    truth = swimming((0.4, -0.3)).truth
+    ahead = TrajectoryPrediction(SwimmerPredictor(truth), tables().control_map, 0.1, 5)
     seen = Observation(jnp.zeros(()), jnp.asarray(START), jnp.zeros((1, 2)))
-    controls = 0.6 * jnp.tile(jnp.array([[0.6, 0.8]]), (5, 1))
-    ts, ys = prediction(seen, controls)
+    ts, ys = ahead(seen, 0.6 * jnp.tile(jnp.array([[0.6, 0.8]]), (5, 1)))
     velocity = jnp.array([0.36 + 0.4, 0.48 - 0.3])
     assert jnp.allclose(ys, START[None] + ts[:, None] * velocity[None], atol=1e-6)
 
 
-BAD = {
-    "samples": (lambda c, j: PathIntegral(c, j, samples=1), ">= 2, got 1"),
-    "rounds": (lambda c, j: PathIntegral(c, j, rounds=0), ">= 1, got 0"),
-    "spread": (lambda c, j: PathIntegral(c, j, spread=0.0), "> 0, got 0.0"),
-    "temperature": (lambda c, j: PathIntegral(c, j, temperature=-1.0), "> 0, got -1.0"),
-    "iterations": (lambda c, j: GradientMPC(c, j, iterations=0), "> 0, got 0"),
-    "rate": (lambda c, j: GradientMPC(c, j, rate=0.0), "> 0, got 0.0"),
-}
-
-
-@pytest.mark.parametrize(("name", "make", "message"), [(k, *v) for k, v in BAD.items()])
-def test_settings_that_make_no_sense_are_refused(tables, name, make, message):
-    prediction = TrajectoryPrediction(tables.predictor, tables.control_map, 0.1)
-    cost = TrackingCost(swimming().objective, tables.time_cost)
-    with pytest.raises(InputError, match=rf"{name}: expected {message}"):
-        make(prediction, cost)
-
-
-def test_a_course_has_steps(tables):
-    with pytest.raises(
-        InputError, match=r"TrajectoryPrediction.steps: expected >= 1, got 0"
-    ):
-        TrajectoryPrediction(tables.predictor, tables.control_map, 0.1, 0)
+test_settings_that_make_no_sense_are_refused = refusals(
+    (lambda: PathIntegral(*aim(), samples=1), "samples: expected >= 2, got 1"),
+    (lambda: PathIntegral(*aim(), rounds=0), "rounds: expected >= 1, got 0"),
+    (lambda: PathIntegral(*aim(), spread=0.0), "spread: expected > 0, got 0.0"),
+    (
+        lambda: PathIntegral(*aim(), temperature=-1.0),
+        "temperature: expected > 0, got -1",
+    ),
+    (lambda: GradientMPC(*aim(), iterations=0), "iterations: expected > 0, got 0"),
+    (lambda: GradientMPC(*aim(), rate=0.0), "rate: expected > 0, got 0.0"),
+    (lambda: course(0), "TrajectoryPrediction.steps: expected >= 1, got 0"),
+)

@@ -19,12 +19,7 @@ from pinav.forces import (
 )
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.predictors import tabulate_model
-from pinav.navigation.task.task import (
-    Disc,
-    FollowPath,
-    LinePath,
-    Wall,
-)
+from pinav.navigation.task.task import Disc, FollowPath, LinePath, Wall
 
 GOAL, TOLERANCE = steering_worlds.GOAL[2], steering_worlds.TOLERANCE[2]
 
@@ -97,25 +92,32 @@ def test_with_inertia_it_is_that_of_uniform_acceleration():
 def test_a_plan_knows_how_a_force_will_change():
     """A push that comes too late is of no use; one that comes soon is."""
     push = GaussianBarrier(-40.0, [30.0, 1.5], 20.0)  # towards +x in the whole arena
-    start = jnp.array([-3.0, 1.5])
-    steady = swimming(start=start, environment=push)
-    leaving = Moving(push, LinearMotion([4.0, 0.0]))
-    fading = swimming(start=start, environment=leaving)
-    alone = swimming(start=start)
-    times = [float(planned(t, points=31).at(start)) for t in (steady, fading, alone)]
+    leaving, start = Moving(push, LinearMotion([4.0, 0.0])), jnp.array([-3.0, 1.5])
+    steady, fading, alone = (
+        planned(swimming(start=start, environment=force), points=31)
+        for force in (push, leaving, None)
+    )
+    times = [float(plan.at(start)) for plan in (steady, fading, alone)]
     assert times[0] < times[1] - 0.2 < times[2] - 0.4
-    late = planned(fading, points=31).at(start, 15.0)
-    assert float(late) > times[1] + 0.2
+    assert float(fading.at(start, 15.0)) > times[1] + 0.2
 
 
-def test_start_and_goal_must_be_free():
-    wall = Wall([-2.0, -3.0], [-2.0, 1.0], 0.2)
-    with pytest.raises(InputError, match=r"start: expected a free place, got \(-2"):
-        planned(swimming(keep_out=(wall,)))
-    with pytest.raises(InputError, match=r"goal: expected a free place, got \(2.5"):
-        planned(swimming(keep_out=(Disc([2.5, 1.5], 0.5),)))
-    with pytest.raises(InputError, match=r"start: expected a place in the arena"):
-        planned(swimming(start=(-9.0, 0.0)))
+def test_what_has_no_plan_is_refused():
+    class Broken(AbstractForce):
+        def __call__(self, t, x, v):
+            return x / jnp.where(x[0] > 1, 0.0, 1.0)
+
+    wall, disc = Wall([-2.0, -3.0], [-2.0, 1.0], 0.2), Disc([2.5, 1.5], 0.5)
+    path = FollowPath(LinePath([0.0, 0.0], [1.0, 1.0], 5.0))
+    for changes, message in (
+        ({"keep_out": (wall,)}, r"start: expected a free place, got \(-2"),
+        ({"keep_out": (disc,)}, r"goal: expected a free place, got \(2.5"),
+        ({"start": (-9.0, 0.0)}, "start: expected a place in the arena"),
+        ({"environment": Broken()}, "model: expected a finite force"),
+        ({"objective": path}, "task 'open water': expected a place to"),
+    ):
+        with pytest.raises(InputError, match=message):
+            planned(swimming(**changes))
 
 
 @pytest.mark.slow
@@ -126,30 +128,14 @@ def test_a_goal_behind_walls_or_up_a_drift_is_refused():
             planned(task)
 
 
-def test_a_model_that_is_not_finite_is_refused():
-    class Broken(AbstractForce):
-        def __call__(self, t, x, v):
-            return x / jnp.where(x[0] > 1, 0.0, 1.0)
-
-    with pytest.raises(InputError, match=r"model: expected a finite force"):
-        planned(swimming(environment=Broken()))
-
-
-def test_a_path_needs_no_plan():
-    path = FollowPath(LinePath([0.0, 0.0], [1.0, 1.0], 5.0))
-    task = swimming(objective=path)
-    with pytest.raises(InputError, match="task 'open water': expected a place to"):
-        planned(task)
-
-
 @pytest.mark.slow
 def test_unknown_ground_is_gone_around():
     """Two samples that disagree in a disc: time costs more there."""
-    task = swimming()
-    samples = [
-        swimming(environment=GaussianBarrier(h, [0.25, 0.25], 0.6)).truth
-        for h in (-1.0, 1.0)
-    ]
+    task, hills = (
+        swimming(),
+        [GaussianBarrier(h, [0.25, 0.25], 0.6) for h in (-1.0, 1.0)],
+    )
+    samples = [swimming(environment=hill).truth for hill in hills]
     tables = tabulate_model(task, task.truth, samples=samples, margin=0.01, points=41)
     wary = time_to_go(task, task.truth, tables=tables)
     ways = [plan.route(task.start).ys for plan in (planned(task), wary)]

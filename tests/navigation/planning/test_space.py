@@ -70,21 +70,18 @@ def test_coarser_grids_first_do_not_change_the_plan():
     fine, alone = planned(task, points=21), planned(task, points=14)
     assert fine.values.size > 3000 > alone.values.size
     places = jax.random.uniform(jax.random.key(2), (20, 3), minval=1.0, maxval=2.0)
-    np.testing.assert_allclose(
-        [float(fine.at(x)) for x in places],
-        [float(alone.at(x)) for x in places],
-        atol=0.2,
-    )
+    times, others = ([float(plan.at(x)) for x in places] for plan in (fine, alone))
+    np.testing.assert_allclose(times, others, atol=0.2)
 
 
 @pytest.mark.slow
 def test_a_controller_reaches_a_goal_in_space_against_a_drift():
-    task = swimming((-0.3, 0.2, 0.0), noise=0.05, time_limit=9.0)
-    tables = controller(task, task.truth)
+    drift = (-0.3, 0.2, 0.0)
+    task = swimming(drift, noise=0.05, time_limit=9.0)
     keys = jax.random.split(jax.random.key(0), 2)
-    episodes = run_many(task, tables, keys)
+    episodes = run_many(task, controller(task, task.truth), keys)
     assert episodes.reached.all()
-    exact = drifted_time(GOAL - START, (-0.3, 0.2, 0.0), TOLERANCE)
+    exact = drifted_time(GOAL - START, drift, TOLERANCE)
     assert episodes.arrival_time.max() < 1.15 * exact
     outcome = summary(episodes, task)
     assert 0.8 < outcome.efficiency <= 1.0
@@ -111,17 +108,12 @@ def test_the_thrust_of_a_screw_is_along_the_command_in_space():
 def test_a_direction_turns_on_a_great_circle_and_not_faster_than_allowed():
     limits = CommandLimits(1.0, max_turning_rate=2.0)
     before, wanted = jnp.array([1.0, 0.2, 0.1]), jnp.array([1.0, 2.2, -0.6])
-    command = limits.clip(wanted, before, 0.1)
-    start, middle, end = (direction(c[1:]) for c in (before, command, wanted))
-    np.testing.assert_allclose(jnp.arccos(start @ middle), 0.2, rtol=1e-6)
-    np.testing.assert_allclose(
-        jnp.arccos(start @ middle) + jnp.arccos(middle @ end),
-        jnp.arccos(start @ end),
-        rtol=1e-6,
-    )
-    np.testing.assert_allclose(
-        direction(limits.clip(wanted, before, 10.0)[1:]), end, atol=1e-9
-    )
+    soon, late = (limits.clip(wanted, before, time) for time in (0.1, 10.0))
+    start, middle, end = (direction(c[1:]) for c in (before, soon, wanted))
+    parts = jnp.arccos(jnp.stack([start @ middle, middle @ end]))
+    np.testing.assert_allclose(parts[0], 0.2, rtol=1e-6)
+    np.testing.assert_allclose(parts.sum(), jnp.arccos(start @ end), rtol=1e-6)
+    np.testing.assert_allclose(direction(late[1:]), end, atol=1e-9)
 
 
 def test_controls_in_space_become_commands_along_them():
@@ -151,43 +143,38 @@ def test_what_is_behind_a_wall_or_outside_a_tube_is_forbidden():
     assert vessel.distance(jnp.array([9.0, 0.0, 1.6])) < 0
 
 
+def flowing(first, last, until, environment=None):
+    """A swimmer in a drift that goes from one velocity to another."""
+    flow = SampledFlow(jnp.array([0.0, until]), jnp.array([first, last]))
+    environment = ZeroForce() if environment is None else environment
+    return rolling(OverdampedSwimmer(ZeroForce(), environment, 1.0, flow), 3)
+
+
 @pytest.mark.slow
 def test_a_plan_in_a_drift_that_changes_is_that_of_its_mean():
     steady = swimming((0.3, 0.0, 0.0))
-    times = jnp.array([0.0, steady.time_limit])
-    velocities = jnp.array([[0.5, 0.1, 0.0], [0.1, -0.1, 0.0]])
-    flow = SampledFlow(times, velocities)
-    swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, flow)
-    changing = swimming(STILL, truth=rolling(swimmer, 3))
-    expected, plan = planned(steady, points=13), planned(changing, points=13)
+    truth = flowing([0.5, 0.1, 0.0], [0.1, -0.1, 0.0], steady.time_limit)
+    expected = planned(steady, points=13)
+    plan = planned(swimming(STILL, truth=truth), points=13)
     np.testing.assert_allclose(plan.values, expected.values, atol=2e-5)
 
 
 def test_samples_in_a_flow_that_changes_differ_by_their_forces_alone():
-    task = swimming(STILL)
-    flow = SampledFlow(jnp.array([0.0, 15.0]), jnp.array([[0.5, 0, 0], [0.1, 0, 0]]))
     samples = [
-        rolling(
-            OverdampedSwimmer(ZeroForce(), ConstantForce([push, 0.0, 0.0]), 1.0, flow),
-            3,
-        )
+        flowing([0.5, 0, 0], [0.1, 0, 0], 15.0, ConstantForce([push, 0.0, 0.0]))
         for push in (-0.3, 0.3)
     ]
-    tables = tabulate_model(task, samples[0], samples=samples, points=5)
+    tables = tabulate_model(swimming(STILL), samples[0], samples=samples, points=5)
     assert tables.table.values.shape[0] > 1
     spread = tables.time_cost.spread
     assert spread.values.shape[0] == 1
     np.testing.assert_allclose(spread.values, np.sqrt(0.18 / 3), rtol=1e-6)
 
 
-def test_inertia_in_space_is_refused():
+def test_inertia_and_places_in_a_wall_are_refused():
     task = swimming(STILL, start=(-1.5, -1.0, -0.5, 0.0, 0.0, 0.0))
     heavy = Swimmer(ZeroForce(), LinearDrag(1.0), ZeroForce())
     with pytest.raises(InputError, match=r"expected a swimmer without inertia in 3"):
         time_to_go(task, rolling(heavy, 3))
-
-
-def test_places_in_a_wall_in_space_are_refused_by_their_coordinates():
-    task = swimming(STILL, keep_out=(Disc(GOAL, 0.5),))
     with pytest.raises(InputError, match=r"goal: .* got \(1.5, 1, 0.5\) in a wall"):
-        planned(task)
+        planned(swimming(STILL, keep_out=(Disc(GOAL, 0.5),)))

@@ -33,15 +33,11 @@ def test_every_task_fits_together(name):
         assert task.objective.distance(task.start[:2]) > 1.0
     else:
         np.testing.assert_array_equal(task.objective.target(0.0), task.start[:2])
-
-
-@pytest.mark.parametrize("name", tasks.TASKS)
-def test_what_trains_has_the_surroundings_of_the_task(name):
-    """Not more: propulsion is that of the scenario."""
+    dynamics = task.truth.dynamics
+    assert isinstance(dynamics, Swimmer) == (len(task.start) == 4)
+    # what trains has the surroundings of the task; propulsion is the scenario's
     world = scenario(tasks.TASKS[name][1]).true_swimmer
-    assert eqx.tree_equal(
-        world.environment, tasks.task(name).truth.dynamics.environment
-    )
+    assert eqx.tree_equal(world.environment, dynamics.environment)
 
 
 def test_training_is_an_observed_scenario():
@@ -92,12 +88,6 @@ def test_paths_can_be_followed_through_the_drift(name):
         return jnp.linalg.norm(velocity - task.truth(0.0, path(t), jnp.zeros(2)))
 
     assert jnp.max(jax.jit(jax.vmap(needed))(ts)) < 0.95
-
-
-def test_swimmers_with_inertia_are_those_of_the_paper():
-    for name in tasks.TASKS:
-        dynamics = tasks.task(name).truth.dynamics
-        assert isinstance(dynamics, Swimmer) == (len(tasks.task(name).start) == 4)
 
 
 @pytest.mark.parametrize("ask", [tasks.task, lambda n: tasks.training(n, KEYS[0])])

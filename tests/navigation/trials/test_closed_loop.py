@@ -127,11 +127,13 @@ def test_noise_belongs_to_its_key_whatever_the_controller():
     np.testing.assert_allclose(ahead - aside, expected, atol=1e-12)
 
 
-def test_arrival_is_told_to_within_a_step():
+def test_arrival_is_told_to_within_a_step_and_a_lost_state_is_a_violation():
     task = open_water(objective=ReachGoal([1.0, 0.0], 0.3141))
     episode = run(task, AHEAD, key=KEY)
     assert episode.reached
     np.testing.assert_allclose(episode.arrival_time, 1 - 0.3141, atol=1e-12)
+    lost = run(task, Held(jnp.array([1.0, jnp.nan])), key=KEY)
+    assert (lost.violated, lost.steps) == (True, 1)
 
 
 @pytest.mark.parametrize(
@@ -145,18 +147,10 @@ def test_arrival_is_told_to_within_a_step():
 def test_a_violation_ends_the_episode(changes):
     task = open_water(objective=ReachGoal([1.6, 0.0], 0.3), **changes)
     episode = run(task, AHEAD, key=KEY)
-    assert episode.violated
-    assert not episode.reached
+    assert (episode.violated, episode.reached, episode.steps) == (True, False, 8)
     assert episode.arrival_time == math.inf
-    assert episode.steps == 8
     longest = task.step / PARTS  # at speed one
     assert -longest - 1e-9 <= episode.clearance < 0
-
-
-def test_a_lost_state_is_a_violation():
-    episode = run(open_water(), Held(jnp.array([1.0, jnp.nan])), key=KEY)
-    assert episode.violated
-    assert episode.steps == 1
 
 
 def test_the_heading_turns_no_faster_than_coils_do():

@@ -68,10 +68,9 @@ def test_time_runs_out_and_paths_reward_nearness():
     path = FollowPath(LinePath([0.0, 1.0], [1.0, 1.0], 1.0))
     world = environment(open_water(objective=path, time_limit=0.2))
     world.reset(seed=0)
-    _, reward, ended, truncated, _ = world.step(FULL_AHEAD)
+    _, reward, *ends, _ = world.step(FULL_AHEAD)
     np.testing.assert_allclose(reward, -0.1, rtol=1e-6)
-    assert not ended
-    assert not truncated
+    assert ends == [False, False]
     assert world.step(FULL_AHEAD)[2:4] == (False, True)
 
 

@@ -2,13 +2,11 @@
 
 import h5py
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from scipy.io import savemat
 from tests.defects import defects, told
 from tests.recordings.synthetic import EXAMPLE, check, packed, rows_of, tracks
 
-from pinav.errors import InputError
 from pinav.recordings import Reading, labels, read_recording
 
 
@@ -70,6 +68,8 @@ def bad_cell(column, value):
 
 
 SOUND = saved(tr=matrix(EXAMPLE))
+EXTRA = np.array([np.ones((3, 5)), np.ones((2, 5))], object)
+TWO = {name: matrix(EXAMPLE) for name in "ab"}
 BAD = [
     (b"", r"the file is empty"),
     (SOUND[:300], r"damaged MATLAB file: .*; save it again"),
@@ -78,28 +78,19 @@ BAD = [
     (saved(tr=np.ones((4, 3))), r"expected one matrix .* tr \(4, 3\)"),
     (saved(tr=np.ones(7)), r"the longest of 1 segments"),
     (saved(tr=["abcde"]), r"expected one matrix .*; name it by columns"),
-    (
-        saved(a=matrix(EXAMPLE), b=matrix(EXAMPLE)),
-        r"got a \(7, 4\), b \(7, 4\); name it by columns=\{'variable': 'tr'\}",
-    ),
-    (
-        saved(tracks=np.array([np.ones((3, 5)), np.ones((2, 5))], object)),
-        r"expected one matrix .* or one cell array of \[t x y\], got tracks",
-    ),
+    (saved(**TWO), r"a \(7, 4\), b \(7, 4\); name it by columns=\{'variable': 'tr'\}"),
+    (saved(tracks=EXTRA), r"expected .* or one cell array of \[t x y\], got tracks"),
     (saved(tr=np.ones((0, 4))), r"variable 'tr': no rows|expected one"),
     (put(1, 0, np.inf), r"'tr', row 2, column 'x': .* got 'inf'"),
     (put(1, 2, np.nan), r"'tr', row 2, column 'frame': .* got 'nan'"),
     (put(0, 2, -1), r"'tr', row 1, column 'frame': .* got -1"),
-    (
-        put(1, 2, 2.0),
-        r"'tr', row 3, column 'frame': frame 2 of '0' stands in variable 'tr', row 2",
-    ),
+    (put(1, 2, 2.0), r"'tr', row 3, .*: frame 2 of .0. stands in variable .tr"),
     (put(1, 3, 0.5), r"'tr', row 2, column 'id': .* number, got 0.5"),
     (put(slice(None), 0, np.nan), r"the longest of 0 segments"),
     (bad_cell(0, np.nan), r"'tracks', cell 1, row 2, column 't'"),
     (
         bad_cell(0, -1.0),
-        r"cell 1, row 2, column 't': time -1 is before the time 0 of variable 'tracks'",
+        r"row 2, column 't': time -1 is before .* 0 of variable 'track",
     ),
     (bad_cell(0, 0.0), r"cell 1, row 2, .*: time 0 repeats the time 0"),
     (bad_cell(1, np.inf), r"cell 1, row 2, column 'x': .* 'inf'"),
@@ -115,9 +106,6 @@ def test_damage_is_named_with_its_place(read, content, message):
 
 def test_wrong_choice_of_variable_is_named(read):
     content = saved(a=np.ones((4, 2)))
-    for name, message in (
-        ("b", "no variable 'b'; got a"),
-        ("a", r"'a': expected a"),
-    ):
-        with pytest.raises(InputError, match=message):
+    for name, message in (("b", "no variable 'b'; got a"), ("a", r"'a': expected a")):
+        with told(message):
             read(content, columns={"variable": name})

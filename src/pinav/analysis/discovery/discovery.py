@@ -12,6 +12,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from pinav.analysis.discovery.candidates import LIBRARY
 from pinav.analysis.discovery.force_sample import (
     CentralTest,
     ForceSample,
@@ -24,15 +25,6 @@ from pinav.analysis.discovery.law_regression import (
     screen,
     screen_terms,
 )
-from pinav.analysis.discovery.laws import (
-    AbstractLaw,
-    LawForce,
-    SumLaw,
-    latex,
-    sympy_text,
-    terms_of,
-)
-from pinav.analysis.discovery.potentials import LIBRARY
 from pinav.analysis.discovery.refit import (
     LearnedOnPaths,
     Refit,
@@ -48,8 +40,15 @@ from pinav.fitting import AbstractLearned, Outcome, Posterior
 from pinav.fitting.environments.summary import learned_part
 from pinav.forces import as_learned_force, split_structure
 from pinav.forces.formulas import Role
+from pinav.forces.laws import (
+    AbstractLaw,
+    LawForce,
+    SumLaw,
+    latex,
+    sympy_text,
+    terms_of,
+)
 from pinav.identification import needs_kalman_filter
-from pinav.threads import map_on_cores
 from pinav.trajectories import Trajectories, with_velocities
 
 CLOSE = 6.0
@@ -277,10 +276,9 @@ def _refit_best(
         return all(fit.bic < alone.get(term, np.inf) for term in terms)
 
     def refit_each(fits: list[FieldFit]) -> list[tuple[FieldFit, Refit]]:
-        made = map_on_cores(
-            lambda fit: refit(fit.law, fit.constants, model, learned.problem), fits
-        )
-        return list(zip(fits, made, strict=True))
+        # Not on several cores: the batched factorisations of two predictions at a time
+        # can wait for each other in XLA's pool of threads for ever.
+        return [(fit, refit(fit.law, fit.constants, model, learned)) for fit in fits]
 
     chosen = [fit for fit in screened if gains(fit)][:refits]
     results = refit_each(chosen)
@@ -299,7 +297,7 @@ def _rank(
         Candidate(
             name=result.law.name,
             law=result.law,
-            constants=estimates(result, learned.problem.extent, inertia=inertia),
+            constants=estimates(result, learned.extent, inertia=inertia),
             bic=result.bic,
             delta_bic=result.bic - least if np.isfinite(result.bic) else np.inf,
             field_bic=field.bic,

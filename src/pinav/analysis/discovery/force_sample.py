@@ -16,11 +16,11 @@ import scipy.optimize
 import scipy.special
 from jaxtyping import Array, Float
 
-from pinav.analysis.discovery.laws import Landscape
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.fitting import ParametricModel, Posterior
 from pinav.forces import AbstractForce
+from pinav.forces.geometries import Landscape
 from pinav.trajectories import Trajectories
 
 FLOOR = 0.01

@@ -18,10 +18,10 @@ import scipy.special
 from jaxtyping import Array, ArrayLike, Float
 
 from pinav.analysis.discovery.force_sample import ForceSample
-from pinav.analysis.discovery.laws import AbstractLaw, LawForce, SumLaw, terms_of
 from pinav.analysis.discovery.term_laws import MOST_TERMS, TermLaws
 from pinav.forces import forces_at
 from pinav.forces.formulas import Role
+from pinav.forces.laws import AbstractLaw, LawForce, SumLaw, terms_of
 from pinav.threads import map_on_cores
 
 STARTS = 3

@@ -4,27 +4,32 @@ Residuals of observations are independent, those of a learned field are not: her
 likelihood, and so the comparison of laws and their intervals, is exact.
 """
 
-from typing import Any
+import dataclasses
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.special
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from pinav.analysis.discovery.law_regression import MISFIT_PROBABILITY
-from pinav.analysis.discovery.laws import AbstractLaw, LawForce
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer, with_dtype
-from pinav.errors import FitError
+from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome, Posterior
+from pinav.fitting.bayes.problem import BayesProblem, LocalTrajectories
+from pinav.fitting.engine.evidence_fit import iterate
 from pinav.fitting.engine.local_model import ParametricModel, ravel_model
-from pinav.fitting.engine.multiple_shooting import Linearisation, advance, linearise
-from pinav.fitting.matching.state import Observations, Trainable
-from pinav.forces.formulas import Role
-from pinav.trajectories import Trajectories, smooth_states, with_velocities
+from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.matching.state import Trainable
+from pinav.forces.laws import AbstractLaw, LawForce
+from pinav.trajectories import Trajectories, with_velocities
 
 MAX_ITERATIONS = 40
+
+TOLERANCE = 1e-4
+"""Change of the log evidence at which a refit ends."""
+
 SINGULAR = 1e-12
 """Relative eigenvalue of the scaled normal matrix that counts as zero."""
 
@@ -59,161 +64,57 @@ class Refit(eqx.Module):
         return float(count * np.log(mean) + len(self.constants) * np.log(count))
 
 
-class LinearisedModel(eqx.Module):
-    """A model linearised about states that need not solve it, the starts eliminated."""
-
-    parametric: ParametricModel
-    theta: Float[np.ndarray, " parameter"]
-    states: Float[Array, "trajectory time state"]
-    linear: Linearisation
-    hessian: Float[np.ndarray, "parameter parameter"]
-
-    @classmethod
-    def at(
-        cls,
-        parametric: ParametricModel,
-        theta: Float[Any, " parameter"],
-        states: Float[Any, "trajectory time state"],
-        problem: "RefitProblem",
-    ) -> "LinearisedModel":
-        """Linearise about constants and states."""
-        inputs = jnp.asarray(theta), jnp.asarray(states)
-        linear = linearise(parametric, *inputs, problem.observations, FixedStep())
-        hessian = np.asarray(linear.hessian)
-        return cls(parametric, np.asarray(theta), inputs[1], linear, hessian)
-
-    def after(
-        self, change: Float[np.ndarray, " parameter"], problem: "RefitProblem"
-    ) -> "LinearisedModel":
-        """After a change of the constants, each start at its best."""
-        states = advance(self.states, self.linear, jnp.asarray(change))
-        return LinearisedModel.at(self.parametric, self.theta + change, states, problem)
-
-    @property
-    def squares(self) -> float:
-        """Sum of the squared residuals."""
-        return float(self.linear.squares)
-
-    @property
-    def is_finite(self) -> bool:
-        """True if the linearisation can be used."""
-        linear = self.linear
-        parts = (self.hessian, linear.gradient, linear.squares, linear.start_rows)
-        return all(bool(np.all(np.isfinite(part))) for part in (*parts, self.states))
-
-
-class RefitProblem(eqx.Module):
-    """Data and settings that all refits on the same trajectories share."""
-
-    observations: Observations
-    states: Float[np.ndarray, "trajectory time state"]
-    scale: Float[np.ndarray, " state"]
-    extent: float
-    num_residuals: int
-
-    @classmethod
-    def of(
-        cls,
-        trajectories: Trajectories,
-        states: Float[np.ndarray, "trajectory time state"],
-    ) -> "RefitProblem":
-        """The problem of `trajectories`, linearised first about `states`."""
-        spread = states.reshape(-1, states.shape[-1]).std(axis=0)
-        positions = states[..., :2].reshape(-1, 2)
-        return cls(
-            Observations.of(trajectories, jnp.float64),
-            np.asarray(states),
-            np.where(spread > 0, spread, 1.0),
-            float(np.ptp(positions, axis=0).max()),
-            trajectories.num_observed - states[:, 0].size,
-        )
-
-    def defect(self, local: LinearisedModel) -> float:
-        """The largest defect, relative to the spread of its channel."""
-        return float(np.max(np.asarray(local.linear.defects) / self.scale))
-
-
 def refit(
     law: AbstractLaw,
     constants: Float[np.ndarray, " constant"],
     model: Swimmer | OverdampedSwimmer,
-    problem: RefitProblem,
+    learned: "LearnedOnPaths",
 ) -> Refit:
-    """Least squares of a law through the dynamics, by damped local Gauss-Newton."""
+    """The fit of a law to trajectories, from the states of a learned force.
+
+    Where the data leave the constants open, they stay as they are.
+    """
+    outcome = Outcome.DIVERGED
     with jax.enable_x64(new_val=True):
         environment = LawForce(law, jnp.asarray(constants, jnp.float64))
         swimmer = model.with_environment(environment)
-        free, theta = ravel_model(
-            with_dtype(swimmer, jnp.float64), lambda m: m.environment.constants
-        )
-        local = LinearisedModel.at(free, theta, problem.states, problem)
-        return _result(law, *_minimise(law, local, problem), problem)
-
-
-def _minimise(
-    law: AbstractLaw, local: LinearisedModel, problem: RefitProblem
-) -> tuple[LinearisedModel, Outcome]:
-    """Levenberg-Marquardt steps; a refused one still closes the defects."""
-    damping = 1e-3
-    if not local.is_finite:
-        return local, Outcome.DIVERGED
-    for _ in range(MAX_ITERATIONS):
-        change, gain = _step(law, local, damping, problem.extent)
-        variance = local.squares / problem.num_residuals
-        small = np.all(np.abs(change) < 1e-10 * (1e-3 + np.abs(local.theta)))
-        settled = gain < 1e-3 * variance or small
-        if settled and problem.defect(local) < 1e-6:
-            return local, Outcome.CONVERGED
-        trial = local.after(change, problem)
-        if trial.is_finite and trial.squares <= local.squares * (1 + 1e-12):
-            local, damping = trial, max(damping / 10, 1e-12)
-            continue
-        closed = local.after(np.zeros(len(change)), problem)
-        if not closed.is_finite or damping > 1e8:
-            return local, Outcome.DIVERGED
-        local, damping = closed, damping * 10
-    return local, Outcome.STALLED
-
-
-def _step(
-    law: AbstractLaw, local: LinearisedModel, damping: float, extent: float
-) -> tuple[Float[np.ndarray, " constant"], float]:
-    """A damped step within reason, and the decrease of the squares it promises."""
-    hessian = local.hessian
-    gradient = np.asarray(local.linear.gradient)
-    root = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
-    scaled = hessian / np.outer(root, root) + damping * np.eye(len(root))
-    change = -np.linalg.lstsq(scaled, gradient / root, rcond=1e-13)[0] / root
-    largest = np.max(np.abs(change) / _reach(law, local.theta, extent))
-    change = change / max(largest, 1.0)
-    return change, -float(2 * gradient @ change + change @ hessian @ change)
-
-
-def _reach(
-    law: AbstractLaw, theta: Float[np.ndarray, " constant"], extent: float
-) -> Float[np.ndarray, " constant"]:
-    """Largest change of each constant in one step."""
-    size = np.abs(theta)
-    by_role = {
-        Role.AMPLITUDE: size + 0.5 * size.max(),
-        Role.POSITION: np.full(len(theta), 0.3 * extent),
-        Role.SCALE: 0.5 * size,
-        Role.ANGLE: np.full(len(theta), 0.3),
-    }
-    return np.array([by_role[c.role][i] for i, c in enumerate(law.constants)])
+        try:
+            problem = BayesProblem.of(
+                swimmer,
+                learned.trajectories,
+                lambda model: model.environment.constants,
+                None,
+                FixedStep(),
+                states=learned.states,
+            )
+            problem = dataclasses.replace(problem, tolerance=TOLERANCE)
+            outcome, steps = iterate(problem, MAX_ITERATIONS)
+            move = steps[-1].move if steps else None
+            local = move and problem.linearise(move.theta, move.states)
+        except (FitError, InputError):
+            local = None
+        if local is not None:
+            return _result(law, local.quadratic, outcome, learned)
+    return Refit(
+        law=law,
+        constants=constants,
+        covariance=np.diag(np.full(len(constants), np.inf)),
+        squares=np.inf,
+        noise=np.inf,
+        num_residuals=learned.num_residuals,
+        outcome=Outcome.DIVERGED,
+    )
 
 
 def _result(
-    law: AbstractLaw, local: LinearisedModel, outcome: Outcome, problem: RefitProblem
+    law: AbstractLaw, local: Quadratic, outcome: Outcome, learned: "LearnedOnPaths"
 ) -> Refit:
-    count = problem.num_residuals
-    free = max(count - len(local.theta), 1)
-    least = count * (ROUNDING * float(problem.scale.max())) ** 2
-    squares = max(local.squares, least)
-    variance = squares / free
+    count = local.num_free
+    squares = max(local.squares, count * (ROUNDING * learned.scale) ** 2)
+    variance = squares / max(count - len(local.point), 1)
     return Refit(
         law=law,
-        constants=local.theta,
+        constants=local.point,
         covariance=variance * _inverse(local.hessian),
         squares=squares,
         noise=float(np.sqrt(variance)),
@@ -239,9 +140,20 @@ def _inverse(
 
 
 class LearnedOnPaths(eqx.Module):
-    """A learned force held against the trajectories once more."""
+    """A learned force held against the trajectories once more.
 
-    problem: RefitProblem
+    Attributes:
+        states: that fulfil its dynamics.
+        extent: longest side of the box around their positions [L].
+        scale: largest spread of a channel.
+        num_residuals: observations less starts.
+    """
+
+    trajectories: Trajectories
+    states: Float[np.ndarray, "trajectory time state"]
+    extent: float
+    scale: float
+    num_residuals: int
     squares: float
     noise: float
     num_effective: float
@@ -249,18 +161,26 @@ class LearnedOnPaths(eqx.Module):
     @classmethod
     def of(cls, posterior: Posterior, trajectories: Trajectories) -> "LearnedOnPaths":
         """States that fulfil the dynamics of the mean model; FitError without any."""
-        problem, local = _linearise(posterior.free, posterior.mean, trajectories)
-        hessian = local.hessian
-        squares, count = local.squares, problem.num_residuals
+        local = _linearise(posterior.free, posterior.mean, trajectories)
+        states, quadratic = np.asarray(local.states), local.quadratic
+        squares, count = quadratic.squares, quadratic.num_free
         # the noise and the number of parameters depend on each other
-        information = np.sum(hessian * posterior.covariance)
-        effective = min(float(len(posterior.mean)), 0.5 * count)
-        noise = 0.0
+        information = np.sum(quadratic.hessian * posterior.covariance)
+        ceiling = min(float(len(posterior.mean)), 0.5 * count)
+        effective, noise = ceiling, 0.0
         for _ in range(50):
             noise = np.sqrt(max(squares, 1e-300) / max(count - effective, 1.0))
-            ceiling = min(float(len(posterior.mean)), 0.5 * count)
             effective = float(np.clip(information / noise**2, 1.0, ceiling))
-        return cls(problem, squares, float(noise), effective)
+        return cls(
+            trajectories=trajectories,
+            states=states,
+            extent=float(np.ptp(states[..., :2].reshape(-1, 2), axis=0).max()),
+            scale=float(local.problem.scale.max()),
+            num_residuals=count,
+            squares=squares,
+            noise=float(noise),
+            num_effective=effective,
+        )
 
     def is_explained_by(self, law: Refit) -> bool:
         """True if the misfit that a law adds is what chance may add."""
@@ -286,36 +206,36 @@ def laplace_posterior(
         trajectories = with_velocities(trajectories)
     with jax.enable_x64(new_val=True):
         free, theta = ravel_model(with_dtype(model, jnp.float64), trainable)
-    problem, local = _linearise(free, np.asarray(theta), trajectories)
+    local = _linearise(free, np.asarray(theta), trajectories).quadratic
     values, vectors = np.linalg.eigh(local.hessian)
     values = np.maximum(values, 0.0)
-    width = float(np.sqrt(np.mean(local.theta**2))) or 1.0
-    count, noise = problem.num_residuals, 0.0
+    width = float(np.sqrt(np.mean(local.point**2))) or 1.0
+    count, noise = local.num_free, 0.0
     variance = np.full_like(values, width**2)
     for _ in range(20):
         variance = 1.0 / (values / max(noise**2, 1e-300) + width**-2)
         used = min(float(np.sum(1.0 - variance / width**2)), 0.5 * count)
         noise = np.sqrt(max(local.squares, 1e-300) / (count - used))
-    return Posterior(free, local.theta, (vectors * variance) @ vectors.T)
+    return Posterior(free, local.point, (vectors * variance) @ vectors.T)
 
 
 def _linearise(
     free: ParametricModel,
     theta: Float[np.ndarray, " parameter"],
     trajectories: Trajectories,
-) -> tuple[RefitProblem, LinearisedModel]:
+) -> LocalTrajectories:
     """The model about states that fulfil its dynamics; FitError without any."""
     with jax.enable_x64(new_val=True):
-        states = smooth_states(trajectories, trajectories.dim)
-        problem = RefitProblem.of(trajectories, states)
-        local = LinearisedModel.at(free, theta, problem.states, problem)
+        known = BayesProblem.of(free.at(theta), trajectories, None, None, FixedStep())
+        problem = dataclasses.replace(known, parametric=free)
+        local = problem.linearise(theta, problem.states)
         for _ in range(6):
-            if not local.is_finite or problem.defect(local) < 1e-9:
+            if local is None or local.defect(theta, 0.0) < 1e-9:
                 break
-            local = local.after(np.zeros(len(local.theta)), problem)
-        if not local.is_finite or problem.defect(local) > 1e-3:
+            local = problem.linearise(theta, local.advance(theta))
+        if not isinstance(local, LocalTrajectories) or local.defect(theta, 0.0) > 1e-3:
             raise FitError(
                 "law discovery: the learned force does not explain the "
                 "trajectories; fit it to them first"
             )
-        return eqx.tree_at(lambda p: p.states, problem, np.asarray(local.states)), local
+        return local

@@ -6,6 +6,7 @@ only the formula of each profile is open.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,36 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from pinav.analysis.discovery.force_sample import ForceSample, Sampling
-from pinav.analysis.discovery.geometries import (
-    Center,
-    Centers,
-    Ellipse,
-    Line,
-    ProfileLaw,
-)
-from pinav.analysis.discovery.laws import (
-    AbstractLaw,
-    Landscape,
-    SumLaw,
-    Turned,
-)
-from pinav.analysis.discovery.potentials import (
+from pinav.analysis.discovery.candidates import (
     ANISOTROPIC_TRAP,
-    CHANNEL,
     CONSTANT_FORCE,
     GAUSSIAN,
     HARMONIC,
     LATTICES,
     PLANE_WAVE,
-    RING,
     SADDLE,
-    SHEAR_LAYERS,
-    SOLID_ROTATION,
-    SWIRLS,
-    WALL,
     profile_laws,
+    turn,
 )
+from pinav.analysis.discovery.force_sample import ForceSample, Sampling
 from pinav.forces import (
     AbstractProfileTerm,
     AbstractTerm,
@@ -54,7 +37,8 @@ from pinav.forces import (
     ObstaclesTerm,
     WallTerm,
 )
-from pinav.forces.profiles import EVEN_PROFILES, Ring
+from pinav.forces.geometries import Center, Centers, Ellipse, Landscape, Line
+from pinav.forces.laws import AbstractLaw, SumLaw
 from pinav.forces.terms import HARMONICS
 
 MOST_TERMS = 3
@@ -86,61 +70,48 @@ def term_laws(
 
 def laws_of(term: AbstractTerm) -> tuple[AbstractLaw, ...]:
     """The laws that have the structure of a term; none where there are none."""
-    turned = term.rotational
     match term:
         case CentralTerm():
-            return SWIRLS if turned else (*profile_laws(Center()), RING)
+            laws = profile_laws(Center())
         case EllipticTerm():
-            laws = (*profile_laws(Ellipse()), ProfileLaw(Ring(), Ellipse()))
-            return _swirls_of(laws) if turned else laws
+            laws = profile_laws(Ellipse())
         case WallTerm():
-            straight = (*profile_laws(Line()), WALL, CHANNEL, PLANE_WAVE)
-            return SHEAR_LAYERS if turned else straight
+            laws = (*profile_laws(Line()), PLANE_WAVE)
         case ObstaclesTerm():
-            places = Centers(len(term.centers))
-            laws = tuple(ProfileLaw(profile, places) for profile in EVEN_PROFILES)
-            return _swirls_of(laws) if turned else laws
+            laws = profile_laws(Centers(len(term.centers)))
         case LatticeTerm():
-            return _swirls_of(LATTICES) if turned else LATTICES
+            laws = LATTICES
+        case LinearTerm() if term.rotational:
+            laws = (HARMONIC,)
         case LinearTerm():
-            potentials = (CONSTANT_FORCE, HARMONIC, SADDLE, ANISOTROPIC_TRAP)
-            return (SOLID_ROTATION,) if turned else potentials
-        case HillsTerm() if len(term.centers) <= MOST_TERMS and not turned:
-            return (SumLaw((GAUSSIAN,) * len(term.centers)),)
+            laws = (CONSTANT_FORCE, HARMONIC, SADDLE, ANISOTROPIC_TRAP)
+        case HillsTerm() if len(term.centers) <= MOST_TERMS and not term.rotational:
+            laws = (SumLaw((GAUSSIAN,) * len(term.centers)),)
         case _:
-            return ()
-
-
-def _swirls_of(laws: Sequence[AbstractLaw]) -> tuple[AbstractLaw, ...]:
-    return tuple(Turned(law, f"{law.name} swirl") for law in laws)
+            laws = ()
+    return tuple(map(turn, laws)) if term.rotational else laws
 
 
 def term_landscape(term: AbstractTerm, sample: ForceSample) -> Landscape:
     """Features of the geometry of a term from which fits of its laws start."""
     plain = sample.landscape
+    features: dict[str, Any] = {}
     if isinstance(term, AbstractProfileTerm):
-        plain = dataclasses.replace(plain, lengths=_lengths(term, sample))
+        features["lengths"] = _lengths(term, sample)
     match term:
-        case CentralTerm():
-            return dataclasses.replace(plain, centers=_points(term.center[None]))
-        case EllipticTerm():
-            p, q = (float(part) for part in term.shear)
-            return dataclasses.replace(
-                plain,
-                centers=_points(term.center[None]),
-                direction=0.5 * float(np.arctan2(q, p)),
-                aspect=float(np.exp(-2 * np.hypot(p, q))),
-            )
-        case WallTerm():
-            return dataclasses.replace(
-                plain, centers=plain.centers[1:], direction=float(term.angle)
-            )
+        case CentralTerm() | EllipticTerm():
+            features["centers"] = _points(term.center[None])
         case ObstaclesTerm() | HillsTerm():
-            return dataclasses.replace(plain, centers=_points(term.centers))
+            features["centers"] = _points(term.centers)
+        case WallTerm():
+            features |= {"centers": plain.centers[1:], "direction": float(term.angle)}
         case LatticeTerm():
-            return dataclasses.replace(plain, wave_vectors=_strongest_waves(term))
-        case _:
-            return plain
+            features["wave_vectors"] = _strongest_waves(term)
+    if isinstance(term, EllipticTerm):
+        p, q = (float(part) for part in term.shear)
+        features["direction"] = 0.5 * float(np.arctan2(q, p))
+        features["aspect"] = float(np.exp(-2 * np.hypot(p, q)))
+    return dataclasses.replace(plain, **features)
 
 
 def _points(places: Float[ArrayLike, "place 2"]) -> tuple[tuple[float, float], ...]:

@@ -4,25 +4,52 @@ import abc
 import dataclasses
 import itertools
 import math
-from typing import final
+from collections.abc import Sequence
+from typing import ClassVar, final
 
-from pinav.analysis.discovery.laws import AbstractLaw, Landscape
 from pinav.forces.formulas import Constant, Constants, Expr, Functions, Role
-from pinav.forces.profiles import AbstractProfile
+from pinav.forces.profiles import DISTANCES, LINES
 
-CENTER = (
-    Constant("center_x", "c_x", Role.POSITION),
-    Constant("center_y", "c_y", Role.POSITION),
-)
+CENTER = tuple(Constant(f"center_{i}", f"c_{i}", Role.POSITION) for i in "xyz")
 ANGLE = Constant("angle", r"\phi", Role.ANGLE, "1")
 OFFSET = Constant("offset", "d", Role.POSITION)
+
+Place = Sequence[Expr]
+"""Coordinates x, y, ... of a position."""
 
 Expressions = tuple[Expr, ...]
 
 
 @dataclasses.dataclass(frozen=True)
+class Landscape:
+    """Features of a force field from which fits of laws start.
+
+    Attributes:
+        centers: where the centre of a central force may be [L].
+        lengths: from short to long, at which the force may change [L].
+        direction: angle of the axis along which the force is strongest.
+        extent: longest side of the box around the points [L].
+        aspect: of the ellipses that its contours may be, along the axis over across.
+        wave_vectors: two of a lattice [rad L⁻¹], where they are known.
+    """
+
+    centers: tuple[tuple[float, float], ...]
+    lengths: tuple[float, ...]
+    direction: float
+    extent: float
+    aspect: float = 1.0
+    wave_vectors: tuple[tuple[float, float], ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
 class AbstractGeometry(abc.ABC):
-    """Coordinates in the plane, and the constants that place them."""
+    """Coordinates of a position, and the constants that place them.
+
+    Attributes:
+        family: word by which profiles say that they are found in it.
+    """
+
+    family: ClassVar[str] = DISTANCES
 
     @property
     @abc.abstractmethod
@@ -30,7 +57,7 @@ class AbstractGeometry(abc.ABC):
         """The constants that place them, in order."""
 
     @abc.abstractmethod
-    def coordinates(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expressions:
+    def coordinates(self, c: Constants, x: Place, f: Functions) -> Expressions:
         """The coordinates [L]; where there are several, their potentials add up."""
 
     @abc.abstractmethod
@@ -46,22 +73,29 @@ class AbstractGeometry(abc.ABC):
         return self == other
 
 
+STRAIGHT = "logistic wall", "channel"
+"""Profiles whose name says that they are those of a line."""
+
+
 @final
+@dataclasses.dataclass(frozen=True)
 class Center(AbstractGeometry):
-    """The distance from a centre."""
+    """The distance from a centre, in a plane or in another space."""
+
+    dim: int = 2
 
     @property
     def constants(self) -> tuple[Constant, ...]:
-        return CENTER
+        return CENTER[: self.dim]
 
-    def coordinates(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expressions:
-        return (f.root((x - c[0]) ** 2 + (y - c[1]) ** 2),)
+    def coordinates(self, c: Constants, x: Place, f: Functions) -> Expressions:
+        return (f.root(sum((x[i] - c[i]) ** 2 for i in range(self.dim))),)
 
     def starts(self, landscape: Landscape) -> list[tuple[float, ...]]:
         return list(landscape.centers)
 
     def name(self, profile: str) -> str:
-        return profile
+        return f"round {profile}" if profile in STRAIGHT else profile
 
 
 @final
@@ -70,10 +104,10 @@ class Ellipse(AbstractGeometry):
 
     @property
     def constants(self) -> tuple[Constant, ...]:
-        return (*CENTER, Constant("aspect", "a", Role.SCALE, "1"), ANGLE)
+        return (*CENTER[:2], Constant("aspect", "a", Role.SCALE, "1"), ANGLE)
 
-    def coordinates(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expressions:
-        u, w = rotate_axes(x - c[0], y - c[1], c[3], f)
+    def coordinates(self, c: Constants, x: Place, f: Functions) -> Expressions:
+        u, w = rotate_axes(x[0] - c[0], x[1] - c[1], c[3], f)
         return (f.root(u**2 / c[2] + c[2] * w**2),)
 
     def starts(self, landscape: Landscape) -> list[tuple[float, ...]]:
@@ -97,12 +131,14 @@ class Ellipse(AbstractGeometry):
 class Line(AbstractGeometry):
     r"""$z = x\cos\phi + y\sin\phi - d$: the signed distance from a line."""
 
+    family = LINES
+
     @property
     def constants(self) -> tuple[Constant, ...]:
         return ANGLE, OFFSET
 
-    def coordinates(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expressions:
-        return (rotate_axes(x, y, c[0], f)[0] - c[1],)
+    def coordinates(self, c: Constants, x: Place, f: Functions) -> Expressions:
+        return (rotate_axes(x[0], x[1], c[0], f)[0] - c[1],)
 
     def starts(self, landscape: Landscape) -> list[tuple[float, ...]]:
         angles = [landscape.direction + turn for turn in (0.0, math.pi / 2)]
@@ -115,9 +151,7 @@ class Line(AbstractGeometry):
         ]
 
     def name(self, profile: str) -> str:
-        return (
-            profile if profile in ("logistic wall", "channel") else f"{profile} layer"
-        )
+        return profile if profile in STRAIGHT else f"{profile} layer"
 
 
 @final
@@ -136,12 +170,12 @@ class Centers(AbstractGeometry):
                 symbol=f"c_{{{axis},{index}}}",
             )
             for index in range(1, self.count + 1)
-            for axis, constant in zip("xy", CENTER, strict=True)
+            for axis, constant in zip("xy", CENTER[:2], strict=True)
         )
 
-    def coordinates(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expressions:
+    def coordinates(self, c: Constants, x: Place, f: Functions) -> Expressions:
         return tuple(
-            f.root((x - c[2 * k]) ** 2 + (y - c[2 * k + 1]) ** 2)
+            f.root((x[0] - c[2 * k]) ** 2 + (x[1] - c[2 * k + 1]) ** 2)
             for k in range(self.count)
         )
 
@@ -152,43 +186,6 @@ class Centers(AbstractGeometry):
 
     def name(self, profile: str) -> str:
         return f"{profile} at {self.count} places"
-
-
-@final
-@dataclasses.dataclass(frozen=True)
-class ProfileLaw(AbstractLaw):
-    """A profile of the coordinates of a geometry; its constants are those of both."""
-
-    profile: AbstractProfile
-    geometry: AbstractGeometry
-    name: str = dataclasses.field(init=False, repr=False)
-    constants: tuple[Constant, ...] = dataclasses.field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        profile, places = self.profile, self.geometry.constants
-        constants = (profile.amplitude, *places, *profile.shapes)
-        object.__setattr__(self, "name", self.geometry.name(profile.name))
-        object.__setattr__(self, "constants", constants)
-
-    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        places = self.geometry.coordinates(c[1:], x, y, f)
-        shapes = c[1 + len(self.geometry.constants) :]
-        return c[0] * sum(self.profile.value(shapes, z, f) for z in places)
-
-    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        return [
-            (1.0, *place, *shape)
-            for place in self.geometry.starts(landscape)
-            for length in landscape.lengths
-            for shape in self.profile.starts(length)
-        ]
-
-    def contains(self, other: AbstractLaw) -> bool:
-        if not isinstance(other, ProfileLaw):
-            return False
-        mine, theirs = self.profile, other.profile
-        is_like = mine == theirs or theirs.name in mine.limits
-        return self != other and is_like and self.geometry.contains(other.geometry)
 
 
 def rotate_axes(x: Expr, y: Expr, angle: Expr, f: Functions) -> tuple[Expr, Expr]:

@@ -5,20 +5,22 @@ import itertools
 import math
 from typing import final
 
-from pinav.analysis.discovery.geometries import (
+from pinav.forces.formulas import Constant, Constants, Expr, Functions, Role
+from pinav.forces.geometries import (
     ANGLE,
     CENTER,
+    AbstractGeometry,
     Center,
     Ellipse,
+    Landscape,
     Line,
-    ProfileLaw,
+    Place,
     rotate_axes,
 )
-from pinav.analysis.discovery.laws import AbstractLaw, Landscape, Turned
-from pinav.forces.formulas import Constant, Constants, Expr, Functions, Role
+from pinav.forces.laws import AbstractLaw, ProfileLaw, Turned
 from pinav.forces.profiles import (
-    EVEN_PROFILES,
     HEIGHT,
+    PROFILES,
     Channel,
     Gaussian,
     Harmonic,
@@ -38,8 +40,8 @@ class ConstantForce(AbstractLaw):
         Constant("force_y", "b", Role.AMPLITUDE, "L T⁻²"),
     )
 
-    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        return -c[0] * x - c[1] * y
+    def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
+        return -c[0] * x[0] - c[1] * x[1]
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         return [(1.0, 1.0)]
@@ -54,11 +56,11 @@ class Saddle(AbstractLaw):
     constants = (
         Constant("stretch", "a", Role.AMPLITUDE, "T⁻²"),
         Constant("shear", "b", Role.AMPLITUDE, "T⁻²"),
-        *CENTER,
+        *CENTER[:2],
     )
 
-    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        u, w = x - c[2], y - c[3]
+    def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
+        u, w = x[0] - c[2], x[1] - c[3]
         return -c[0] * (u**2 - w**2) / 2 - c[1] * u * w
 
 
@@ -72,11 +74,11 @@ class AnisotropicTrap(AbstractLaw):
         Constant("stiffness_x", "k_x", Role.AMPLITUDE, "T⁻²"),
         Constant("stiffness_y", "k_y", Role.AMPLITUDE, "T⁻²"),
         Constant("shear", "b", Role.AMPLITUDE, "T⁻²"),
-        *CENTER,
+        *CENTER[:2],
     )
 
-    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        u, w = x - c[3], y - c[4]
+    def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
+        u, w = x[0] - c[3], x[1] - c[4]
         return (c[0] * u**2 + c[1] * w**2) / 2 - c[2] * u * w
 
     def contains(self, other: AbstractLaw) -> bool:
@@ -85,62 +87,53 @@ class AnisotropicTrap(AbstractLaw):
 
 @final
 @dataclasses.dataclass(frozen=True)
-class PlaneWave(AbstractLaw):
-    r"""$U = U_0\cos(k_x x + k_y y) + U_1\sin(k_x x + k_y y)$: a washboard."""
-
-    name = "plane wave"
-    constants = (
-        Constant("cosine", "U_0", Role.AMPLITUDE, "L² T⁻²"),
-        Constant("sine", "U_1", Role.AMPLITUDE, "L² T⁻²"),
-        Constant("wavenumber_x", "k_x", Role.ANGLE, "L⁻¹"),
-        Constant("wavenumber_y", "k_y", Role.ANGLE, "L⁻¹"),
-    )
-
-    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        phase = c[2] * x + c[3] * y
-        return c[0] * f.cos(phase) + c[1] * f.sin(phase)
-
-    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        turns = [landscape.direction + math.pi * i / 8 for i in range(8)]
-        return [
-            (1.0, 1.0, k * math.cos(turn), k * math.sin(turn))
-            for k, turn in itertools.product(wavenumbers(landscape), turns)
-        ]
-
-
-@final
-@dataclasses.dataclass(frozen=True)
 class Lattice(AbstractLaw):
     r"""$U = \sum_m a_m \cos(m \cdot \phi) + b_m \sin(m \cdot \phi)$.
 
-    $\phi_i = k_i \cdot x$ with two wave vectors $k_1, k_2$.
+    $\phi_i = k_i \cdot x$ with two wave vectors $k_1, k_2$, or one: a washboard.
 
     Attributes:
         orders: $m$ of the waves.
         constants: $a_m$ and $b_m$ of each wave, then the wave vectors.
     """
 
-    orders: tuple[tuple[int, int], ...]
+    orders: tuple[tuple[int, ...], ...]
     name: str
     constants: tuple[Constant, ...] = dataclasses.field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        amplitudes = [
+        constants = [
             Constant(f"{word}_{i}", f"{symbol}_{i}", Role.AMPLITUDE, "L² T⁻²")
             for i in range(1, len(self.orders) + 1)
             for word, symbol in (("cosine", "a"), ("sine", "b"))
         ]
-        vectors = [
+        constants += [
             Constant(f"wavenumber_{axis}_{i}", f"k_{{{axis},{i}}}", Role.ANGLE, "L⁻¹")
-            for i in (1, 2)
+            for i in range(1, len(self.orders[0]) + 1)
             for axis in "xy"
         ]
-        object.__setattr__(self, "constants", (*amplitudes, *vectors))
+        if self.is_straight:
+            symbols = "U_0", "U_1", "k_x", "k_y"
+            constants = [
+                dataclasses.replace(one, name=one.name[:-2], symbol=symbol)
+                for one, symbol in zip(constants, symbols, strict=True)
+            ]
+        object.__setattr__(self, "constants", tuple(constants))
 
-    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+    @property
+    def is_straight(self) -> bool:
+        return len(self.orders) == 1
+
+    def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
         first = 2 * len(self.orders)
-        one, two = c[first] * x + c[first + 1] * y, c[first + 2] * x + c[first + 3] * y
-        phases = [m * one + n * two for m, n in self.orders]
+        ways = [
+            c[first + 2 * i] * x[0] + c[first + 2 * i + 1] * x[1]
+            for i in range(len(self.orders[0]))
+        ]
+        phases = [
+            sum(m * way for m, way in zip(order, ways, strict=True))
+            for order in self.orders
+        ]
         return sum(
             c[2 * i] * f.cos(phase) + c[2 * i + 1] * f.sin(phase)
             for i, phase in enumerate(phases)
@@ -148,16 +141,18 @@ class Lattice(AbstractLaw):
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         amplitudes = (1.0,) * (2 * len(self.orders))
+        if self.is_straight:
+            waves = [wave for wave, _ in _squares(landscape, 8)]
+            return [(*amplitudes, *wave) for wave in waves]
+        pairs = [landscape.wave_vectors] if landscape.wave_vectors else []
         return [
             (*amplitudes, *one, *(sign * part for part in two))
-            for one, two in _wave_vectors(landscape)
+            for one, two in pairs or _squares(landscape, 4)
             for sign in (1.0, -1.0)
         ]
 
     def contains(self, other: AbstractLaw) -> bool:
-        if isinstance(other, Lattice):
-            return set(self.orders) > set(other.orders)
-        return other == PLANE_WAVE
+        return isinstance(other, Lattice) and len(self.orders) > len(other.orders)
 
 
 @final
@@ -169,13 +164,13 @@ class DoubleWell(AbstractLaw):
     constants = (
         HEIGHT,
         Constant("stiffness", "k", Role.AMPLITUDE, "T⁻²"),
-        *CENTER,
+        *CENTER[:2],
         Constant("half_distance", "a", Role.SCALE),
         ANGLE,
     )
 
-    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        u, w = rotate_axes(x - c[2], y - c[3], c[5], f)
+    def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
+        u, w = rotate_axes(x[0] - c[2], x[1] - c[3], c[5], f)
         return c[0] * (u**2 / c[4] ** 2 - 1) ** 2 + c[1] * w**2 / 2
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
@@ -188,18 +183,19 @@ class DoubleWell(AbstractLaw):
         ]
 
 
-def profile_laws(geometry: Center | Ellipse | Line) -> tuple[AbstractLaw, ...]:
-    """The laws of every even profile in a geometry."""
-    return tuple(ProfileLaw(profile, geometry) for profile in EVEN_PROFILES)
+def profile_laws(geometry: AbstractGeometry) -> tuple[AbstractLaw, ...]:
+    """The laws of every profile that is found in a geometry."""
+    found = (one for one in PROFILES.values() if geometry.family in one.found_in)
+    return tuple(ProfileLaw(profile, geometry) for profile in found)
 
 
-CONSTANT_FORCE, SADDLE, PLANE_WAVE = ConstantForce(), Saddle(), PlaneWave()
+CONSTANT_FORCE, SADDLE = ConstantForce(), Saddle()
 GAUSSIAN = ProfileLaw(Gaussian(), Center())
 HARMONIC = ProfileLaw(Harmonic(), Center())
 RING = ProfileLaw(Ring(), Center())
 ANISOTROPIC_TRAP = AnisotropicTrap()
-ELLIPTIC_GAUSSIAN = ProfileLaw(Gaussian(), Ellipse())
 WALL, CHANNEL = ProfileLaw(Step(), Line()), ProfileLaw(Channel(), Line())
+PLANE_WAVE = Lattice(((1,),), "plane wave")
 LATTICES = (
     Lattice(((1, 0), (0, 1)), "lattice of two waves"),
     Lattice(((1, 0), (0, 1), (1, 1)), "lattice of three waves"),
@@ -209,8 +205,7 @@ LATTICES = (
 POTENTIALS: tuple[AbstractLaw, ...] = (
     CONSTANT_FORCE,
     *profile_laws(Center()),
-    RING,
-    ELLIPTIC_GAUSSIAN,
+    ProfileLaw(Gaussian(), Ellipse()),
     SADDLE,
     WALL,
     CHANNEL,
@@ -221,28 +216,23 @@ POTENTIALS: tuple[AbstractLaw, ...] = (
 """Conservative candidates of a force of unknown structure."""
 
 
-def wavenumbers(landscape: Landscape) -> list[float]:
-    """Wavenumbers of which one half to six waves are within the data [rad L⁻¹]."""
-    numbers = (1, 2, 3, 4, 6, 8, 10, 12)
-    return [math.pi * waves / landscape.extent for waves in numbers]
-
-
 Pair = tuple[tuple[float, float], tuple[float, float]]
 """Two vectors in the plane."""
 
 
-def _wave_vectors(landscape: Landscape) -> list[Pair]:
-    """Known wave vectors, or squares of many sizes and directions."""
-    if landscape.wave_vectors:
-        one, two = landscape.wave_vectors
-        return [(one, two)]
-    turns = [landscape.direction + math.pi * i / 8 for i in range(4)]
+def _squares(landscape: Landscape, turns: int) -> list[Pair]:
+    """Wave vectors of squares of many sizes and directions [rad L⁻¹].
+
+    Half a wave to six waves are within the data.
+    """
+    sizes = [math.pi * waves / landscape.extent for waves in (1, 2, 3, 4, 6, 8, 10, 12)]
+    angles = [landscape.direction + math.pi * i / 8 for i in range(turns)]
     return [
         (
-            (k * math.cos(turn), k * math.sin(turn)),
-            (-k * math.sin(turn), k * math.cos(turn)),
+            (k * math.cos(angle), k * math.sin(angle)),
+            (-k * math.sin(angle), k * math.cos(angle)),
         )
-        for k, turn in itertools.product(wavenumbers(landscape), turns)
+        for k, angle in itertools.product(sizes, angles)
     ]
 
 
@@ -252,38 +242,30 @@ class SolidRotation(AbstractLaw):
     r"""$\psi = -\tfrac12 \Omega r^2$: $\Omega\,(-(y - c_y),\ x - c_x)$."""
 
     name = "solid rotation"
-    constants = (Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"), *CENTER)
+    constants = (
+        Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"),
+        *CENTER[:2],
+    )
     turns = True
 
-    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        return -c[0] * ((x - c[1]) ** 2 + (y - c[2]) ** 2) / 2
+    def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
+        return -c[0] * ((x[0] - c[1]) ** 2 + (x[1] - c[2]) ** 2) / 2
 
 
 SOLID_ROTATION = SolidRotation()
-GAUSSIAN_SWIRL = Turned(GAUSSIAN, "Gaussian swirl")
-SHEAR = Turned(ProfileLaw(Harmonic(), Line()), "shear")
+GAUSSIAN_SWIRL = Turned(GAUSSIAN)
 
-SWIRLS: tuple[AbstractLaw, ...] = (
+
+def turn(law: AbstractLaw) -> AbstractLaw:
+    """The law whose stream function is the potential of another."""
+    return SOLID_ROTATION if law == HARMONIC else Turned(law)
+
+
+ROTATIONS: tuple[AbstractLaw, ...] = (
+    GAUSSIAN_SWIRL,
     SOLID_ROTATION,
-    *(
-        Turned(law, f"{law.name} swirl")
-        for law in profile_laws(Center())
-        if law.name != Harmonic.name
-    ),
+    Turned(ProfileLaw(Harmonic(), Line())),
 )
-"""Swirls about a centre."""
-
-SHEAR_LAYERS: tuple[AbstractLaw, ...] = (
-    SHEAR,
-    *(
-        Turned(law, f"shear, {law.name}")
-        for law in (*profile_laws(Line()), WALL, PLANE_WAVE)
-        if law != SHEAR.law
-    ),
-)
-"""Forces along the layers of a line."""
-
-ROTATIONS: tuple[AbstractLaw, ...] = (GAUSSIAN_SWIRL, SOLID_ROTATION, SHEAR)
 """Candidates without a potential of a force of unknown structure."""
 
 LIBRARY: tuple[AbstractLaw, ...] = (*POTENTIALS, *ROTATIONS)

@@ -1,4 +1,9 @@
-"""Laws: formulas of a planar force with constants, and how they are printed."""
+r"""Laws: formulas of a force with constants, and how they are printed.
+
+Most are a profile of the coordinates of a geometry (`ProfileLaw`). The truth of a
+scenario, the force that a file states and the law that is discovered are values of one
+class, `LawForce`: a law with numbers for its constants.
+"""
 
 import abc
 import dataclasses
@@ -10,11 +15,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Float
 
-from pinav.arguments import Scalar, Vector
+from pinav.arguments import Scalar, Vector, real_array
 from pinav.errors import InputError
-from pinav.forces import AbstractForce
+from pinav.forces.force import AbstractForce
 from pinav.forces.formulas import (
     NUMERIC,
     Constant,
@@ -24,27 +30,17 @@ from pinav.forces.formulas import (
     Role,
     symbolic,
 )
-
-
-@dataclasses.dataclass(frozen=True)
-class Landscape:
-    """Features of a force field from which fits of laws start.
-
-    Attributes:
-        centers: where the centre of a central force may be [L].
-        lengths: from short to long, at which the force may change [L].
-        direction: angle of the axis along which the force is strongest.
-        extent: longest side of the box around the points [L].
-        aspect: of the ellipses that its contours may be, along the axis over across.
-        wave_vectors: two of a lattice [rad L⁻¹], where they are known.
-    """
-
-    centers: tuple[tuple[float, float], ...]
-    lengths: tuple[float, ...]
-    direction: float
-    extent: float
-    aspect: float = 1.0
-    wave_vectors: tuple[tuple[float, float], ...] = ()
+from pinav.forces.geometries import (
+    AbstractGeometry,
+    Center,
+    Ellipse,
+    Landscape,
+    Line,
+    Place,
+)
+from pinav.forces.kernels import quarter_turn
+from pinav.forces.profiles import LINES, PROFILES, AbstractProfile, Harmonic
+from pinav.settings import POSITIVE
 
 
 class AbstractLaw(abc.ABC):
@@ -61,8 +57,13 @@ class AbstractLaw(abc.ABC):
     constants: tuple[Constant, ...]
     turns: ClassVar[bool] = False
 
+    @property
+    def is_straight(self) -> bool:
+        """True if it is a function of the place along a line."""
+        return False
+
     @abc.abstractmethod
-    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
+    def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
         """Potential energy per mass, or the stream function [L² T⁻²]."""
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
@@ -95,20 +96,66 @@ class AbstractLaw(abc.ABC):
 
 @final
 @dataclasses.dataclass(frozen=True)
+class ProfileLaw(AbstractLaw):
+    """A profile of the coordinates of a geometry; its constants are those of both."""
+
+    profile: AbstractProfile
+    geometry: AbstractGeometry
+    name: str = dataclasses.field(init=False, repr=False)
+    constants: tuple[Constant, ...] = dataclasses.field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        profile, places = self.profile, self.geometry.constants
+        constants = (profile.amplitude, *places, *profile.shapes)
+        object.__setattr__(self, "name", self.geometry.name(profile.name))
+        object.__setattr__(self, "constants", constants)
+
+    @property
+    def is_straight(self) -> bool:
+        return self.geometry.family == LINES
+
+    def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
+        places = self.geometry.coordinates(c[1:], x, f)
+        shapes = c[1 + len(self.geometry.constants) :]
+        return c[0] * sum(self.profile.value(shapes, z, f) for z in places)
+
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
+        return [
+            (1.0, *place, *shape)
+            for place in self.geometry.starts(landscape)
+            for length in landscape.lengths
+            for shape in self.profile.starts(length)
+        ]
+
+    def contains(self, other: AbstractLaw) -> bool:
+        if not isinstance(other, ProfileLaw):
+            return False
+        mine, theirs = self.profile, other.profile
+        is_like = mine == theirs or theirs.name in mine.limits
+        return self != other and is_like and self.geometry.contains(other.geometry)
+
+
+@final
+@dataclasses.dataclass(frozen=True)
 class Turned(AbstractLaw):
     """A law whose potential is taken as a stream function: its force is turned."""
 
     law: AbstractLaw
-    name: str
+    name: str = dataclasses.field(init=False, repr=False)
     constants: tuple[Constant, ...] = dataclasses.field(init=False, repr=False)
     turns = True
 
     def __post_init__(self) -> None:
-        constants = tuple(map(_of_rotation, self.law.constants))
+        name, constants = self.law.name, tuple(map(_of_rotation, self.law.constants))
+        if self.law == ProfileLaw(Harmonic(), Line()):
+            name = "shear"
+        else:
+            name = f"shear, {name}" if self.law.is_straight else f"{name} swirl"
+        object.__setattr__(self, "name", name)
         object.__setattr__(self, "constants", constants)
 
-    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        return self.law.potential(c, x, y, f)
+    def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
+        return self.law.potential(c, x, f)
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         return self.law.shapes(landscape)
@@ -133,8 +180,8 @@ class SumLaw(AbstractLaw):
         object.__setattr__(self, "name", " + ".join(t.name for t in self.terms))
         object.__setattr__(self, "constants", numbered)
 
-    def potential(self, c: Constants, x: Expr, y: Expr, f: Functions) -> Expr:
-        return potential_of(self, c, (x, y), f, turns=False)
+    def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
+        return potential_of(self, c, x, f, turns=False)
 
     def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         """The first shape of every term; sums start from fits of their terms."""
@@ -162,18 +209,21 @@ class SumLaw(AbstractLaw):
 def potential_of(
     law: AbstractLaw,
     c: Constants,
-    place: tuple[Expr, Expr],
+    x: Place,
     f: Functions,
     *,
     turns: bool,
 ) -> Expr:
     """The potential of the terms that have one, or the stream function of the rest."""
-    parts = (t.potential(v, *place, f) for t, v in law.split(c) if t.turns is turns)
+    parts = (t.potential(v, x, f) for t, v in law.split(c) if t.turns is turns)
     return sum(parts)
 
 
 class LawForce(AbstractForce):
-    """The force of a law in the plane; its constants train.
+    """The force of a law; its constants train.
+
+    A file states it by the name of a law that is a profile of a geometry, and the
+    values of its constants in their order.
 
     Raises:
         InputError: there are more or fewer values than constants.
@@ -185,24 +235,78 @@ class LawForce(AbstractForce):
     def __check_init__(self) -> None:
         expected = (len(self.law.constants),)
         if np.shape(self.constants) != expected:
+            names = ", ".join(constant.name for constant in self.law.constants)
             raise InputError(
-                f"LawForce.constants: {self.law.name} expects shape {expected}, got "
-                f"{np.shape(self.constants)}"
+                f"LawForce.constants: {self.law.name} expects shape {expected} "
+                f"({names}), got {np.shape(self.constants)}"
             )
 
-    def potential(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
-        """Potential energy per mass [L² T⁻²] of the conservative part."""
-        return self._potential(x, turns=False)
+    @property
+    def name(self) -> str:
+        """Name of the law."""
+        return self.law.name
 
-    def _potential(self, x: Float[Array, "2"], *, turns: bool) -> Float[Array, ""]:
-        place = x[0], x[1]
-        value = potential_of(self.law, self.constants, place, NUMERIC, turns=turns)
+    @classmethod
+    def of(cls, name: str, constants: Float[ArrayLike, " constant"]) -> "LawForce":
+        """The force of a law that is a profile of a geometry, by its name.
+
+        Raises:
+            InputError: there is no such law, or a scale is not positive.
+        """
+        for law in _named_laws():
+            if law.name == name and len(law.constants) == np.size(constants):
+                return force_of(law, constants)
+        raise InputError(
+            f"LawForce.name: there is no law {name!r} of {np.size(constants)} constants"
+        )
+
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        """Potential energy per mass [L² T⁻²].
+
+        Raises:
+            InputError: the law, or a term of it, has none.
+        """
+        if any(term.turns for term in terms_of(self.law)):
+            raise InputError(f"LawForce.potential: {self.law.name} has none")
+        return self._height(x, turns=False)
+
+    def stream(self, x: Vector) -> Float[Array, ""]:
+        """Stream function [L² T⁻²] of the terms that turn."""
+        return self._height(x, turns=True)
+
+    def _height(self, x: Vector, *, turns: bool) -> Float[Array, ""]:
+        value = potential_of(self.law, self.constants, tuple(x), NUMERIC, turns=turns)
         return jnp.zeros((), x.dtype) + value
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        along, across = jax.grad(lambda x: self._potential(x, turns=True))(x)
-        turned = jnp.stack([across, -along])
-        return turned - jax.grad(self.potential, argnums=1)(t, x)
+        force = -jax.grad(lambda x: self._height(x, turns=False))(x)
+        if not any(term.turns for term in terms_of(self.law)):
+            return force
+        return force - quarter_turn(jax.grad(self.stream)(x))
+
+
+def force_of(law: AbstractLaw, *values: ArrayLike) -> LawForce:
+    """A law with values of its constants, numbers and points, in their order.
+
+    Raises:
+        InputError: they are too many or too few, or a scale is a number <= 0.
+    """
+    force = LawForce(law, jnp.concatenate([jnp.ravel(real_array(v)) for v in values]))
+    if not isinstance(force.constants, Tracer):
+        for index in law.indices(Role.SCALE):
+            name = f"{law.name}.{law.constants[index].name}"
+            POSITIVE.check(name, float(force.constants[index]))
+    return force
+
+
+def _named_laws() -> Iterator[AbstractLaw]:
+    """Laws that a file may name."""
+    for geometry in (Center(1), Center(2), Center(3), Ellipse(), Line()):
+        for profile in PROFILES.values():
+            law = ProfileLaw(profile, geometry)
+            yield law
+            if geometry not in (Center(1), Center(3)):
+                yield Turned(law)
 
 
 class LawExpressions(eqx.Module):
