@@ -62,6 +62,22 @@ def _let_compiled_programs_go():
     free_programs()
 
 
+STATES = {}
+"""State of the generator of each module when its first test began."""
+
+
+@pytest.fixture(autouse=True)
+def _draw_the_same_in_any_order(request):
+    """Each test begins with the generator `RNG` of its module as it was imported.
+
+    Otherwise its numbers would depend on the tests that ran before it in its worker.
+    """
+    generator = getattr(request.module, "RNG", None)
+    if generator is not None:
+        state = STATES.setdefault(request.module, generator.bit_generator.state)
+        generator.bit_generator.state = state
+
+
 def pytest_configure(config):
     """One folder of fitted runs and one of compiled code for all workers.
 
