@@ -20,7 +20,7 @@ from pinav.fitting.structure.starts import (
     wall_term,
 )
 from pinav.fitting.structure.trials import polish
-from pinav.forces import CentralTerm, PlaneWaves, SoftWall
+from pinav.forces import CentralTerm, PlaneWaves, soft_wall
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 300, 2))
 REGION = Region.of(POINTS[0])
@@ -47,7 +47,7 @@ def normal(angle):
 
 SIZES = 2 * np.pi / np.array([4.0, 5.0])
 WAVES = np.stack([SIZES[0] * normal(0.4), SIZES[1] * normal(1.8)])
-STEPS = SoftWall(3.0, 0.4, 5.0, 0.8) + SoftWall(3.0, 1.8, 4.0, 0.8)
+STEPS = soft_wall(3.0, 0.4, 5.0, 0.8) + soft_wall(3.0, 1.8, 4.0, 0.8)
 
 
 @pytest.mark.parametrize(

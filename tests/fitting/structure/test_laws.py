@@ -24,7 +24,7 @@ SLOW = pytest.mark.slow
 def lawful(truth, *starts):
     """The last term of the structure that follows laws."""
     data = observed_forces(truth, POINTS, NOISE)
-    made = follow_laws(with_profiles(starts, data), data, NOISE)
+    made = follow_laws(with_profiles(starts, data), data, REGION, NOISE)
     return None if made is None else made.terms[-1]
 
 

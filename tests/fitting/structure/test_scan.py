@@ -7,11 +7,11 @@ from tests.fitting.structure.observed_forces import observed_forces
 from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.scan import Atoms, Held
 from pinav.fitting.structure.starts import Region, central_term, linear_term, wall_term
-from pinav.forces import GaussianBarrier, LinearForce, SoftWall, SumForce
+from pinav.forces import GaussianBarrier, LinearForce, SumForce, soft_wall
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 200, 2))
 REGION = Region.of(POINTS[0])
-HILL, WALL = GaussianBarrier(3.0, [4.0, 6.0], 1.5), SoftWall(6.0, 0.7, 9.0, 0.8)
+HILL, WALL = GaussianBarrier(3.0, [4.0, 6.0], 1.5), soft_wall(6.0, 0.7, 9.0, 0.8)
 SADDLE = LinearForce(np.array([[0.2, 0.05], [0.05, -0.2]]), [5.0, 5.0])
 
 

@@ -10,12 +10,12 @@ from pinav.fitting.structure.trace import Trace
 from pinav.fitting.structure.trials import Proposal, polish
 from pinav.forces import (
     GaussianBarrier,
-    GaussianRidge,
     LinearForce,
     PlaneWaves,
-    RingBarrier,
-    SoftWall,
     SumForce,
+    gaussian_ridge,
+    ring_barrier,
+    soft_wall,
 )
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 200, 2))
@@ -24,10 +24,10 @@ SLOW = pytest.mark.slow
 
 HILL = GaussianBarrier(3.0, [4.0, 6.0], 1.5)
 WELL = GaussianBarrier(-2.0, [8.0, 2.5], 0.9)
-WALL = SoftWall(6.0, 0.7, 9.0, 0.8)
+WALL = soft_wall(6.0, 0.7, 9.0, 0.8)
 SADDLE = LinearForce(np.array([[2.0, 0.5], [0.5, -2.0]]), [5.0, 5.0])
-RIDGE = GaussianRidge(3.0, [4.0, 5.0], 3.0, 1.1, 0.6)
-SEGMENT = GaussianRidge(3.0, [4.4, 6.4], 4.9, 0.7, 2.0)
+RIDGE = gaussian_ridge(3.0, [4.0, 5.0], 3.0, 1.1, 0.6)
+SEGMENT = gaussian_ridge(3.0, [4.4, 6.4], 4.9, 0.7, 2.0)
 SIDE = 2 * np.pi / 4.0 * np.array([np.cos(0.4), np.sin(0.4)])
 WAVES = PlaneWaves(
     np.full(2, 1.0), np.stack([SIDE, [-SIDE[1], SIDE[0]]]), np.array([0.3, 1.0])
@@ -126,7 +126,7 @@ def test_a_needless_term_goes_and_a_needed_one_stays():
 
 @SLOW
 def test_profiles_become_finer_where_the_data_ask_for_it():
-    narrow = RingBarrier(2.0, [5.0, 5.0], 3.0, 0.15)
+    narrow = ring_barrier(2.0, [5.0, 5.0], 3.0, 0.15)
     data = response(narrow)
     coarse = polish((central_term(REGION, np.array([5.02, 5.0])),), data)
     finer = refine(coarse, data)

@@ -16,7 +16,7 @@ from pinav.fitting.structure.trials import Proposal, polish, with_places
 from pinav.forces import (
     GaussianBarrier,
     LinearForce,
-    SoftWall,
+    soft_wall,
 )
 from pinav.forces.fitted_laws import FittedLaw
 
@@ -39,7 +39,7 @@ def test_a_centre_is_polished_from_nearby():
 
 @pytest.mark.slow
 def test_a_polish_begins_anew_until_that_gains_nothing():
-    data = response(HILL + SoftWall(6.0, 0.7, 9.0, 0.8))
+    data = response(HILL + soft_wall(6.0, 0.7, 9.0, 0.8))
     terms = central_term(REGION, np.array([4.8, 5.0])), wall_term(REGION, 0.5)
     once = polish(terms, data)
     often = polish(terms, data, again=3)
