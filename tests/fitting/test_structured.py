@@ -111,7 +111,7 @@ def test_a_rugged_field_is_hills_of_their_own_places_and_shapes(weigh_rotation):
     assert fit.gain > 1000.0
     (term,) = fit.structure.terms
     assert term.kind == "hills and wells"
-    centers = np.asarray(truth.environment.stacked.center)
+    centers = np.asarray(truth.environment.stacked.constants[:, 1:3])
     gaps = np.linalg.norm(np.asarray(term.centers)[:, None] - centers, axis=-1)
     assert np.sum(gaps.min(axis=0) < 0.2) >= 9
     close = np.asarray(term.shapes)[gaps.min(axis=1) < 0.2]
@@ -205,7 +205,7 @@ def test_quick_swimmers_are_surveyed_about_the_first_steps_of_a_fit():
     assert survey.is_begun
     assert survey.noise == pytest.approx(0.02, rel=0.1)
     assert term.kind == "elliptic"
-    np.testing.assert_allclose(term.center, truth.environment.center, atol=0.02)
+    np.testing.assert_allclose(term.center, truth.environment.constants[1:3], atol=0.02)
 
 
 @pytest.mark.slow
