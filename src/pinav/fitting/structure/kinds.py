@@ -110,10 +110,11 @@ WAVES = 1000
 """Waves that are compared with a profile."""
 
 
-def simpler(terms: Terms) -> Iterator[Terms]:
+def simpler(terms: Terms, region: Region) -> Iterator[Terms]:
     """Structures with one term, one centre or one direction less.
 
-    Two plane waves are two walls, too, where data explain no more than those.
+    An ellipse without end is a wall, one as wide as long is central. Two plane waves
+    are two walls, too, where data explain no more than those.
     """
     walls = [term for term in terms if isinstance(term, WallTerm)]
     for one, two in itertools.combinations(walls, 2):
@@ -126,8 +127,15 @@ def simpler(terms: Terms) -> Iterator[Terms]:
             yield before + after
         if isinstance(term, EllipticTerm):
             yield (*before, circular(term, term.center), *after)
+            yield (*before, _endless(term, region), *after)
         if isinstance(term, ObstaclesTerm):
             yield from ((*before, fewer, *after) for fewer in with_one_less(term))
+
+
+def _endless(term: EllipticTerm, region: Region) -> WallTerm:
+    """The wall along the long axis of an ellipse."""
+    angle = 0.5 * float(np.arctan2(term.shear[1], term.shear[0]))
+    return wall_term(region, angle, rotational=term.rotational)
 
 
 def with_one_less(term: ObstaclesTerm) -> Iterator[ObstaclesTerm | CentralTerm]:

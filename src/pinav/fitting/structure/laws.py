@@ -68,7 +68,7 @@ def follow_laws(
         if isinstance(term, AbstractProfileTerm) and term.law is None:
             lawful = _with_law_of(best, index, response, region)
             if lawful and lawful.log_evidence > best.log_evidence - KINDS:
-                best = simplify(lawful, response)
+                best = simplify(lawful, response, region)
         index += 1
     return None if best is first else best
 

@@ -78,7 +78,7 @@ class Search(eqx.Module):
         if not found:
             return []
         best, *others = preferred(found)
-        best = simplify(best, self.response)
+        best = simplify(best, self.response, self.region)
         self._note(best.terms, best, "what the search prefers")
         return [best, *others]
 
@@ -240,12 +240,14 @@ def preferred(proposals: Sequence[Proposal]) -> list[Proposal]:
     return list(kept.values())
 
 
-def simplify(proposal: Proposal, response: ForceResponse) -> Proposal:
+def simplify(
+    proposal: Proposal, response: ForceResponse, region: Region
+) -> Proposal:
     """The structure without terms and centres that the evidence does not ask for."""
-    for fewer in simpler(proposal.terms):
+    for fewer in simpler(proposal.terms, region):
         made = polish(fewer, response)
         if made and made.log_evidence >= proposal.log_evidence - 2 * POLICY.decisive:
-            return simplify(made, response)
+            return simplify(made, response, region)
     return proposal
 
 
