@@ -64,7 +64,9 @@ def _fit_until_kinds_stay(
         return None
     survey = Survey.of(fits, begun)
     here = polish(begun.model.environment.terms, survey.response)
-    here = here and refine(simplify(here, survey.response, survey.region), survey.response)
+    if here is not None:
+        here = simplify(here, survey.response, survey.region)
+        here = refine(here, survey.response)
     is_settled = here is not None and here.noise <= POLICY.settled * survey.noise
     if not (is_settled or _is_too_coarse(here)):
         here = _sought_again(fits, survey, here, proposal)

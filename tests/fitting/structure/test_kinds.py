@@ -60,7 +60,7 @@ STEPS = soft_wall(3.0, 0.4, 5.0, 0.8) + soft_wall(3.0, 1.8, 4.0, 0.8)
 def test_two_walls_become_a_lattice_where_they_are_waves(truth, kinds):
     data = response(truth)
     walls = polish((wall_term(REGION, 0.42), wall_term(REGION, 1.78)), data)
-    terms = simplify(walls, data).terms
+    terms = simplify(walls, data, REGION).terms
     assert [term.kind for term in terms] == kinds
     if kinds == ["lattice"]:
         sizes = np.linalg.norm(terms[0].wave_vectors, axis=1)

@@ -5,7 +5,13 @@ import pytest
 from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.fitting.structure.search import Search, preferred, refine, simplify
-from pinav.fitting.structure.starts import Region, central_term, linear_term, wall_term
+from pinav.fitting.structure.starts import (
+    Region,
+    central_term,
+    ellipses,
+    linear_term,
+    wall_term,
+)
 from pinav.fitting.structure.trace import Trace
 from pinav.fitting.structure.trials import Proposal, polish
 from pinav.forces import (
@@ -118,10 +124,20 @@ def test_a_needless_term_goes_and_a_needed_one_stays():
     data = response(HILL + SADDLE)
     hill = central_term(REGION, np.array([4.1, 5.9]))
     both = polish((linear_term(REGION), hill), data)
-    assert len(simplify(both, data).terms) == 2
+    assert len(simplify(both, data, REGION).terms) == 2
     spare = polish((wall_term(REGION, 1.2), hill), response(HILL))
-    (term,) = simplify(spare, response(HILL)).terms
+    (term,) = simplify(spare, response(HILL), REGION).terms
     assert term.kind == "central"
+
+
+@SLOW
+def test_a_long_ellipse_is_the_wall_along_it():
+    data = response(WALL)
+    shear = np.array([[np.cos(1.4), np.sin(1.4)]])
+    (term,) = ellipses(REGION, np.array([[5.0, 5.0]]), shear)
+    (wall,) = simplify(polish((term,), data), data, REGION).terms
+    assert wall.kind == "wall"
+    np.testing.assert_allclose(wall.angle, 0.7, atol=0.01)
 
 
 @SLOW

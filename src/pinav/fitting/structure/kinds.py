@@ -126,8 +126,8 @@ def simpler(terms: Terms, region: Region) -> Iterator[Terms]:
         if len(terms) > 1:
             yield before + after
         if isinstance(term, EllipticTerm):
-            yield (*before, circular(term, term.center), *after)
             yield (*before, _endless(term, region), *after)
+            yield (*before, circular(term, term.center), *after)
         if isinstance(term, ObstaclesTerm):
             yield from ((*before, fewer, *after) for fewer in with_one_less(term))
 

@@ -38,7 +38,8 @@ class SearchPolicy(eqx.Module):
         angles: directions of walls.
         shears: sizes of those of scanned ellipses: axes in the ratio of 2.2 and of 6.
         turns: directions of ellipses.
-        coarse_grid: places of ellipses along each side, beside the summits.
+        dense: places of ellipses along each axis, beside the summits: an even grid is
+            too coarse where swimmers are flung out.
         periods: of a lattice across the data, at most.
         centers: of obstacles of one kind, at most.
         sets: pairs of centres from which such obstacles are grown.
@@ -81,14 +82,14 @@ class SearchPolicy(eqx.Module):
     angles: int = 18
     shears: tuple[float, ...] = (0.4, 0.9)
     turns: int = 12
-    coarse_grid: int = 5
+    dense: int = 5
     periods: int = 6
     centers: int = 8
     sets: int = 4
     finer: tuple[float, ...] = (0.35, 0.1)
     finer_side: tuple[int, int] = (5, 3)
     smoothness: tuple[float, float] = (0.1, 0.05)
-    directions: int = 18
+    directions: int = 24
     ratios: tuple[float, ...] = (1e-3, 1e-5, 1e-7)
     kernels: tuple[int, int] = (36, 18)
     halvings: int = 2

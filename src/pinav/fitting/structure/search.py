@@ -173,7 +173,8 @@ class _Dictionary(eqx.Module):
         """Lattices and ellipses, which are tried everywhere, also beside walls."""
         waves = Atoms.of(lattices(self.region), self.response)
         yield from self._best_few(waves, linear, held)
-        places = np.concatenate([self.region.grid(POLICY.coarse_grid), self.summits])
+        dense = self.region.dense_places(POLICY.dense)
+        places = np.concatenate([dense, self.summits])
         for size in POLICY.shears:
             atoms = self._ellipses(places, size)
             yield from self._best_few(atoms, linear, held)
@@ -240,9 +241,7 @@ def preferred(proposals: Sequence[Proposal]) -> list[Proposal]:
     return list(kept.values())
 
 
-def simplify(
-    proposal: Proposal, response: ForceResponse, region: Region
-) -> Proposal:
+def simplify(proposal: Proposal, response: ForceResponse, region: Region) -> Proposal:
     """The structure without terms and centres that the evidence does not ask for."""
     for fewer in simpler(proposal.terms, region):
         made = polish(fewer, response)

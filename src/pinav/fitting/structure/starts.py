@@ -101,8 +101,14 @@ class Region(eqx.Module):
         """Centres that are scanned first: even, and dense where the data are."""
         # swimmers that are flung out make the even grid coarse
         return np.concatenate(
-            [self.grid(POLICY.grid[not self.is_planar]), _mesh(self.ranks.T)]
+            [self.grid(POLICY.grid[not self.is_planar]), self.dense_places()]
         )
+
+    def dense_places(self, side: int | None = None) -> Float[np.ndarray, "point dim"]:
+        """Places that are dense where the data are, as many along each axis."""
+        side = len(self.ranks) if side is None else side
+        chosen = np.linspace(0, len(self.ranks) - 1, side).round().astype(int)
+        return _mesh(self.ranks[chosen].T)
 
     def distances(self) -> tuple[Float[Array, " kernel"], Float[Array, ""]]:
         """Places of the kernels of a profile of a distance, and their width."""
