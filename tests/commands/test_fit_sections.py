@@ -8,6 +8,7 @@ import pytest
 from pinav.commands.fit.job import sections, structure_sentences, term_words
 from pinav.evaluation import RestartErrors
 from pinav.fitting import Estimate
+from pinav.fitting.structure.trace import Hypothesis
 from pinav.learning.findings import FoundLaw, FoundStructure, FoundTerm
 from pinav.learning.learned import Learned
 from pinav.report import Paragraph, Table, number
@@ -75,6 +76,19 @@ def test_a_section_has_its_paragraphs_in_order(content_with):
     assert content_with(remarks=("The kernels are coarse.",))[0].text.startswith(
         "The k"
     )
+
+
+def test_the_page_shows_what_the_search_tried(content_with):
+    tried = (
+        Hypothesis(("central", "linear"), 120.5, 1.02, 3.0, "polished"),
+        Hypothesis((), None, None, 9.0, "free kernels diverged"),
+    )
+    structure = FoundStructure((), gain=None, tried=tried)
+    (table,) = tables(content_with(section=1, structure=structure))
+    assert table.rows == [
+        ["central + linear", "120.500", "1.020", "3.00", "polished"],
+        ["free kernels", "–", "–", "9.00", "free kernels diverged"],
+    ]
 
 
 def term(kind, formula, values, sd):

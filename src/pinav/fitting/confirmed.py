@@ -100,8 +100,11 @@ def _fit_with_laws(
     if lawful is not None:
         fit = fits.try_terms(lawful.terms, begun)
         most = POLICY.settled * max(survey.noise, proposal.noise)
-        is_good = fit is not None and fit.outcome is Outcome.CONVERGED
-        if is_good and fit.hyperparameters.noise <= most:
+        if (
+            fit is not None
+            and fit.outcome is Outcome.CONVERGED
+            and fit.hyperparameters.noise <= most
+        ):
             return fit
     return fits.try_terms(proposal.terms, begun)
 

@@ -77,6 +77,7 @@ def found_structure(run: Learned) -> FoundStructure | None:
         turns=kernels.choice.name == MIXTURE,
         sought=is_worth_a_search(model, kernels.data),
         of_teacher=run.teacher is not None,
+        tried=search.tried,
     )
 
 

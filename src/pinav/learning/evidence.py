@@ -22,6 +22,7 @@ from pinav.fitting import (
 )
 from pinav.fitting.bayes.function_prior import TangentWeights
 from pinav.fitting.environments.summary import CONSTANTS, ModelChoice
+from pinav.fitting.structure.trace import Hypothesis
 from pinav.forces import (
     AbstractLearnedForce,
     KernelForce,
@@ -117,17 +118,19 @@ def rotational_part(fit: EvidenceFit, data: Trajectories) -> dict[str, Estimate]
 
 @dataclasses.dataclass(frozen=True)
 class SearchResult:
-    """Log evidences that a search for a structure of the force weighed.
+    """What a search for a structure of the force weighed.
 
     Attributes:
         gain: of the structured force over the free one [nats]; NaN where no structure
             explained the data well enough to be fitted, or free kernels alone diverge.
         rotation: of a rotational part beside a potential [nats]; NaN where none was
             weighed.
+        tried: the hypotheses, in the order in which they were weighed.
     """
 
     gain: float
     rotation: float = float("nan")
+    tried: tuple[Hypothesis, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from pinav.evaluation import FieldMap, ForceLine, RestartErrors
 from pinav.fitting import Estimate, Hyperparameters
+from pinav.fitting.structure.trace import Hypothesis
 from pinav.learning.matching import Losses
 from pinav.learning.thermal import ThermalFindings
 
@@ -84,6 +85,7 @@ class FoundStructure:
         turns: the force has a rotational part.
         sought: there were data enough for a search.
         of_teacher: it is the structure of the kernels that taught a network.
+        tried: the hypotheses of the search, in the order in which they were weighed.
     """
 
     terms: tuple[FoundTerm, ...]
@@ -92,6 +94,7 @@ class FoundStructure:
     turns: bool = False
     sought: bool = True
     of_teacher: bool = False
+    tried: tuple[Hypothesis, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -186,7 +186,9 @@ def _infer_force(
         )
         result, teacher = structured.fit, structured.teacher
         if not is_network(model) or teacher is not None:
-            search = SearchResult(structured.gain, structured.rotation)
+            search = SearchResult(
+                structured.gain, structured.rotation, structured.trace
+            )
     else:
         result = fit_bayes(model, plan.data, **options)
     if result.outcome is Outcome.DIVERGED:

@@ -1,7 +1,7 @@
 """`pinav fit`: one model of the unknown, fitted to given data."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from pinav.figures.fits import (
 from pinav.fitting import Estimate
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.structure.trace import Hypothesis
 from pinav.forces import HillsTerm
 from pinav.learning.account import account
 from pinav.learning.findings import Findings, FoundStructure, FoundTerm
@@ -177,7 +178,27 @@ def _structure(fit: Findings) -> list[AbstractBlock]:
     assert fit.structure is not None
     terms = enumerate(fit.structure.terms)
     figures = filter(None, (profile_figure(index, term, fit) for index, term in terms))
-    return [*map(Paragraph, structure_sentences(fit.structure)), *figures]
+    blocks: list[AbstractBlock] = [*map(Paragraph, structure_sentences(fit.structure))]
+    if fit.structure.tried:
+        blocks.append(_hypotheses(fit.structure.tried))
+    return [*blocks, *figures]
+
+
+def _hypotheses(tried: Sequence[Hypothesis]) -> Table:
+    """What a search tried, and how each hypothesis ended."""
+    columns: dict[str, Callable[[Hypothesis], Cell]] = {
+        "terms": lambda one: " + ".join(one.kinds) or "free kernels",
+        "log evidence (nats)": lambda one: number(one.log_evidence, 6),
+        "residuals (noise = 1)": lambda one: number(one.misfit, 4),
+        "after (s)": lambda one: number(one.seconds, 3),
+        "ended": lambda one: one.ended,
+    }
+    return Table.of(
+        tried,
+        columns,
+        "Hypotheses that the search weighed, in their order. Log evidences of terms "
+        "that were polished belong to linearised data; those of fits to the data.",
+    )
 
 
 def structure_sentences(structure: FoundStructure) -> list[str]:

@@ -14,15 +14,16 @@ class Hypothesis(eqx.Module):
 
     Attributes:
         kinds: of the terms, sorted; none of free kernels alone.
-        log_evidence: in the data to which `ended` belongs [nats]; NaN of no fit.
-        misfit: standard deviation of what it left, relative to the noise.
+        log_evidence: in the data to which `ended` belongs [nats]; None of no fit.
+        misfit: standard deviation of what it left, relative to the noise; None where it
+            was not computed.
         seconds: since the search began.
         ended: why it went no further.
     """
 
     kinds: tuple[str, ...]
-    log_evidence: float
-    misfit: float
+    log_evidence: float | None
+    misfit: float | None
     seconds: float
     ended: str
 
@@ -48,11 +49,17 @@ class Trace:
         self,
         terms: Terms,
         ended: str,
-        log_evidence: float = np.nan,
-        misfit: float = np.nan,
+        log_evidence: float | None = None,
+        misfit: float | None = None,
     ) -> None:
         """Keep a hypothesis and how it ended."""
         seconds = time.monotonic() - self._start
         self.hypotheses.append(
-            Hypothesis(signature(terms), log_evidence, misfit, seconds, ended)
+            Hypothesis(
+                signature(terms), _finite(log_evidence), _finite(misfit), seconds, ended
+            )
         )
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)
