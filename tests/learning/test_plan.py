@@ -29,6 +29,7 @@ def paper():
         ({"model": "physics-only"}, "there is nothing to fit; add --train damping"),
         ({"model": "ude", "recipe": Suited(noise=0.1)}, "only the recipe bayes uses"),
         ({"recipe": Bayes(noise=-1.0)}, "--noise: expected > 0, got -1.0"),
+        ({"recipe": Bayes(budget=0.0)}, "--budget: expected > 0, got 0"),
         ({"recipe": Curriculum(0)}, "--max-steps: expected 1 to 1e.06, got 0"),
     ],
 )
@@ -40,6 +41,7 @@ def test_what_does_not_go_together_is_refused(paper, options, message):
 def test_the_recipe_suits_model_and_data(paper):
     assert plan_fit(*paper).recipe == Bayes()
     assert plan_fit(*paper).is_open
+    assert plan_fit(*paper, recipe=Suited(budget=9.0)).recipe == Bayes(budget=9.0)
     asked = Suited(max_steps=3)
     matched = plan_fit(*paper, model="ude", recipe=asked)
     assert matched.recipe == Curriculum(3)

@@ -1,6 +1,7 @@
 """`pinav.learn`: a model of the unknown, fitted by the recipe that suits the data."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -181,8 +182,9 @@ def _infer_force(
     weighs = plan.is_open and may_turn(model)
     teacher = search = None
     if recipe.structure == "search" and (weighs or is_worth_a_search(model, plan.data)):
+        budget = math.inf if recipe.budget is None else recipe.budget
         structured = fit_structured(
-            model, plan.data, weigh_rotation=plan.is_open, **options
+            model, plan.data, weigh_rotation=plan.is_open, budget=budget, **options
         )
         result, teacher = structured.fit, structured.teacher
         if not is_network(model) or teacher is not None:

@@ -207,7 +207,7 @@ def suitable_recipe(
         if asked.noise is not None:
             raise InputError("--noise: only the recipe bayes uses it; drop --noise")
         return Langevin() if thermal else Curriculum(asked.max_steps)
-    return Bayes(asked.noise, asked.structure, asked.max_steps)
+    return Bayes(asked.noise, asked.structure, asked.max_steps, asked.budget)
 
 
 def _with_stated(recipe: Langevin, system: System) -> Langevin:

@@ -32,11 +32,14 @@ class Searching(Settings, frozen=True):
             flow), which the evidence may prefer to free kernels; a network learns from
             the fit of kernels that this gives; free: kernels alone.
         max_steps: Steps at most.
+        budget: Seconds after which the search tries nothing more, and the best fit so
+            far is the result; no limit unless given.
     """
 
     noise: Annotated[float | None, Range(above=0)] = None
     structure: Literal["search", "free"] = "search"
     max_steps: MaxSteps = 20
+    budget: Annotated[float | None, Range(above=0)] = None
 
 
 class Suited(Searching, frozen=True, tag_field="recipe", tag="default"):
