@@ -187,10 +187,8 @@ def test_a_hill_is_found_in_any_units():
 
 
 def fits_of(model, data):
-    """Fits of kernels that know nothing to positions."""
-    asked = FitSpecification(
-        model, with_velocities(data), lambda _: (), None, FixedStep()
-    )
+    """Fits of kernels that know nothing to data of the states of a model."""
+    asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
     return Fits(asked, 20, None, throw=False, trace=Trace())
 
 
@@ -199,7 +197,7 @@ def test_quick_swimmers_are_surveyed_about_the_first_steps_of_a_fit():
     """Smoothed states miss their path; about those an ellipse lay off the data."""
     truth, model, positions = drawn("elliptic", 43)
     with jax.enable_x64(new_val=True):
-        begun, survey = survey_first_steps(fits_of(model, positions))
+        begun, survey = survey_first_steps(fits_of(model, with_velocities(positions)))
         (term,) = survey.search(rotational=False).run()[0].terms
     assert begun.states is not None
     assert survey.is_begun

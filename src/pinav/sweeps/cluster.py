@@ -29,7 +29,8 @@ class Cluster:
         """Addresses of the workers that there are now."""
         with contextlib.suppress(OSError):  # of a connection that breaks just now
             if self.client.status in ("running", "connecting"):
-                return list(self.client.scheduler_info(n_workers=-1)["workers"])
+                # of a scheduler that has just died there is no such entry
+                return list(self.client.scheduler_info(n_workers=-1).get("workers", ()))
         raise InputError(
             f"the scheduler of {self.description} is gone; what is done is kept: "
             "continue with --resume and a scheduler that runs"
