@@ -29,4 +29,3 @@ from pinav.analysis.sensitivity.sobol import Factor as Factor
 from pinav.analysis.sensitivity.sobol import RolloutStudy as RolloutStudy
 from pinav.analysis.sensitivity.sobol import SobolIndices as SobolIndices
 from pinav.analysis.sensitivity.sobol import sobol_indices as sobol_indices
-from pinav.forces.laws import LawForce as LawForce
