@@ -8,11 +8,10 @@ laws in place of profiles where that is as good, and compared with free kernels.
 from collections.abc import Sequence
 
 from pinav.errors import FitError
-from pinav.fitting.bayes.fit_bayes import NOT_FINITE
+from pinav.fitting.bayes.fit_bayes import NOT_FINITE, evidence_of_steps
 from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit, iterate
 from pinav.fitting.engine.problem import Step
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
-from pinav.fitting.evidence.model_evidence import model_evidence
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.rugged.free import fit_free
 from pinav.fitting.structure.fits import (
@@ -69,7 +68,7 @@ def _fit_until_kinds_stay(
         here = refine(here, survey.response)
     is_settled = here is not None and here.noise <= POLICY.settled * survey.noise
     if not (is_settled or _is_too_coarse(here)):
-        here = _sought_again(fits, survey, here, proposal)
+        here = _search_again(fits, survey, here, proposal)
     if here is None:
         fits.trace.note(proposal.terms, "about its own fit it explains no more")
         return None
@@ -109,7 +108,7 @@ def _fit_with_laws(
     return fits.try_terms(proposal.terms, begun)
 
 
-def _sought_again(
+def _search_again(
     fits: Fits, survey: Survey, here: Proposal | None, before: Proposal
 ) -> Proposal | None:
     """The best of terms and of those that a new search finds, if there is time.
@@ -117,16 +116,15 @@ def _sought_again(
     None where the terms are far from the noise and leave what they left before: a new
     search would end with them again.
     """
-    if here is not None and not survey.explains(here):
-        is_same = abs(here.noise / before.noise - 1) < POLICY.same
-        if is_same:
-            return None
+    is_same = here is not None and abs(here.noise / before.noise - 1) < POLICY.same
+    if here is not None and is_same and not survey.explains(here):
+        return None
     if fits.trace.is_over:
         return here
     turns = not fits.kernels.is_conservative or any(t.rotational for t in before.terms)
-    found = survey.search(rotational=turns, content=POLICY.settled).run()
-    found = [refine(one, survey.response) for one in found[:1]]
-    several = found if here is None else [here, *found]
+    proposals = survey.search(rotational=turns, content=POLICY.settled).run()
+    several = [] if here is None else [here]
+    several += [refine(one, survey.response) for one in proposals[:1]]
     return preferred(several)[0] if several else None
 
 
@@ -162,7 +160,7 @@ def _against_free(
     if not steps:
         return StructuredFit(structured)
     last = steps[-1]
-    value = model_evidence(problem.linear_fit(last), last.hyperparameters).log_evidence
+    value = evidence_of_steps(problem, steps)
     gain = evidence_of(structured) - value
     fits.trace.note((), "free kernels from the states of the terms", value)
     if gain > POLICY.decisive or (

@@ -88,18 +88,18 @@ def fit_structured(
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
         specification = FitSpecification(model, trajectories, learn, noise, solver)
-        trace = Trace(budget)
         if is_network(model):
             return _fit_student(
                 specification, max_iterations, on_step, throw=throw, budget=budget
             )
+        trace = Trace(budget)
         fits = Fits(specification, max_iterations, on_step, throw, trace)
         weigh_rotation &= may_turn(model)
         if is_worth_a_search(model, trajectories):
-            found = _search(fits, weigh_rotation=weigh_rotation)
+            fit = _search(fits, weigh_rotation=weigh_rotation)
         else:
-            found = _weigh_few(fits) if weigh_rotation else fit_free(fits)
-        return dataclasses.replace(found, trace=tuple(trace.hypotheses))
+            fit = _weigh_few(fits) if weigh_rotation else fit_free(fits)
+        return dataclasses.replace(fit, trace=tuple(trace.hypotheses))
 
 
 def _fit_student(
@@ -160,15 +160,17 @@ PLANE = 2
 def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
     """The best fit of free kernels and of terms that data show."""
     fits, survey = survey_first_steps(fits)
-    asked = _asked(fits, survey) if weigh_rotation else SurveyedRotation(np.nan)
+    asked = (
+        _weigh_in_survey(fits, survey) if weigh_rotation else SurveyedRotation(np.nan)
+    )
     turns = asked.is_plain or not fits.kernels.is_conservative
-    free, found = None, []
+    free, proposals = None, []
     if not (survey.is_begun or turns):
-        found = _proposals(survey, rotational=False, singles_only=True)
-        if asked.is_needed and not found:
-            found = _proposals(survey, rotational=True, singles_only=True)
-            turns = len(found) > 0
-    if not (survey.is_begun or turns or found):
+        proposals = _proposals(survey, rotational=False, singles_only=True)
+        if asked.is_needed and not proposals:
+            proposals = _proposals(survey, rotational=True, singles_only=True)
+            turns = len(proposals) > 0
+    if not (survey.is_begun or turns or proposals):
         # Terms are sought about states that explain the data, which finer kernels do.
         with contextlib.suppress(FitError):
             free = fit_free(dataclasses.replace(fits, throw=False))
@@ -177,23 +179,25 @@ def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
             return _weigh_beside(fits, free) if weigh_rotation else free
         if free.fit.hyperparameters.noise <= POLICY.explained * survey.noise:
             fits, survey = fits.about(free.fit), Survey.of(fits, free.fit)
-            asked = _asked(fits, survey) if weigh_rotation else asked
+            asked = _weigh_in_survey(fits, survey) if weigh_rotation else asked
             turns = asked.is_plain
         if fits.throw and free.fit.outcome is not Outcome.CONVERGED:
             free = None  # it is fitted again where it is the result, and says why
-    found = found or _proposals(survey, rotational=turns)
-    if weigh_rotation and asked.is_needed and not (turns or found):
-        found = _proposals(survey, rotational=True)
-        turns = len(found) > 0
+    proposals = proposals or _proposals(survey, rotational=turns)
+    if weigh_rotation and asked.is_needed and not (turns or proposals):
+        proposals = _proposals(survey, rotational=True)
+        turns = len(proposals) > 0
     if turns and weigh_rotation:
-        turning = _turning(fits, found)
+        turning = _fit_turning(fits, proposals)
         if turning is not None and turning.rotation > POLICY.decisive:
             return turning
-        found = [one for one in found if not any(t.rotational for t in one.terms)]
-    best = functools.partial(best_fit, fits, found, free)
+        proposals = [
+            one for one in proposals if not any(t.rotational for t in one.terms)
+        ]
+    best = functools.partial(best_fit, fits, proposals, free)
     if not weigh_rotation:
         return best()
-    still, is_potential = _potential(fits, found, best)
+    still, is_potential = _potential(fits, proposals, best)
     if not is_potential:
         return still
     if not asked.gain > POLICY.decisive:  # which may be NaN
@@ -208,12 +212,12 @@ def _potential(
     try:
         still = fit()
     except FitError:
-        turning = _turning(fits, proposals)
+        turning = _fit_turning(fits, proposals)
         if turning is None:
             raise
         return turning, False
     if still.fit.outcome is Outcome.DIVERGED:
-        return _turning(fits, proposals) or still, False
+        return _fit_turning(fits, proposals) or still, False
     return still, True
 
 
@@ -230,7 +234,7 @@ def survey_first_steps(fits: Fits) -> tuple[Fits, Survey]:
     return fits.about(begun), Survey.of(fits, begun)
 
 
-def _asked(fits: Fits, survey: Survey) -> SurveyedRotation:
+def _weigh_in_survey(fits: Fits, survey: Survey) -> SurveyedRotation:
     return survey_rotation(survey.response, survey.noise, (), fits.kernels.kernels)
 
 
@@ -241,20 +245,20 @@ def _proposals(
 
     About states of a fit that explains the data the right terms explain them, too.
     """
-    found = survey.search(rotational=rotational).run(singles_only=singles_only)
-    found = [one for one in found if survey.is_worth_a_fit(one)]
+    proposals = survey.search(rotational=rotational).run(singles_only=singles_only)
+    proposals = [one for one in proposals if survey.is_worth_a_fit(one)]
     if not survey.region.is_planar:
         # The kernels of the search are half as many there as those of a fit.
-        return [refine(one, survey.response, 1) for one in found]
-    if survey.is_begun and found:
+        return [refine(one, survey.response, 1) for one in proposals]
+    if survey.is_begun and proposals:
         # What the kernels of profiles are too coarse for, their laws may carry.
-        found[1:] = [one for one in found[1:] if survey.explains(one)]
-        finest = refine(found[0], survey.response)
-        found = found if survey.explains(finest) else found[1:]
-    return found
+        proposals[1:] = [one for one in proposals[1:] if survey.explains(one)]
+        finest = refine(proposals[0], survey.response)
+        proposals = proposals if survey.explains(finest) else proposals[1:]
+    return proposals
 
 
-def _turning(fits: Fits, proposals: Sequence[Proposal]) -> StructuredFit | None:
+def _fit_turning(fits: Fits, proposals: Sequence[Proposal]) -> StructuredFit | None:
     """The best fit beside kernels that may turn; None where it fails."""
     try:
         best = best_fit(fits.turning(), proposals)
@@ -273,7 +277,7 @@ def _weigh_beside(fits: Fits, still: StructuredFit) -> StructuredFit:
     asked = survey_rotation(about.response, about.noise, terms, force.kernels)
     turning, rotation = None, asked.gain
     if rotation > POLICY.decisive and not fits.trace.is_over:
-        turning = _turning(fits, ())
+        turning = _fit_turning(fits, ())
         rotation = np.nan if turning is None else turning.rotation
     if turning is None or not rotation > POLICY.decisive:
         return StructuredFit(still.fit, still.gain, rotation)
@@ -294,7 +298,7 @@ def _weigh_few(fits: Fits) -> StructuredFit:
     if coarse is None:
         return still
     rotation = evidence_of(coarse) - evidence_of(still.fit)
-    turning = _turning(fits, ()) if rotation > POLICY.decisive else None
+    turning = _fit_turning(fits, ()) if rotation > POLICY.decisive else None
     if turning is None:
         return StructuredFit(still.fit, still.gain, rotation)
     rotation = evidence_of(turning.fit) - evidence_of(still.fit)

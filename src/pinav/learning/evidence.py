@@ -118,7 +118,7 @@ def rotational_part(fit: EvidenceFit, data: Trajectories) -> dict[str, Estimate]
 
 @dataclasses.dataclass(frozen=True)
 class SearchResult:
-    """What a search for a structure of the force weighed.
+    """Result of a search for a structure of the force.
 
     Attributes:
         gain: of the structured force over the free one [nats]; NaN where no structure

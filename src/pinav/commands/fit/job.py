@@ -185,7 +185,7 @@ def _structure(fit: Findings) -> list[AbstractBlock]:
 
 
 def _hypotheses(tried: Sequence[Hypothesis]) -> Table:
-    """What a search tried, and how each hypothesis ended."""
+    """Table of the hypotheses of a search, and how each of them ended."""
     columns: dict[str, Callable[[Hypothesis], Cell]] = {
         "terms": lambda one: " + ".join(one.kinds) or "free kernels",
         "log evidence (nats)": lambda one: number(one.log_evidence, 6),

@@ -175,14 +175,14 @@ def _learn(
     outcome, steps = iterate(still, max_iterations, on_step)
     if network.is_static:
         return still, outcome, steps
-    best = _evidence(still, steps)
+    best = evidence_of_steps(still, steps)
 
     def has_lost(step: Step) -> bool:
         return step.hyperparameters.log_evidence < best - CLEAR
 
     free = specification.by_weights(teacher, network)
     freed = iterate(free, max_iterations, on_step, has_lost)
-    if outcome is not Outcome.DIVERGED and best >= _evidence(free, freed[1]):
+    if outcome is not Outcome.DIVERGED and best >= evidence_of_steps(free, freed[1]):
         return still, outcome, steps
     return free, *freed
 
@@ -192,7 +192,7 @@ CLEAR = 100.0
 or not."""
 
 
-def _evidence(problem: AbstractProblem, steps: list[Step]) -> float:
+def evidence_of_steps(problem: AbstractProblem, steps: list[Step]) -> float:
     """Log evidence after the last of some steps; of none that of no model."""
     if not steps:
         return -np.inf

@@ -158,21 +158,21 @@ def neighbourhoods(term: AbstractTerm) -> list[Near]:
     region.
     """
     if isinstance(term, WallTerm):
-        return [_turned]
+        return [_turn]
     if isinstance(term, ObstaclesTerm):
-        return [_one_moved] * len(term.centers)
+        return [_move_one] * len(term.centers)
     if isinstance(term, CentralTerm):
-        return [_moved]
-    return [_moved, _stretched] if isinstance(term, EllipticTerm) else []
+        return [_move]
+    return [_move, _stretch] if isinstance(term, EllipticTerm) else []
 
 
-def _turned(term: AbstractTerm, region: Region, share: float) -> list[AbstractTerm]:
+def _turn(term: AbstractTerm, region: Region, share: float) -> list[AbstractTerm]:
     assert isinstance(term, WallTerm)
     steps = 4 * share * np.pi / POLICY.angles * np.linspace(-1, 1, 9)
     return [eqx.tree_at(lambda t: t.angle, term, term.angle + step) for step in steps]
 
 
-def _moved(term: AbstractTerm, region: Region, share: float) -> list[AbstractTerm]:
+def _move(term: AbstractTerm, region: Region, share: float) -> list[AbstractTerm]:
     assert isinstance(term, CentralTerm | EllipticTerm)
     return [
         eqx.tree_at(lambda t: t.center, term, jnp.asarray(place))
@@ -180,7 +180,7 @@ def _moved(term: AbstractTerm, region: Region, share: float) -> list[AbstractTer
     ]
 
 
-def _one_moved(term: AbstractTerm, region: Region, share: float) -> list[AbstractTerm]:
+def _move_one(term: AbstractTerm, region: Region, share: float) -> list[AbstractTerm]:
     """Obstacles whose first centre comes last, on a grid about where it is."""
     assert isinstance(term, ObstaclesTerm)
     turned = jnp.roll(term.centers, -1, axis=0)
@@ -195,7 +195,7 @@ def _about(place: Float[np.ndarray, " dim"], region: Region, share: float) -> Pl
     return np.concatenate([place[None], region.grid(side, place, share)])
 
 
-def _stretched(term: AbstractTerm, region: Region, share: float) -> list[AbstractTerm]:
+def _stretch(term: AbstractTerm, region: Region, share: float) -> list[AbstractTerm]:
     assert isinstance(term, EllipticTerm)
     angle = np.arctan2(float(term.shear[1]), float(term.shear[0]))
     size = float(np.hypot(*np.asarray(term.shear)))

@@ -4,7 +4,7 @@ import equinox as eqx
 
 
 class SearchPolicy(eqx.Module):
-    """What a search for a structure tries, and when it is content.
+    """Limits and thresholds of a search for a structure.
 
     A misfit is the standard deviation of the residuals that terms leave, relative to
     the noise; a share is one of the extent of most of the data. Pairs of numbers are

@@ -155,7 +155,7 @@ class Held(eqx.Module):
         with a member of another, are grown, and members exchanged, while that gains.
         """
         products = _SharedProfile.of(atoms, self)
-        table = np.stack([products.joined([one]) for one in range(len(atoms.terms))])
+        table = np.stack([products.join([one]) for one in range(len(atoms.terms))])
         made, used = [], set()
         for place in np.argsort(-table, axis=None):
             pair = [int(one) for one in divmod(int(place), len(table))]
@@ -225,7 +225,7 @@ class _SharedProfile(eqx.Module):
             each=0.5 * dim * float(np.log(held.num_free)),
         )
 
-    def joined(self, chosen: list[int]) -> Float[np.ndarray, " atom"]:
+    def join(self, chosen: list[int]) -> Float[np.ndarray, " atom"]:
         """Log evidence of a set with each other centre [nats]."""
         every = np.arange(len(self.along))
         between = self.products[chosen].sum(axis=0)
@@ -255,7 +255,7 @@ class _SharedProfile(eqx.Module):
                 rests.append(chosen)
             options = []
             for rest in rests:
-                values = self.joined(rest)
+                values = self.join(rest)
                 index = int(np.argmax(values))
                 options.append((float(values[index]), [*rest, index]))
             best = max(options, key=lambda one: one[0])

@@ -100,7 +100,7 @@ class Survey(eqx.Module):
 
 
 DIMENSIONS = 2, 3
-"""Of the spaces in which a structure is sought."""
+"""Dimensions of the spaces in which a structure is sought."""
 
 
 def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:

@@ -1,4 +1,4 @@
-"""What a search tried, how each hypothesis ended, and how much time there is left."""
+"""Hypotheses of a search, how each of them ended, and the time that is left."""
 
 import time
 
