@@ -18,8 +18,13 @@ from pinav.fitting.evidence.evidence import (
     weight_posterior,
 )
 from pinav.fitting.evidence.weights import GaussianWeights
-from pinav.forces.priors import IsotropicPrior, MixturePrior, WeightPrior
-from pinav.forces.profile_priors import DistancePrior, ProfilePrior
+from pinav.forces.priors import (
+    DistancePrior,
+    IsotropicPrior,
+    MixturePrior,
+    ProfilePrior,
+    WeightPrior,
+)
 
 CENTERS = np.random.default_rng(0).uniform(-3.0, 3.0, size=(9, 2))
 STILL = forces.KernelPotential.with_zero_weights(CENTERS, 1.0)
@@ -194,7 +199,7 @@ def test_a_profile_is_matern_of_order_seven_halves():
 
 def test_a_search_begins_at_the_likeliest_of_several_envelopes():
     # A hill near the origin, seen among places that reach far out of it.
-    prior = MixturePrior(DistancePrior(ProfilePrior(PLACES, 0.5)), IsotropicPrior(1))
+    prior = MixturePrior(DistancePrior(PLACES, 0.5), IsotropicPrior(1))
     starts = prior.starts
     assert len(starts) == 3
     np.testing.assert_array_equal(starts[0], prior.start)

@@ -294,7 +294,7 @@ class KernelProfile(AbstractLearnedForce):
         return {axis.index: axis.period for axis in axes if axis.period is not None}
 
     def prior(self) -> AbstractPrior:
-        part = StationaryPrior(np.asarray(self.basis.centers), len(self.along))
+        part = StationaryPrior(self.basis.centers, 1.0, len(self.along))
         return part if _num_parts(self.basis) == 1 else MixturePrior(part, part)
 
     def kernels_on(self, centers: Centers, width: float) -> KernelForce:

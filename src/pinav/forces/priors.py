@@ -8,7 +8,6 @@ not part of it.
 import abc
 import dataclasses
 import functools
-import operator
 
 import equinox as eqx
 import numpy as np
@@ -67,63 +66,257 @@ class AbstractPrior(eqx.Module):
         """
 
 
-def _exact(values: Float[ArrayLike, "kernel dim"]) -> Centers:
-    return np.asarray(values, float)
+class AbstractIndependentPrior(AbstractPrior):
+    """Independent weights, whose variances depend on the shape."""
+
+    @abc.abstractmethod
+    def log_variances(
+        self, shape: Shape
+    ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight shape"]]:
+        """Logarithm of the variance of each weight, and its derivatives."""
+
+    def covariance(self, shape: Shape) -> Matrix:
+        return np.diag(np.exp(self.log_variances(shape)[0]))
+
+    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
+        logarithms, slopes = self.log_variances(shape)
+        return (np.diagonal(pull) * np.exp(logarithms)) @ slopes
 
 
-class WeightPrior(AbstractPrior):
+class IsotropicPrior(AbstractIndependentPrior):
+    """Independent weights of one variance: the prior of a network, without a shape.
+
+    References:
+        MacKay, Neural Computation 4, 448 (1992).
+    """
+
+    count: int
+
+    @property
+    def start(self) -> Shape:
+        return np.zeros(0)
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+        return np.zeros((0, 2))
+
+    def log_variances(
+        self, shape: Shape
+    ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight shape"]]:
+        return np.zeros(self.count), np.zeros((self.count, 0))
+
+
+def _as_rows(places: Float[ArrayLike, "kernel ..."]) -> Centers:
+    return np.asarray(places, float).reshape(np.shape(places)[0], -1)
+
+
+class AbstractProcessPrior(AbstractPrior):
+    r"""Gaussian process of weights at the places of kernels.
+
+    $K_{ij} = A_{ij}\, M(|u_i - u_j| / \ell)$ with a correlation $M$ of distances, the
+    places $u$ in widths of a kernel, and amplitudes $A_{ij}$, which are one unless a
+    class says otherwise. The first entry of its shape is $\log \ell$.
+
+    Attributes:
+        centers: places of the kernels, or places along a coordinate [L].
+        width: of a kernel [L].
+        components: weights of each kernel, independent of each other.
+    """
+
+    centers: Centers = eqx.field(converter=_as_rows)
+    width: float = eqx.field(converter=float)
+    components: int = 1
+
+    @abc.abstractmethod
+    def correlation(self, distances: Gram) -> Gram:
+        r"""$M(r)$ at distances in length scales."""
+
+    @abc.abstractmethod
+    def steepness(self, distances: Gram) -> Gram:
+        r"""$-\mathrm{d} \log M / \mathrm{d} \log r$ at distances in length scales."""
+
+    def amplitudes(self, shape: Shape) -> Gram | float:
+        """$A_{ij}$."""
+        return 1.0
+
+    def pull_amplitudes(self, shape: Shape, pull: Gram) -> Float[np.ndarray, " rest"]:
+        r"""Derivative of $\sum_{ij} P_{ij} A_{ij}$ by the rest of the shape."""
+        return np.zeros(0)
+
+    def covariance(self, shape: Shape) -> Matrix:
+        gram = self.correlation(self._distances / np.exp(shape[0]))
+        gram *= self.amplitudes(shape)
+        return np.kron(gram, np.eye(self.components)) if self.components > 1 else gram
+
+    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
+        count = len(pull) // self.components
+        split = pull.reshape(count, self.components, count, self.components)
+        distances = self._distances / np.exp(shape[0])
+        weighed = np.einsum("icjc->ij", split) * self.correlation(distances)
+        by_amplitudes = self.pull_amplitudes(shape, weighed)
+        weighed *= self.amplitudes(shape)
+        return np.append(np.vdot(weighed, self.steepness(distances)), by_amplitudes)
+
+    @property
+    def extent(self) -> float:
+        """Largest extent of the kernels along an axis, in widths, one at least."""
+        largest = np.ptp(self.centers, axis=0).max(initial=0.0) / self.width
+        return max(float(largest), 1.0)
+
+    @property
+    def _places(self) -> Centers:
+        return _arrange(self.centers.tobytes(), self.centers.shape, self.width)[0]
+
+    @property
+    def _distances(self) -> Gram:
+        return _arrange(self.centers.tobytes(), self.centers.shape, self.width)[1]
+
+
+@functools.lru_cache(maxsize=16)
+def _arrange(
+    centers: bytes, shape: tuple[int, int], width: float
+) -> tuple[Centers, Gram]:
+    """Places from the middle of the kernels, and their distances, both in widths.
+
+    A search asks for them a thousand times.
+    """
+    places = np.frombuffer(centers).reshape(shape)
+    places = (places - _middle(places)) / width
+    # One coordinate after the other: a sum along so short an axis takes ten times as
+    # long.
+    along = (np.subtract.outer(x, x) ** 2 for x in places.T)
+    distances = np.sqrt(sum(along, np.zeros((len(places), len(places)))))
+    for array in (places, distances):
+        array.flags.writeable = False
+    return places, distances
+
+
+def _middle(centers: Centers) -> Float[np.ndarray, " dim"]:
+    return (centers.min(axis=0) + centers.max(axis=0)) / 2
+
+
+class StationaryPrior(AbstractProcessPrior):
+    r"""Gaussian process that fades nowhere, and is rough.
+
+    $K = e^{-r/\ell}$ of the distance r between kernels or, where the field's slope
+    matters, Matern's $(1 + a) e^{-a}$ with $a = \sqrt3 r/\ell$. As $\ell$ grows these
+    become a random walk of the field, or of its slope: smoothing splines, which assume
+    no scale below which a field is smooth. The kernels filter what is finer than they.
+    For fields in coordinates of their own, such as an angle, no place of which is the
+    middle.
+
+    References:
+        Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), sections
+        4.2 and 6.3.
+    """
+
+    smooth: bool = False
+
+    @property
+    def start(self) -> Shape:
+        return np.array([1.0])
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+        return np.array([(-1.2, np.log(10 * self.extent))])
+
+    def correlation(self, distances: Gram) -> Gram:
+        a = np.sqrt(3.0) * distances
+        return (1 + a) * np.exp(-a) if self.smooth else np.exp(-distances)
+
+    def steepness(self, distances: Gram) -> Gram:
+        a = np.sqrt(3.0) * distances
+        return a * a / (1 + a) if self.smooth else distances
+
+
+BROAD = 0.5
+"""Reach of an envelope, as a share of the extent of the kernels, that is no hill's."""
+
+MIDDLE = 0.6
+"""Share of the extent of kernels in which the middle of an envelope lies: as they are
+laid, a fifth of them or more on each side is beyond the data."""
+
+FEATURES = 256
+"""Waves of which weights of the prior are drawn."""
+
+
+class AbstractFadingPrior(AbstractProcessPrior):
+    r"""Gaussian process that may fade away from a place, $A_{ij} = D_i D_j$.
+
+    The envelope is $D_i = \exp(-|u_i - m|^2 / 2 R^2)$. After $\log \ell$ the shape
+    holds $\log R$, and $m$ from the middle of the kernels, all in widths.
+    """
+
+    @property
+    def start(self) -> Shape:
+        middle = np.zeros(self.centers.shape[1])
+        return np.append([0.5, np.log(BROAD * self.extent)], middle)
+
+    def amplitudes(self, shape: Shape) -> Gram:
+        envelope = self._envelope(shape, self._places)
+        return np.outer(envelope, envelope)
+
+    def pull_amplitudes(self, shape: Shape, pull: Gram) -> Float[np.ndarray, " rest"]:
+        from_middle = self._places - shape[2:]
+        envelope = self._envelope(shape, self._places)
+        # Both kernels of a pair have an envelope, and the pull is symmetric.
+        pulled = 2 * envelope * (pull @ envelope) / np.exp(2 * shape[1])
+        squares = (from_middle**2).sum(axis=-1)
+        return np.append(pulled @ squares, pulled @ from_middle)
+
+    def _bounds(self, narrowest: float, share: float) -> Float[np.ndarray, "shape 2"]:
+        """The bounds, with a least reach and a middle that are shares of the extent."""
+        longest, half = np.log(10 * self.extent), 0.5 * share * self.extent
+        least = np.log(max(narrowest * self.extent, 1.0))
+        middle = [(-half, half)] * self.centers.shape[1]
+        return np.array([(-1.2, longest), (least, longest), *middle])
+
+    def _scale(
+        self, centers: Float[np.ndarray, "*place dim"]
+    ) -> Float[np.ndarray, "*place dim"]:
+        """Other places, in widths from the middle of the kernels."""
+        return (centers - _middle(self.centers)) / self.width
+
+    @staticmethod
+    def _envelope(
+        shape: Shape, places: Float[np.ndarray, "*point dim"]
+    ) -> Float[np.ndarray, "*point"]:
+        squares = ((places - shape[2:]) ** 2).sum(axis=-1)
+        return np.exp(-0.5 / np.exp(2 * shape[1]) * squares)
+
+
+class WeightPrior(AbstractFadingPrior):
     r"""Gaussian-process prior of the weights of one environment, of unit amplitude.
 
-    $K_{ij} = D_i D_j \exp(-|c_i - c_j|^2 / 2\ell^2)$ with the envelope
-    $D_i = \exp(-|c_i - m|^2 / 2 R^2)$: a field of length scale $\ell$ that may fade
+    Its correlation is $\exp(-r^2 / 2)$: a field of length scale $\ell$ that may fade
     away from a place. Where nothing fades the evidence makes R large, and the prior is
     stationary. The envelope is what separates an obstacle from a constant force: a
     stationary prior takes a slope over the whole domain for an obstacle.
 
-    Its shape is $\log \ell$, $\log R$, and $m$ from the middle, all in widths; a search
-    begins with a wide envelope about the middle of the kernels. It does not leave the
-    middle `MIDDLE` of them, where data are: the tail of an envelope whose middle is far
-    from all data explains a wall as well as a wall does.
+    A search begins with a wide envelope about the middle of the kernels. It does not
+    leave the middle `MIDDLE` of them, where data are: the tail of an envelope whose
+    middle is far from all data explains a wall as well as a wall does.
 
     Attributes:
-        components: weights of each kernel, independent of each other.
         narrowest: least reach of the envelope, as a share of the extent of the kernels;
             at any rate one width.
     """
 
-    centers: Centers = eqx.field(converter=_exact)
-    width: float = eqx.field(converter=float)
-    components: int = 1
     narrowest: float = 0.0
 
     @property
-    def start(self) -> Shape:
-        return np.append([0.5, np.log(BROAD * self._extent)], np.zeros(self._dim))
-
-    @property
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
-        extent = self._extent
-        half = 0.5 * MIDDLE * extent
-        least = np.log(max(self.narrowest * extent, 1.0))
-        scales = [(-1.2, np.log(10 * extent)), (least, np.log(10 * extent))]
-        return np.array(scales + [(-half, half)] * self._dim)
+        return self._bounds(self.narrowest, MIDDLE)
 
     @property
     def broad(self) -> "WeightPrior":
         return dataclasses.replace(self, narrowest=BROAD)
 
-    def covariance(self, shape: Shape) -> Matrix:
-        return _per_component(self._scalar(shape), self.components)
+    def correlation(self, distances: Gram) -> Gram:
+        return np.exp(-0.5 * distances * distances)
 
-    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
-        length_scale, reach = np.exp(shape[:2])
-        from_middle = self._scaled_centers - shape[2:]
-        weighed = _over_components(pull, self.components) * self._scalar(shape)
-        by_scale = np.vdot(weighed, self._squares) / length_scale**2
-        # Both kernels of a pair have an envelope, and the pull is symmetric.
-        by_envelope = 2 * weighed.sum(axis=1) / reach**2
-        squares = (from_middle**2).sum(axis=-1)
-        return np.array([by_scale, by_envelope @ squares, *(by_envelope @ from_middle)])
+    def steepness(self, distances: Gram) -> Gram:
+        return distances * distances
 
     def variance(
         self,
@@ -137,10 +330,10 @@ class WeightPrior(AbstractPrior):
             places: of kernels about each point, alike but for a shift [L].
             forces: $f_j$ of each of them at the point.
         """
-        scaled = (places - self._middle) / self.width
+        scaled = self._scale(places)
         faded = forces * self._envelope(shape, scaled)[..., None]
-        apart = scaled[0][:, None] - scaled[0]
-        alike = np.exp(-0.5 * (apart**2).sum(axis=-1) / np.exp(2 * shape[0]))
+        apart = np.linalg.norm(scaled[0][:, None] - scaled[0], axis=-1)
+        alike = self.correlation(apart / np.exp(shape[0]))
         return np.sum(faded * np.einsum("ij,pjd->pid", alike, faded), axis=1)
 
     def draw(
@@ -159,125 +352,86 @@ class WeightPrior(AbstractPrior):
             Rahimi and Recht, Advances in Neural Information Processing Systems 20
             (2007).
         """
-        scaled = (centers - self._middle) / self.width
-        waves = generator.normal(size=(self._dim, FEATURES)) / np.exp(shape[0])
+        scaled = self._scale(centers)
+        waves = generator.normal(size=(scaled.shape[1], FEATURES)) / np.exp(shape[0])
         phases = scaled @ waves
         parts = np.concatenate([np.cos(phases), np.sin(phases)], axis=1)
         normal = generator.normal(size=(2 * FEATURES, self.components))
         envelope = self._envelope(shape, scaled)[:, None]
         return envelope * (parts @ normal) / np.sqrt(FEATURES)
 
-    def _scalar(self, shape: Shape) -> Gram:
-        envelope = self._envelope(shape, self._scaled_centers)
-        alike = np.exp(-0.5 / np.exp(2 * shape[0]) * self._squares)
-        return alike * np.outer(envelope, envelope)
 
-    @staticmethod
-    def _envelope(
-        shape: Shape, scaled: Float[np.ndarray, "*point dim"]
-    ) -> Float[np.ndarray, "*point"]:
-        squares = ((scaled - shape[2:]) ** 2).sum(axis=-1)
-        return np.exp(-0.5 * squares / np.exp(2 * shape[1]))
+class ProfilePrior(AbstractFadingPrior):
+    r"""Prior of a profile along one coordinate, of few derivatives, that may fade.
 
-    @property
-    def _squares(self) -> Gram:
-        scaled = np.ascontiguousarray(self._scaled_centers)
-        return _squares(scaled.tobytes(), self._dim)
+    A profile changes its width along its coordinate: a wall is steep at its foot and
+    flat behind it, a hill has a summit and tails. A process that is smooth without end
+    takes what it sees of such a profile in one place for what it must be in another,
+    and its band is too sure. Its correlation is Matern's of order 7/2,
+    $M(r) = (1 + a + \tfrac25 a^2 + \tfrac1{15} a^3) e^{-a}$ with $a = \sqrt7\, r$, and
+    its amplitudes are $A_{ij} = D_i D_j + \varphi^2$: where the data end, an envelope
+    that they chose knows nothing, and without the floor its band would be too sure.
 
-    @property
-    def _scaled_centers(self) -> Centers:
-        return (self.centers - self._middle) / self.width
-
-    @property
-    def _middle(self) -> Float[np.ndarray, " dim"]:
-        return (self.centers.min(axis=0) + self.centers.max(axis=0)) / 2
-
-    @property
-    def _extent(self) -> float:
-        return float(max(np.ptp(self._scaled_centers, axis=0).max(), 1.0))
-
-    @property
-    def _dim(self) -> int:
-        return self.centers.shape[1]
-
-
-def _per_component(scalar: Gram, components: int) -> Matrix:
-    return np.kron(scalar, np.eye(components)) if components > 1 else scalar
-
-
-def _over_components(pull: Matrix, components: int) -> Gram:
-    """Adjoint of `_per_component`: the sum over the components."""
-    count = len(pull) // components
-    split = pull.reshape(count, components, count, components)
-    return np.einsum("icjc->ij", split)
-
-
-@functools.lru_cache(maxsize=8)
-def _squares(centers: bytes, dim: int) -> Gram:
-    """Squared distances between centres; a search asks for them a thousand times."""
-    points = np.frombuffer(centers).reshape(-1, dim)
-    # one coordinate after the other: a sum along so short an axis takes ten times as
-    # long
-    along = (np.subtract.outer(x, x) ** 2 for x in points.T)
-    squares = functools.reduce(operator.add, along)
-    squares.flags.writeable = False
-    return squares
-
-
-BROAD = 0.5
-"""Reach of an envelope, as a share of the extent of the kernels, that is no hill's."""
-
-MIDDLE = 0.6
-"""Share of the extent of kernels in which the middle of an envelope lies: as they are
-laid, a fifth of them or more on each side is beyond the data."""
-
-
-FEATURES = 256
-"""Waves of which weights of the prior are drawn."""
-
-
-class StationaryPrior(AbstractPrior):
-    r"""Gaussian-process prior of weights that fades nowhere, and is rough.
-
-    $K = e^{-r/\ell}$ of the distance r between kernels or, where the field's slope
-    matters, Matern's $(1 + a) e^{-a}$ with $a = \sqrt3 r/\ell$. As $\ell$ grows these
-    become a random walk of the field, or of its slope: smoothing splines, which assume
-    no scale below which a field is smooth. The kernels filter what is finer than they.
-    For fields in coordinates of their own, such as an angle, no place of which is the
-    middle. Its shape is $\log\ell$, in spacings of the kernels.
+    Attributes:
+        floor: $\varphi$, below which no standard deviation falls, relative to where it
+            is largest.
 
     References:
-        Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), sections
-        4.2 and 6.3.
+        Stein, Interpolation of Spatial Data (1999), section 1.7; Rasmussen and
+        Williams, Gaussian Processes for Machine Learning (2006), section 4.2.
     """
 
-    centers: Centers = eqx.field(converter=_exact)
-    components: int = 1
-    smooth: bool = False
-
-    @property
-    def start(self) -> Shape:
-        return np.array([1.0])
+    floor: float = 0.01
 
     @property
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
-        extent = max(float(np.ptp(self.centers, axis=0).max(initial=0.0)), 1.0)
-        return np.array([(-1.2, np.log(10 * extent))])
+        return self._bounds(0.0, 1.0)
 
-    def covariance(self, shape: Shape) -> Matrix:
-        scaled = self._relative_distances(shape)
-        gram = np.exp(-scaled) * (1 + scaled if self.smooth else 1.0)
-        return _per_component(gram, self.components)
+    def amplitudes(self, shape: Shape) -> Gram:
+        return super().amplitudes(shape) + self.floor**2
 
-    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
-        scaled = self._relative_distances(shape)
-        slope = np.exp(-scaled) * (scaled**2 if self.smooth else scaled)
-        return np.array([np.vdot(_over_components(pull, self.components), slope)])
+    def correlation(self, distances: Gram) -> Gram:
+        a = np.sqrt(7.0) * distances
+        return (1 + a * (1 + a * (0.4 + a / 15))) * np.exp(-a)
 
-    def _relative_distances(self, shape: Shape) -> Gram:
-        offsets = self.centers[:, None] - self.centers[None]
-        root = np.sqrt(3.0) if self.smooth else 1.0
-        return root * np.sqrt((offsets**2).sum(axis=-1)) / np.exp(shape[0])
+    def steepness(self, distances: Gram) -> Gram:
+        a = np.sqrt(7.0) * distances
+        return a * a * (3 + a * (3 + a)) / (15 + a * (15 + a * (6 + a)))
+
+
+class DistancePrior(ProfilePrior):
+    r"""Prior of a profile of a distance: $\rho_i \rho_j$ times a `ProfilePrior`.
+
+    The force of a smooth potential grows with the distance. With an infinite length
+    scale the envelope about zero leaves the force of a Gaussian, where a search begins.
+    """
+
+    @property
+    def start(self) -> Shape:
+        return self.starts[0]
+
+    @property
+    def starts(self) -> list[Shape]:
+        """Envelopes of several reaches: swimmers may be flung far out of a hill."""
+        low, high = self.bounds[2]
+        reaches = np.log(np.array(REACHES) * (high - low))
+        return [np.array([SMOOTH, reach, 0.99 * low]) for reach in reaches]
+
+    def amplitudes(self, shape: Shape) -> Gram:
+        return super().amplitudes(shape) * self._squares
+
+    def pull_amplitudes(self, shape: Shape, pull: Gram) -> Float[np.ndarray, " rest"]:
+        return super().pull_amplitudes(shape, pull * self._squares)
+
+    @property
+    def _squares(self) -> Gram:
+        distances = self.centers / self.centers.max()
+        return np.outer(distances, distances)
+
+
+SMOOTH, REACHES = 1.5, (0.3, 0.1, 0.05)
+"""Logarithm of the length scale, in widths of a kernel, at which profiles begin, and
+reaches of the envelope, as shares of the extent of the kernels."""
 
 
 LOG_RATIO = 8.0
@@ -408,27 +562,3 @@ class TimedPrior(AbstractPrior):
 
 LOG_STATIC = 12.0
 r"""$\log\tau$ at which a change in time is too slow for any data to show."""
-
-
-class IsotropicPrior(AbstractPrior):
-    """Independent weights of one variance: the prior of a network, without a shape.
-
-    References:
-        MacKay, Neural Computation 4, 448 (1992).
-    """
-
-    count: int
-
-    @property
-    def start(self) -> Shape:
-        return np.zeros(0)
-
-    @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
-        return np.zeros((0, 2))
-
-    def covariance(self, shape: Shape) -> Matrix:
-        return np.eye(self.count)
-
-    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
-        return np.zeros(0)

@@ -36,11 +36,12 @@ from pinav.forces.kernels import KernelForce, KernelPotential, quarter_turn
 from pinav.forces.priors import (
     AbstractPrior,
     Centers,
+    DistancePrior,
     IsotropicPrior,
     MixturePrior,
+    ProfilePrior,
     Shape,
 )
-from pinav.forces.profile_priors import DistancePrior, ProfilePrior
 
 Places = Float[Array, " kernel"]
 """Places of the kernels of a profile [L]."""
@@ -204,8 +205,8 @@ class AbstractProfileTerm(AbstractTerm):
     def prior(self) -> AbstractPrior:
         if not self.has_kernels:
             return IsotropicPrior(1)
-        base = ProfilePrior(np.asarray(self.places), float(self.width))
-        kernels = DistancePrior(base) if self.is_odd else base
+        process = DistancePrior if self.is_odd else ProfilePrior
+        kernels = process(self.places, self.width)
         if self.law is None:
             return kernels
         height, unit = IsotropicPrior(1), self.force_per_weight

@@ -15,9 +15,9 @@ from jaxtyping import Array, Float
 from pinav.arguments import Scalar, Vector
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.priors import (
+    AbstractIndependentPrior,
     AbstractPrior,
     IsotropicPrior,
-    Matrix,
     MixturePrior,
     Shape,
 )
@@ -31,7 +31,7 @@ from pinav.forces.structures import (
 )
 
 
-class LatticePrior(AbstractPrior):
+class LatticePrior(AbstractIndependentPrior):
     r"""Variances of the harmonics of a lattice of orders $m$, $e^{-\lambda^2 |m|^2}$.
 
     Its shape is $\log\lambda$: the smoother the cell, the larger.
@@ -47,18 +47,12 @@ class LatticePrior(AbstractPrior):
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
         return np.array([[-3.0, 2.0]])
 
-    def covariance(self, shape: Shape) -> Matrix:
-        return np.diag(np.exp(-np.exp(2 * shape[0]) * self._squares))
-
-    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
-        logarithms = -np.exp(2 * shape[0]) * self._squares
-        by_variance = np.diagonal(pull) * np.exp(logarithms)
-        return np.array([2 * by_variance @ logarithms])
-
-    @property
-    def _squares(self) -> Float[np.ndarray, " weight"]:
-        squares = (self.orders**2).sum(axis=1) - 1.0
-        return np.concatenate([squares, squares])
+    def log_variances(
+        self, shape: Shape
+    ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight shape"]]:
+        squares = np.tile((self.orders**2).sum(axis=1) - 1.0, 2)
+        logarithms = -np.exp(2 * shape[0]) * squares
+        return logarithms, 2 * logarithms[:, None]
 
 
 class LatticeTerm(AbstractTerm):
@@ -153,7 +147,7 @@ a wider foot, than a Gaussian has."""
 MIDDLE = WIDTHS.index(1.0)
 
 
-class HillsPrior(AbstractPrior):
+class HillsPrior(AbstractIndependentPrior):
     r"""Independent heights of the Gaussians of hills, of one variance for each width.
 
     Its shape is the logarithm of the deviation for each other width, relative to that
@@ -170,16 +164,11 @@ class HillsPrior(AbstractPrior):
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
         return np.tile([-8.0, 1.0], (len(WIDTHS) - 1, 1))
 
-    def covariance(self, shape: Shape) -> Matrix:
-        return np.diag(np.tile(_variances(shape), self.count))
-
-    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
-        sums = np.diagonal(pull).reshape(self.count, -1).sum(axis=0)
-        return np.delete(2 * sums * _variances(shape), MIDDLE)
-
-
-def _variances(shape: Shape) -> Float[np.ndarray, " width"]:
-    return np.exp(2 * np.insert(np.asarray(shape), MIDDLE, 0.0))
+    def log_variances(
+        self, shape: Shape
+    ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight shape"]]:
+        slopes = 2 * np.delete(np.eye(len(WIDTHS)), MIDDLE, axis=1)
+        return np.tile(slopes @ shape, self.count), np.tile(slopes, (self.count, 1))
 
 
 class HillsTerm(AbstractTerm):

@@ -343,7 +343,7 @@ def _weights(motion: ThermalMotion) -> AbstractWeights:
     if not len(basis.centers):
         return NoWeights()
     processes: list[AbstractPrior] = [
-        StationaryPrior(np.asarray(basis.centers), smooth=True) for _ in groups
+        StationaryPrior(basis.centers, 1.0, smooth=True) for _ in groups
     ]
     return GaussianWeights(reduce(MixturePrior, processes))
 

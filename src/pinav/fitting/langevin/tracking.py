@@ -170,9 +170,7 @@ def track_reference(
         num_free=len(slope),
         log_determinant=0.0,
     )
-    weights = GaussianWeights(
-        StationaryPrior(np.arange(float(len(path.times)))[:, None])
-    )
+    weights = GaussianWeights(StationaryPrior(np.arange(float(len(path.times))), 1.0))
     if reference.scale is None:
         inference = weights.infer(quadratic, weights.start, 1.0)
         values, covariance = inference.mean, inference.covariance
