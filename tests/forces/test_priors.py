@@ -199,7 +199,7 @@ def test_a_profile_is_matern_of_order_seven_halves():
 
 def test_a_search_begins_at_the_likeliest_of_several_envelopes():
     # A hill near the origin, seen among places that reach far out of it.
-    prior = MixturePrior(DistancePrior(PLACES, 0.5), IsotropicPrior(1))
+    prior = MixturePrior(DistancePrior(ProfilePrior(PLACES, 0.5)), IsotropicPrior(1))
     starts = prior.starts
     assert len(starts) == 3
     np.testing.assert_array_equal(starts[0], prior.start)

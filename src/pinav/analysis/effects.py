@@ -160,10 +160,6 @@ def trace_influence(subject: Subject) -> Influence:
         raise InputError(
             "it is defined for fits without commands and wandering velocity"
         )
-    return _influence(subject)
-
-
-def _influence(subject: Subject) -> Influence:
     model, fit = subject.model, subject.fit
     has = {
         "damping": isinstance(model, Swimmer) and isinstance(model.drag, LinearDrag),

@@ -86,8 +86,8 @@ def helmholtz_split(field: FieldMap) -> HelmholtzSplit:
     basis = _Basis.of(field, region)
     force = field.force[region]
     parts = basis.fit(force.ravel())
-    gradient, rotational = basis.parts(parts)
-    potential, stream = basis.functions(parts)
+    gradient, rotational = basis.sums(basis.everywhere, parts)
+    potential, stream = basis.sums((basis.values, basis.values), parts)
     least, greatest = basis.bounds(force)
     return HelmholtzSplit(
         gradient=gradient,
@@ -116,7 +116,7 @@ def rotational_fractions(
     region = _region(field, forces)
     basis = _Basis.of(field, region)
     weights = basis.fit(forces[:, region].reshape(len(forces), -1).T)
-    parts = [basis.parts(column) for column in weights.T]
+    parts = [basis.sums(basis.everywhere, column) for column in weights.T]
     return np.array([_fraction(one[region], two[region]) for one, two in parts])
 
 
@@ -164,17 +164,16 @@ def _region(
     return region
 
 
-Forces = Float[np.ndarray, "all 2 kernel"]
+Forces = Float[np.ndarray, "rows columns 2 kernel"]
 """Force of each kernel of weight one at each point."""
 
 
 class _Basis(eqx.Module):
     """Gaussians on a grid: the forces that they make, and the normal matrix."""
 
-    values: Float[np.ndarray, "all kernel"]
+    values: Float[np.ndarray, "rows columns kernel"]
     everywhere: tuple[Forces, Forces]
     near: tuple[Float[np.ndarray, "row kernel"], Float[np.ndarray, "row kernel"]]
-    shape: tuple[int, int] = eqx.field(static=True)
 
     @classmethod
     def of(cls, field: FieldMap, region: Bool[np.ndarray, "rows columns"]) -> "_Basis":
@@ -186,39 +185,29 @@ class _Basis(eqx.Module):
             points[region], spacing=spacing, margin=MARGIN * spacing
         )
         width = WIDTH * spacing
-        offsets = points.reshape(-1, 1, 2) - centers[None]
+        offsets = points[:, :, None] - centers
         values = KernelForce.kernel_forces(offsets, width)[..., 0]
         gradients, rotations = (
-            np.moveaxis(kind.kernel_forces(offsets, width), 2, 1)
+            np.moveaxis(kind.kernel_forces(offsets, width), -1, -2)
             for kind in (KernelPotential, KernelStream)
         )
-        near = gradients[region.ravel()], rotations[region.ravel()]
+        near = gradients[region], rotations[region]
         rows, others = (part.reshape(-1, len(centers)) for part in near)
-        return cls(values, (gradients, rotations), (rows, others), region.shape)
+        return cls(values, (gradients, rotations), (rows, others))
 
     def fit(
         self, force: Float[np.ndarray, "row ..."]
     ) -> Float[np.ndarray, "weight ..."]:
         return _ridge(np.concatenate(self.near, axis=1), force)
 
-    def parts(
-        self, weights: Float[np.ndarray, " weight"]
-    ) -> tuple[
-        Float[np.ndarray, "rows columns 2"], Float[np.ndarray, "rows columns 2"]
-    ]:
-        gradient, rotational = (
-            (forces @ half).reshape(*self.shape, 2)
-            for forces, half in zip(self.everywhere, np.split(weights, 2), strict=True)
-        )
-        return gradient, rotational
-
-    def functions(
-        self, weights: Float[np.ndarray, " weight"]
-    ) -> tuple[Float[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
-        potential, stream = (
-            (self.values @ half).reshape(self.shape) for half in np.split(weights, 2)
-        )
-        return potential, stream
+    def sums(
+        self,
+        kernels: tuple[np.ndarray, np.ndarray],
+        weights: Float[np.ndarray, " weight"],
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Kernels of both parts, each times its half of the weights."""
+        first, second = np.split(weights, 2)
+        return kernels[0] @ first, kernels[1] @ second
 
     def bounds(self, force: Float[np.ndarray, "near 2"]) -> tuple[float, float]:
         """Rotational fraction left by all gradients, and by no rotation."""

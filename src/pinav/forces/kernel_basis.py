@@ -8,6 +8,8 @@ their width and spacing is one: they have no unit.
 `KernelTensor` a positive tensor with the coordinate axes as principal ones.
 """
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -141,14 +143,21 @@ class KernelBasis(eqx.Module):
             _grid(axis, spacing, positions[:, axis.index], across, margin)
             for axis, spacing in zip(axes, spacings, strict=True)
         ]
-        centers = grids[0]
-        for grid in grids[1:]:
-            first = np.repeat(centers, len(grid), axis=0)
-            centers = np.hstack([first, np.tile(grid, (len(centers), 1))])
-        if len(axes) > 1:
-            everywhere = cls(axes, spacings, jnp.asarray(centers))
-            centers = _near(everywhere, positions, margin)
-        return cls(axes, spacings, jnp.asarray(centers))
+        corners = itertools.product(*grids)
+        centers = np.array([np.concatenate(parts) for parts in corners])
+        basis = cls(axes, spacings, jnp.asarray(centers))
+        return basis if len(axes) == 1 else basis._near(positions, margin)
+
+    def _near(
+        self, positions: Float[np.ndarray, "sample dim"], margin: int
+    ) -> "KernelBasis":
+        """The kernels that are within a margin, in spacings, of a position."""
+        from scipy.spatial import KDTree
+
+        with jax.enable_x64(new_val=True):
+            places = np.asarray(jax.vmap(self.coordinates)(jnp.asarray(positions)))
+        is_near = KDTree(places).query(np.asarray(self.centers))[0] < margin
+        return KernelBasis(self.axes, self.spacings, self.centers[is_near])
 
     @property
     def is_warped(self) -> bool:
@@ -182,23 +191,19 @@ def _spacings(
                 f"each coordinate, got {axis.index}"
             )
     extents = [np.ptp(_coordinate(a, positions[:, a.index])) for a in axes]
-    plain = [
-        extent
-        for axis, extent in zip(axes, extents, strict=True)
-        if axis.warp is None and axis.period is None
+    pairs = list(zip(axes, extents, strict=True))
+    is_plain = [axis.warp is None and axis.period is None for axis in axes]
+    longest = max(itertools.compress(extents, is_plain), default=0.0)
+    lengths = [
+        axis.period or (extent if axis.warp else longest) for axis, extent in pairs
     ]
-    spacings = []
-    for axis, extent in zip(axes, extents, strict=True):
-        if axis.period is not None:
-            spacings.append(float(axis.period) / across)
-        else:
-            spacings.append(float(extent if axis.warp else max(plain)) / across)
+    spacings = tuple(float(length) / across for length in lengths)
     if not all(spacing > 0 for spacing in spacings):
         raise InputError(
             "KernelBasis.around: expected two or more different positions along its "
             "axes"
         )
-    return tuple(spacings)
+    return spacings
 
 
 def _coordinate(
@@ -222,19 +227,6 @@ def _grid(
     count = int(np.ceil(np.ptp(places))) + 2 * margin + 1
     middle = (places.min() + places.max()) / 2
     return (middle + np.arange(count) - (count - 1) / 2)[:, None]
-
-
-def _near(
-    basis: KernelBasis,
-    positions: Float[np.ndarray, "sample dim"],
-    margin: int,
-) -> Float[np.ndarray, "_ embedded"]:
-    from scipy.spatial import KDTree
-
-    with jax.enable_x64(new_val=True):
-        places = np.asarray(jax.vmap(basis.coordinates)(jnp.asarray(positions)))
-    centers = np.asarray(basis.centers)
-    return centers[KDTree(places).query(centers)[0] < margin]
 
 
 class KernelProfile(AbstractLearnedForce):

@@ -123,9 +123,9 @@ class AbstractProcessPrior(AbstractPrior):
         components: weights of each kernel, independent of each other.
     """
 
-    centers: Centers = eqx.field(converter=_as_rows)
-    width: float = eqx.field(converter=float)
-    components: int = 1
+    centers: eqx.AbstractVar[Centers]
+    width: eqx.AbstractVar[float]
+    components: eqx.AbstractVar[int]
 
     @abc.abstractmethod
     def correlation(self, distances: Gram) -> Gram:
@@ -210,6 +210,9 @@ class StationaryPrior(AbstractProcessPrior):
         4.2 and 6.3.
     """
 
+    centers: Centers = eqx.field(converter=_as_rows)
+    width: float = eqx.field(converter=float)
+    components: int = 1
     smooth: bool = False
 
     @property
@@ -241,11 +244,18 @@ FEATURES = 256
 
 
 class AbstractFadingPrior(AbstractProcessPrior):
-    r"""Gaussian process that may fade away from a place, $A_{ij} = D_i D_j$.
+    r"""Gaussian process that may fade away from a place, down to a floor.
 
-    The envelope is $D_i = \exp(-|u_i - m|^2 / 2 R^2)$. After $\log \ell$ the shape
-    holds $\log R$, and $m$ from the middle of the kernels, all in widths.
+    $A_{ij} = D_i D_j + \varphi^2$ with the envelope
+    $D_i = \exp(-|u_i - m|^2 / 2 R^2)$. After $\log \ell$ the shape holds $\log R$, and
+    $m$ from the middle of the kernels, all in widths.
+
+    Attributes:
+        floor: $\varphi$, below which no standard deviation falls, relative to where it
+            is largest.
     """
+
+    floor: eqx.AbstractVar[float]
 
     @property
     def start(self) -> Shape:
@@ -254,7 +264,7 @@ class AbstractFadingPrior(AbstractProcessPrior):
 
     def amplitudes(self, shape: Shape) -> Gram:
         envelope = self._envelope(shape, self._places)
-        return np.outer(envelope, envelope)
+        return np.outer(envelope, envelope) + self.floor**2
 
     def pull_amplitudes(self, shape: Shape, pull: Gram) -> Float[np.ndarray, " rest"]:
         from_middle = self._places - shape[2:]
@@ -302,7 +312,11 @@ class WeightPrior(AbstractFadingPrior):
             at any rate one width.
     """
 
+    centers: Centers = eqx.field(converter=_as_rows)
+    width: float = eqx.field(converter=float)
+    components: int = 1
     narrowest: float = 0.0
+    floor: float = 0.0
 
     @property
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
@@ -368,27 +382,23 @@ class ProfilePrior(AbstractFadingPrior):
     flat behind it, a hill has a summit and tails. A process that is smooth without end
     takes what it sees of such a profile in one place for what it must be in another,
     and its band is too sure. Its correlation is Matern's of order 7/2,
-    $M(r) = (1 + a + \tfrac25 a^2 + \tfrac1{15} a^3) e^{-a}$ with $a = \sqrt7\, r$, and
-    its amplitudes are $A_{ij} = D_i D_j + \varphi^2$: where the data end, an envelope
-    that they chose knows nothing, and without the floor its band would be too sure.
-
-    Attributes:
-        floor: $\varphi$, below which no standard deviation falls, relative to where it
-            is largest.
+    $M(r) = (1 + a + \tfrac25 a^2 + \tfrac1{15} a^3) e^{-a}$ with $a = \sqrt7\, r$.
+    Where the data end, an envelope that they chose knows nothing: without the floor its
+    band would be too sure.
 
     References:
         Stein, Interpolation of Spatial Data (1999), section 1.7; Rasmussen and
         Williams, Gaussian Processes for Machine Learning (2006), section 4.2.
     """
 
+    centers: Centers = eqx.field(converter=_as_rows)
+    width: float = eqx.field(converter=float)
+    components: int = 1
     floor: float = 0.01
 
     @property
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
         return self._bounds(0.0, 1.0)
-
-    def amplitudes(self, shape: Shape) -> Gram:
-        return super().amplitudes(shape) + self.floor**2
 
     def correlation(self, distances: Gram) -> Gram:
         a = np.sqrt(7.0) * distances
@@ -399,12 +409,14 @@ class ProfilePrior(AbstractFadingPrior):
         return a * a * (3 + a * (3 + a)) / (15 + a * (15 + a * (6 + a)))
 
 
-class DistancePrior(ProfilePrior):
+class DistancePrior(AbstractPrior):
     r"""Prior of a profile of a distance: $\rho_i \rho_j$ times a `ProfilePrior`.
 
     The force of a smooth potential grows with the distance. With an infinite length
     scale the envelope about zero leaves the force of a Gaussian, where a search begins.
     """
+
+    base: ProfilePrior
 
     @property
     def start(self) -> Shape:
@@ -417,15 +429,19 @@ class DistancePrior(ProfilePrior):
         reaches = np.log(np.array(REACHES) * (high - low))
         return [np.array([SMOOTH, reach, 0.99 * low]) for reach in reaches]
 
-    def amplitudes(self, shape: Shape) -> Gram:
-        return super().amplitudes(shape) * self._squares
+    @property
+    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+        return self.base.bounds
 
-    def pull_amplitudes(self, shape: Shape, pull: Gram) -> Float[np.ndarray, " rest"]:
-        return super().pull_amplitudes(shape, pull * self._squares)
+    def covariance(self, shape: Shape) -> Matrix:
+        return self.base.covariance(shape) * self._squares
+
+    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
+        return self.base.pullback(shape, pull * self._squares)
 
     @property
     def _squares(self) -> Gram:
-        distances = self.centers / self.centers.max()
+        distances = self.base.centers / self.base.centers.max()
         return np.outer(distances, distances)
 
 

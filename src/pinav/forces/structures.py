@@ -205,8 +205,8 @@ class AbstractProfileTerm(AbstractTerm):
     def prior(self) -> AbstractPrior:
         if not self.has_kernels:
             return IsotropicPrior(1)
-        process = DistancePrior if self.is_odd else ProfilePrior
-        kernels = process(self.places, self.width)
+        base = ProfilePrior(self.places, self.width)
+        kernels = DistancePrior(base) if self.is_odd else base
         if self.law is None:
             return kernels
         height, unit = IsotropicPrior(1), self.force_per_weight

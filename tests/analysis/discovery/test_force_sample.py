@@ -1,5 +1,3 @@
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -151,12 +149,3 @@ def test_spread_points_are_far_apart_and_distinct():
 def test_sample_of_wrong_shape_is_refused():
     with pytest.raises(InputError, match="four or more planar positions"):
         ForceSample(POSITIONS, np.zeros((60, 2)), np.eye(60), 1.0)
-
-
-def test_law_force_is_that_of_the_law():
-    value = law_force(GAUSSIAN, BARRIER, POSITIONS[:1])
-    x = jnp.asarray(POSITIONS[0])
-    potential = jax.grad(
-        lambda x: 5.25 * jnp.exp(-jnp.sum((x - BARRIER[1:3]) ** 2) / (2 * 2.9**2))
-    )
-    np.testing.assert_allclose(value[0], -potential(x), rtol=1e-12)

@@ -35,7 +35,7 @@ from pinav.fitting.engine.local_model import selected_entries
 from pinav.fitting.engine.multiple_shooting import linearise
 from pinav.fitting.engine.posterior import linear_rollout
 from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat, joint_posterior
-from pinav.forces import AbstractLearnedForce
+from pinav.forces import AbstractLearnedForce, forces_at
 from pinav.trajectories import Trajectories
 
 Pick = Callable[[Any], PyTree]
@@ -270,8 +270,7 @@ def _force_changes(
     changes: Float[Array, "change parameter"],
 ) -> Float[Array, "change point dim"]:
     def forces(theta: Float[Array, " parameter"]) -> Float[Array, "point dim"]:
-        force = free(theta).environment
-        return jax.vmap(lambda x: force(0.0, x, jnp.zeros_like(x)))(points)
+        return forces_at(free(theta).environment, jnp.zeros(len(points)), points)
 
     _, slope = jax.linearize(forces, theta)
     return jax.vmap(slope)(changes)

@@ -2,15 +2,15 @@
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from pinav.figures.animation import Trails, save_animation
 from pinav.figures.fits import bands_figure, moments_figure
 from pinav.figures.images import Movie, Picture
 from pinav.figures.navigation import greatest_force, outcome_bars, paths_map
-from pinav.figures.style import DIMENSIONLESS, new_figure, with_unit
+from pinav.figures.style import DIMENSIONLESS, draw_panels, with_unit
 from pinav.navigation import FlightOutcome, Interval, OnlineNavigation
 from pinav.report import Cell, Paragraph, Section, Table, quantity
 
@@ -126,19 +126,11 @@ def online_sentences(result: OnlineNavigation) -> list[str]:
 
 
 def _paths(result: OnlineNavigation) -> Picture:
-    def draw() -> Figure:
-        figure, maps = new_figure(4.6, 4.6), result.shown.maps
-        assert maps.truth is not None
-        paths_map(
-            maps.truth,
-            result.course,
-            {name: paths[:DRAWN] for name, paths in result.paths.items()},
-            limit=greatest_force(maps),
-            units=result.units,
-            ax=figure.add_subplot(),
-        )
-        return figure
-
+    maps = result.shown.maps
+    drawn = {name: paths[:DRAWN] for name, paths in result.paths.items()}
+    shown = {"limit": greatest_force(maps), "units": result.units}
+    panel = partial(paths_map, maps.truth, result.course, drawn, **shown)
+    draw = partial(draw_panels, (4.6, 4.6), [panel])
     caption = f"At most {DRAWN} flights of each controller over the true force."
     return Picture("learn-online-paths", draw, caption, width=0.6)
 

@@ -1,10 +1,10 @@
 """The findings of `pinav navigate`: the same blocks on a terminal and in a report."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.figure import Figure
 
 from pinav.commands.navigate.online_sections import (
     online_sections,
@@ -20,7 +20,7 @@ from pinav.figures.navigation import (
     plan_map,
     space_figure,
 )
-from pinav.figures.style import new_figure
+from pinav.figures.style import draw_panels
 from pinav.navigation import (
     AbstractNavigation,
     Interval,
@@ -29,6 +29,7 @@ from pinav.navigation import (
     Suggestion,
     Summary,
 )
+from pinav.navigation.maps import ForceMaps
 from pinav.report import AbstractBlock, Cell, Paragraph, Section, Table, quantity
 from pinav.units import force_unit
 
@@ -64,8 +65,8 @@ def sections(result: AbstractNavigation) -> list[Section]:
     return [
         *parts,
         Section("Plan", [_plan(result)]),
-        Section("Closed loop", [_loops(result)]),
-        Section("A run", [_animation(result)]),
+        Section("Closed loop", [_loops(result, result.maps)]),
+        Section("A run", [_animation(result, result.maps)]),
     ]
 
 
@@ -145,22 +146,14 @@ def _programme(suggestion: Suggestion, unit: str) -> Table:
 
 
 def _plan(result: Navigation) -> Picture:
-    def draw() -> Figure:
-        figure, plan = new_figure(4.6, 5.0), result.plan
-        plan_map(
-            plan.times,
-            result.course,
-            route=plan.route,
-            units=result.units,
-            ax=figure.add_subplot(),
-        )
-        return figure
-
+    shown = {"route": result.plan.route, "units": result.units}
+    panel = partial(plan_map, result.plan.times, result.course, **shown)
     caption = (
         "Time to the goal (cross) from rest, as planned on the learned force with the "
         "greatest thrust, and the planned way from the start (circle). Hatched: the "
         "goal cannot be reached within the time limit."
     )
+    draw = partial(draw_panels, (4.6, 5.0), [panel])
     return Picture("navigate-plan", draw, caption, width=0.6)
 
 
@@ -185,31 +178,22 @@ def _in_space(result: Navigation) -> Picture:
         "the way planned on the learned force (dashed). The controllers differ in the "
         "model with which they plan. Balls must not be entered."
     )
-    return Picture(
-        "navigate-closed-loop",
-        lambda: space_figure(
-            result.course,
-            _paths(result),
-            route=result.plan.route,
-            units=result.units,
-        ),
-        caption,
+    shown = {"route": result.plan.route, "units": result.units}
+    draw = partial(space_figure, result.course, _paths(result), **shown)
+    return Picture("navigate-closed-loop", draw, caption)
+
+
+def _loops(result: Navigation, maps: ForceMaps) -> Picture:
+    draw = partial(
+        closed_loop_figure,
+        result.course,
+        maps,
+        _paths(result),
+        thrust=result.thrust,
+        route=result.plan.route,
+        suggestion=None if result.suggestion is None else result.suggestion.path,
+        units=result.units,
     )
-
-
-def _loops(result: Navigation) -> Picture:
-    def draw() -> Figure:
-        assert result.maps is not None
-        return closed_loop_figure(
-            result.course,
-            result.maps,
-            _paths(result),
-            thrust=result.thrust,
-            route=result.plan.route,
-            suggestion=None if result.suggestion is None else result.suggestion.path,
-            units=result.units,
-        )
-
     caption = (
         f"Paths of at most {DRAWN} runs of each controller, in "
         f"{environment_words(result)}. The controllers differ in the model with which "
@@ -218,14 +202,11 @@ def _loops(result: Navigation) -> Picture:
     return Picture("navigate-closed-loop", draw, caption)
 
 
-def _animation(result: Navigation) -> Movie:
-    course, maps = result.course, result.maps
-    assert maps is not None
+def _animation(result: Navigation, maps: ForceMaps) -> Movie:
     paths = {name: loops.states[0, :, :2] for name, loops in result.episodes.items()}
+    shown = result.course, maps, Trails(paths, result.step)
     return Movie(
         "navigate-run",
-        lambda file: save_animation(
-            course, maps, Trails(paths, result.step), file, units=result.units
-        ),
+        lambda file: save_animation(*shown, file, units=result.units),
         "One run of each controller with the same noise.",
     )

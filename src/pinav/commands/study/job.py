@@ -40,9 +40,7 @@ from pinav.evaluation import (
 from pinav.figures import Picture
 from pinav.figures.errors import scaling_figure
 from pinav.files import write_text
-from pinav.fitting.environments.summary import (
-    KnownSwimmer,
-)
+from pinav.fitting.environments.summary import KnownSwimmer
 from pinav.learning.learn import infer
 from pinav.learning.plan import MATCHED_MODELS, plan_fit
 from pinav.learning.recipes import Bayes, Curriculum
@@ -81,10 +79,6 @@ class StudyFit:
         """Relative L2 error of the force in a region; NaN without a force."""
         return self.force[region].error if self.force else math.nan
 
-    def cosine(self, region: str) -> float:
-        """Cosine similarity of the force in a region; NaN without a force."""
-        return self.force[region].cosine if self.force else math.nan
-
     def rollout(self, score: str) -> float:
         """A score of the rollouts, by the name of its field; NaN without one."""
         return math.nan if self.rollouts is None else getattr(self.rollouts, score)
@@ -113,7 +107,7 @@ COLUMNS: dict[str, Callable[[StudyFit], Entry]] = {
     "force visited": lambda fit: fit.force_error(VISITED),
     "force near": lambda fit: fit.force_error("near"),
     "force unvisited": lambda fit: fit.force_error("unvisited"),
-    "cosine visited": lambda fit: fit.cosine(VISITED),
+    "cosine visited": lambda fit: fit.force[VISITED].cosine if fit.force else math.nan,
     "rollouts median": lambda fit: fit.rollout("median"),
     "rollouts 90 %": lambda fit: fit.rollout("high"),
     "rollouts diverged": lambda fit: fit.rollout("diverged"),
@@ -248,7 +242,7 @@ def _without_scores(cell: Cell, outcome: str) -> StudyFit:
 def do_cell(cell: Cell, folder: Path) -> None:
     """Fit and score one cell, and write its row."""
     one, known = cell.read(StudyCell), scenario(cell.system)
-    clean = _several(cell.system, cell.seed, max(one.count, NESTED))
+    clean = clean_data(cell.system, cell.seed, max(one.count, NESTED))
     clean = clean.select(range(one.count))
     data = with_noise(clean, one.sigma, cell.seed)
     model, outcome = fit_model(
@@ -265,11 +259,6 @@ def _held_out(world: str, count: int) -> Trajectories:
     return held_out(scenario(world), count=count)
 
 
-@functools.lru_cache(maxsize=8)
-def _several(world: str, seed: int, count: int) -> Trajectories:
-    return clean_data(world, seed, count)
-
-
 def check(name: str, world: str, settings: StudySettings) -> None:
     """Refuse a study before a folder is made for it."""
     counts = (settings.count,) if name == "noise" else settings.counts
@@ -282,6 +271,7 @@ def check(name: str, world: str, settings: StudySettings) -> None:
             )
 
 
+@functools.lru_cache(maxsize=8)
 def clean_data(world: str, seed: int, count: int) -> Trajectories:
     """Noise-free trajectories, from the starts of `pinav simulate --seed`."""
     starts_key, _ = jax.random.split(jax.random.key(seed))
