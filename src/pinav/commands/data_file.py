@@ -8,12 +8,7 @@ from pinav.errors import InputError
 from pinav.reading import PLAIN, Reading
 from pinav.recordings import read_recording
 from pinav.recordings.conventions import doubts
-from pinav.trajectories import (
-    PREFIX,
-    Trajectories,
-    is_trajectories,
-    load,
-)
+from pinav.trajectories import PREFIX, Trajectories, is_trajectories, load
 
 
 def read_data(

@@ -9,11 +9,7 @@ from collections.abc import Mapping
 import equinox as eqx
 import numpy as np
 
-from pinav.dynamics import (
-    AbstractDynamics,
-    AbstractSwimmer,
-    Outcome,
-)
+from pinav.dynamics import AbstractDynamics, AbstractSwimmer, Outcome
 from pinav.evaluation.force_fields import Agreement, Regions, force_agreement
 from pinav.evaluation.judgement import (
     CalibratedBand,

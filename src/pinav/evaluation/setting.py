@@ -8,11 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.dynamics import (
-    AbstractDynamics,
-    AbstractSwimmer,
-    Outcome,
-)
+from pinav.dynamics import AbstractDynamics, AbstractSwimmer, Outcome
 from pinav.errors import InputError
 from pinav.evaluation.force_fields import (
     FieldMap,

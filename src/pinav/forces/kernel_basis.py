@@ -20,12 +20,7 @@ from pinav.arguments import Scalar, Vector, check_positive
 from pinav.errors import InputError
 from pinav.forces.force import AbstractLearnedForce
 from pinav.forces.kernels import KernelForce, kernel_values
-from pinav.forces.priors import (
-    AbstractPrior,
-    Centers,
-    MixturePrior,
-    StationaryPrior,
-)
+from pinav.forces.priors import AbstractPrior, Centers, MixturePrior, StationaryPrior
 from pinav.forces.tensors import AbstractTensorField
 
 

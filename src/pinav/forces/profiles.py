@@ -11,13 +11,7 @@ import abc
 import dataclasses
 from typing import ClassVar, final
 
-from pinav.forces.formulas import (
-    Constant,
-    Constants,
-    Expr,
-    Functions,
-    Role,
-)
+from pinav.forces.formulas import Constant, Constants, Expr, Functions, Role
 
 HEIGHT = Constant("height", "U_0", Role.AMPLITUDE, "L² T⁻²")
 WIDTH = Constant("width", r"\sigma", Role.SCALE)

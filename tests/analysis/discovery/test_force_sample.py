@@ -18,12 +18,7 @@ from pinav.analysis.discovery.force_sample import (
     central_test,
     spread_points,
 )
-from pinav.analysis.discovery.law_regression import (
-    fit_law,
-    fit_sum,
-    law_force,
-    screen,
-)
+from pinav.analysis.discovery.law_regression import fit_law, fit_sum, law_force, screen
 from pinav.errors import InputError
 from pinav.forces.geometries import Center, Ellipse
 from pinav.forces.laws import ProfileLaw

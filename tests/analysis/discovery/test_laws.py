@@ -22,12 +22,7 @@ from pinav.analysis.discovery.candidates import (
 from pinav.errors import InputError
 from pinav.forces import GaussianBarrier
 from pinav.forces.formulas import Role
-from pinav.forces.geometries import (
-    Center,
-    Centers,
-    Ellipse,
-    Line,
-)
+from pinav.forces.geometries import Center, Centers, Ellipse, Line
 from pinav.forces.laws import (
     LawForce,
     ProfileLaw,
@@ -37,12 +32,7 @@ from pinav.forces.laws import (
     latex,
     sympy_text,
 )
-from pinav.forces.profiles import (
-    CompactHill,
-    Gaussian,
-    InversePower,
-    Lorentzian,
-)
+from pinav.forces.profiles import CompactHill, Gaussian, InversePower, Lorentzian
 
 SWIRL = GAUSSIAN_SWIRL
 STRUCTURED = (

@@ -13,21 +13,11 @@ from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.design import DesignOptions, DesignSettings
 from pinav.commands.results import fingerprint, keep, start_run
-from pinav.commands.steering import (
-    observe_positions,
-    programme_table,
-    system_task,
-)
+from pinav.commands.steering import observe_positions, programme_table, system_task
 from pinav.errors import InputError
 from pinav.figures.images import Picture
 from pinav.figures.navigation import bounds_figure, recordings_figure
-from pinav.navigation import (
-    AdaptiveController,
-    Course,
-    Experiment,
-    Rectangle,
-    Task,
-)
+from pinav.navigation import AdaptiveController, Course, Experiment, Rectangle, Task
 from pinav.navigation.adaptive.flight import map_belief
 from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.design.campaign import (
@@ -44,10 +34,7 @@ from pinav.navigation.design.candidates import (
     Stage,
     suggest_next,
 )
-from pinav.navigation.design.result import (
-    CampaignSummary,
-    DesignResult,
-)
+from pinav.navigation.design.result import CampaignSummary, DesignResult
 from pinav.report import AbstractBlock, Cell, Paragraph, Section, Table
 from pinav.scenarios import find_system
 from pinav.trajectories import concatenate

@@ -17,15 +17,7 @@ from pinav.commands.discover import DiscoverOptions
 from pinav.commands.results import keep
 from pinav.figures import formula_figure, law_figure
 from pinav.learning.learned import Learned
-from pinav.report import (
-    AbstractBlock,
-    Cell,
-    Code,
-    Paragraph,
-    Section,
-    Table,
-    number,
-)
+from pinav.report import AbstractBlock, Cell, Code, Paragraph, Section, Table, number
 
 DIGITS = 6
 """Significant digits of a constant: intervals of precise data differ in the third."""

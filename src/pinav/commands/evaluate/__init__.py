@@ -5,11 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from pinav.commands.settings import (
-    AsJson,
-    ReadingWords,
-    Settings,
-)
+from pinav.commands.settings import AsJson, ReadingWords, Settings
 from pinav.reading import PLAIN
 
 

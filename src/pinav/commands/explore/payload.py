@@ -12,12 +12,7 @@ from jaxtyping import Array, Float
 from pinav.commands.explore.force_table import TableBox
 from pinav.commands.explore.printing import Tree, pack_array
 from pinav.commands.explore.programs import Controls, Programs
-from pinav.dynamics import (
-    AbstractDynamics,
-    OverdampedSwimmer,
-    Swimmer,
-    takes_commands,
-)
+from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer, takes_commands
 from pinav.dynamics.swimmers import unbound
 from pinav.errors import InputError
 from pinav.evaluation import extent, square

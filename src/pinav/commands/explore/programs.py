@@ -22,12 +22,7 @@ from pinav.commands.explore.printing import (
     UnknownPrimitive,
     print_function,
 )
-from pinav.dynamics import (
-    AbstractDynamics,
-    OverdampedSwimmer,
-    Swimmer,
-    drive_by_arrays,
-)
+from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer, drive_by_arrays
 from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.forces import (

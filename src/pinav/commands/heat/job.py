@@ -13,10 +13,7 @@ from pinav.runs import RunFolder
 from pinav.thermal.case import Case, read_case
 from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun, simulate
 from pinav.thermal.images import write_image
-from pinav.thermal.learned_tissue import (
-    LearnedTissue,
-    learn_tissue,
-)
+from pinav.thermal.learned_tissue import LearnedTissue, learn_tissue
 from pinav.thermal.planned_run import PlannedRun, PlanTask
 from pinav.thermal.protocols import require
 from pinav.thermal.readings import Readings, save_probes

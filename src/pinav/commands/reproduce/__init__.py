@@ -3,12 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pinav.commands.settings import (
-    Range,
-    ResumableOptions,
-    Settings,
-    Several,
-)
+from pinav.commands.settings import Range, ResumableOptions, Settings, Several
 
 
 class ReproduceSettings(Settings, frozen=True):

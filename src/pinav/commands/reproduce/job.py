@@ -17,12 +17,7 @@ from pinav.commands.reproduce.sections import (
 )
 from pinav.commands.results import keep, start_run
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
-from pinav.evaluation import (
-    decompose,
-    field_map,
-    predict,
-    score,
-)
+from pinav.evaluation import decompose, field_map, predict, score
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.summary import (
     ModelChoice,
