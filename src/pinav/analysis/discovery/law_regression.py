@@ -21,7 +21,7 @@ from pinav.analysis.discovery.force_sample import ForceSample
 from pinav.analysis.discovery.term_laws import MOST_TERMS, TermLaws
 from pinav.forces import forces_at
 from pinav.forces.formulas import Role
-from pinav.forces.laws import AbstractLaw, LawForce, SumLaw, terms_of
+from pinav.forces.laws import AbstractLaw, LawForce, terms_of
 from pinav.threads import map_on_cores
 
 STARTS = 3
@@ -62,7 +62,7 @@ def fit_law(
         low, high = _bounds(law, sample)
         scaled = [problem.with_best_amplitudes(np.clip(s, low, high)) for s in starts]
         scaled = [np.clip(start, low, high) for start in scaled]
-        costs = [float(np.sum(problem.residuals(start) ** 2)) for start in scaled]
+        costs = [float(np.sum(problem.evaluate(start)[0] ** 2)) for start in scaled]
         fits = [problem.fit(scaled[i], (low, high)) for i in np.argsort(costs)[:STARTS]]
     best = min(fits, key=lambda fit: fit.cost)
     squares = 2 * float(best.cost)
@@ -107,36 +107,30 @@ def _force_and_slopes(
 
 
 class _Regression(eqx.Module):
-    """Residuals of a law, as a function of its constants."""
+    """Whitened residuals of a law, as a function of its constants."""
 
     law: AbstractLaw = eqx.field(static=True)
     positions: Float[np.ndarray, "point dim"]
     force: Float[np.ndarray, "point dim"]
     whitener: Float[np.ndarray, "component component"]
 
-    def residuals(
+    def evaluate(
         self, constants: Float[np.ndarray, " constant"]
-    ) -> Float[np.ndarray, " component"]:
-        values, _ = self._evaluate(constants)
-        return self.whitener @ (values - self.force).reshape(-1)
+    ) -> tuple[
+        Float[np.ndarray, " component"], Float[np.ndarray, "component constant"]
+    ]:
+        """Residuals and their derivatives.
 
-    def jacobian(
-        self, constants: Float[np.ndarray, " constant"]
-    ) -> Float[np.ndarray, "component constant"]:
-        _, slopes = self._evaluate(constants)
-        return self.whitener @ slopes.reshape(-1, len(constants))
-
-    def _evaluate(
-        self, constants: Float[np.ndarray, " constant"]
-    ) -> tuple[Float[np.ndarray, "point dim"], Float[np.ndarray, "point dim constant"]]:
-        """Force and slopes; of a sum term by term, whose programs are there already."""
+        Those of a sum are found term by term, whose programs are there already.
+        """
         both = [
             _force_and_slopes(law, np.asarray(c), self.positions)
             for law, c in self.law.split(tuple(constants))
         ]
-        values = sum(np.asarray(force) for force, _ in both)
-        slopes = [np.asarray(slope) for _, slope in both]
-        return np.asarray(values), np.concatenate(slopes, axis=-1)
+        missed = sum(np.asarray(force) for force, _ in both) - self.force
+        slopes = np.concatenate([np.asarray(slope) for _, slope in both], axis=-1)
+        columns = slopes.reshape(-1, len(constants))
+        return self.whitener @ missed.reshape(-1), self.whitener @ columns
 
     def with_best_amplitudes(
         self, constants: Float[np.ndarray, " constant"]
@@ -145,18 +139,17 @@ class _Regression(eqx.Module):
         chosen = self.law.indices(Role.AMPLITUDE)
         values = np.array(constants, float)
         values[chosen] = 0.0
-        rest = self.residuals(values)
-        columns = self.jacobian(values)[:, chosen]
-        values[chosen] = np.linalg.lstsq(columns, -rest, rcond=1e-10)[0]
+        rest, columns = self.evaluate(values)
+        values[chosen] = np.linalg.lstsq(columns[:, chosen], -rest, rcond=1e-10)[0]
         return values
 
     def fit(
         self, start: Float[np.ndarray, " constant"], bounds: Bounds
     ) -> scipy.optimize.OptimizeResult:
         return scipy.optimize.least_squares(
-            self.residuals,
+            lambda constants: self.evaluate(constants)[0],
             start,
-            cast(Any, self.jacobian),
+            cast(Any, lambda constants: self.evaluate(constants)[1]),
             bounds=bounds,
             x_scale="jac",
             max_nfev=200,
@@ -221,11 +214,10 @@ def exchange_terms(
     are there, the right law explains as much with fewer constants.
     """
     made: list[FieldFit] = []
-    count = len(fit.law.terms) if isinstance(fit.law, SumLaw) else 0
-    for _ in range(count):
-        if not isinstance(fit.law, SumLaw):
+    for _ in terms_of(fit.law):
+        first, *rest = terms_of(fit.law)
+        if not rest:
             break
-        first, *rest = fit.law.terms
         kept = sum(rest[1:], rest[0])
         others = fit_law(kept, sample, fit.constants[None, len(first.constants) :])
         begun = FieldFit(kept, fit.constants[len(first.constants) :], np.inf, np.inf)
