@@ -16,7 +16,7 @@ from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from pinav.actuation import AbstractActuator, AbstractProgramme
 from pinav.arguments import Scalar, Vector, refuse_text
-from pinav.forces.priors import AbstractPrior, Centers, Shape
+from pinav.forces.priors import AbstractPrior, Centers, Points, Shape
 
 
 class AbstractForce(eqx.Module):
@@ -157,9 +157,7 @@ class AbstractLearnedForce(AbstractForce):
         """Its kernels on a grid that may be refined; None where there are none."""
         return None
 
-    def variance_beyond(
-        self, shape: Shape, positions: Float[np.ndarray, "point dim"]
-    ) -> Float[np.ndarray, "point dim"]:
+    def variance_beyond(self, shape: Shape, positions: Points) -> Points:
         """Variance of the force that kernels beyond those that there are would make.
 
         Kernels are laid about the data only; elsewhere the force is as uncertain as its

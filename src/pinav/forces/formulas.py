@@ -101,14 +101,7 @@ def falling(square: Scalar, tail: Scalar) -> Float[Array, ""]:
 
 
 NUMERIC = Functions(
-    jnp.exp,
-    jnp.log,
-    jnp.cos,
-    jnp.sin,
-    _root,
-    _positive_power,
-    jax.nn.sigmoid,
-    falling,
+    jnp.exp, jnp.log, jnp.cos, jnp.sin, _root, _positive_power, jax.nn.sigmoid, falling
 )
 """The functions of JAX."""
 

@@ -31,6 +31,7 @@ from pinav.forces.priors import (
     AbstractPrior,
     Centers,
     MixturePrior,
+    Points,
     Shape,
     TimedPrior,
     WeightPrior,
@@ -99,9 +100,7 @@ class KernelMixture(AbstractKernelSum):
     def helmholtz(self) -> HelmholtzParts:
         return HelmholtzParts(self.gradient, self.rotation)
 
-    def variance_beyond(
-        self, shape: Shape, positions: Float[np.ndarray, "point dim"]
-    ) -> Float[np.ndarray, "point dim"]:
+    def variance_beyond(self, shape: Shape, positions: Points) -> Points:
         first, second, ratio = self.prior().split(shape)
         rotation = self.rotation.variance_beyond(second, positions)
         return self.gradient.variance_beyond(first, positions) + ratio**2 * rotation

@@ -18,7 +18,7 @@ from pinav.forces.force import (
     KernelPlaces,
     forces_at,
 )
-from pinav.forces.priors import Centers, Shape, WeightPrior
+from pinav.forces.priors import Centers, Points, Shape, WeightPrior
 
 REACH = 5.0
 """Distance, in widths, beyond which a kernel is nothing."""
@@ -70,7 +70,7 @@ class KernelGaps(eqx.Module):
         return self.origin + self.spacing * (np.argwhere(is_missing) + low)
 
     def about(
-        self, positions: Float[np.ndarray, "point dim"]
+        self, positions: Points
     ) -> tuple[Float[np.ndarray, "point place dim"], Bool[np.ndarray, "point place"]]:
         """Places about each position [L], and which of them have no kernel."""
         nearest = np.round((positions - self.origin) / self.spacing).astype(int)
@@ -159,9 +159,7 @@ class AbstractKernels(AbstractLearnedForce):
             one = eqx.tree_at(lambda force: force.weights, empty, empty.weights + 1)
             return np.asarray(forces_at(one, np.zeros(offsets.shape[:-1]), offsets))
 
-    def variance_beyond(
-        self, shape: Shape, positions: Float[np.ndarray, "point dim"]
-    ) -> Float[np.ndarray, "point dim"]:
+    def variance_beyond(self, shape: Shape, positions: Points) -> Points:
         variance, prior = np.zeros_like(positions), self.prior()
         centers, width = np.asarray(self.centers), float(self.width)
         gaps = KernelGaps.of(centers, width)

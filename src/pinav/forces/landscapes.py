@@ -161,11 +161,7 @@ def soft_wall(height: Scalar, angle: Scalar, offset: Scalar, width: Scalar) -> L
 
 
 def gaussian_ridge(
-    height: Scalar,
-    center: PlanarPoint,
-    length: Scalar,
-    width: Scalar,
-    angle: Scalar,
+    height: Scalar, center: PlanarPoint, length: Scalar, width: Scalar, angle: Scalar
 ) -> LawForce:
     r"""Repulsion $-\nabla U$ from an elongated Gaussian in the plane: a fibre.
 

@@ -207,12 +207,7 @@ class SumLaw(AbstractLaw):
 
 
 def potential_of(
-    law: AbstractLaw,
-    c: Constants,
-    x: Place,
-    f: Functions,
-    *,
-    turns: bool,
+    law: AbstractLaw, c: Constants, x: Place, f: Functions, *, turns: bool
 ) -> Expr:
     """The potential of the terms that have one, or the stream function of the rest."""
     parts = (t.potential(v, x, f) for t, v in law.split(c) if t.turns is turns)

@@ -26,6 +26,15 @@ Gram = Float[np.ndarray, "kernel kernel"]
 Centers = Float[np.ndarray, "kernel dim"]
 """Places of kernels [L]."""
 
+Points = Float[np.ndarray, "point dim"]
+"""Places [L], or a number along each axis at each of them."""
+
+Bounds = Float[np.ndarray, "shape 2"]
+"""Least and greatest value of each entry of a shape."""
+
+LogVariances = tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight shape"]]
+"""Logarithm of the variance of each weight, and its derivatives by the shape."""
+
 
 class AbstractPrior(eqx.Module):
     """A normal distribution of weights, of unit amplitude, that depends on a shape."""
@@ -42,7 +51,7 @@ class AbstractPrior(eqx.Module):
 
     @property
     @abc.abstractmethod
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+    def bounds(self) -> Bounds:
         """Between which the shape is sought."""
 
     @property
@@ -70,10 +79,8 @@ class AbstractIndependentPrior(AbstractPrior):
     """Independent weights, whose variances depend on the shape."""
 
     @abc.abstractmethod
-    def log_variances(
-        self, shape: Shape
-    ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight shape"]]:
-        """Logarithm of the variance of each weight, and its derivatives."""
+    def log_variances(self, shape: Shape) -> LogVariances:
+        """The logarithms at a shape."""
 
     def covariance(self, shape: Shape) -> Matrix:
         return np.diag(np.exp(self.log_variances(shape)[0]))
@@ -97,12 +104,10 @@ class IsotropicPrior(AbstractIndependentPrior):
         return np.zeros(0)
 
     @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+    def bounds(self) -> Bounds:
         return np.zeros((0, 2))
 
-    def log_variances(
-        self, shape: Shape
-    ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight shape"]]:
+    def log_variances(self, shape: Shape) -> LogVariances:
         return np.zeros(self.count), np.zeros((self.count, 0))
 
 
@@ -220,7 +225,7 @@ class StationaryPrior(AbstractProcessPrior):
         return np.array([1.0])
 
     @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+    def bounds(self) -> Bounds:
         return np.array([(-1.2, np.log(10 * self.extent))])
 
     def correlation(self, distances: Gram) -> Gram:
@@ -274,7 +279,7 @@ class AbstractFadingPrior(AbstractProcessPrior):
         squares = (from_middle**2).sum(axis=-1)
         return np.append(pulled @ squares, pulled @ from_middle)
 
-    def _bounds(self, narrowest: float, share: float) -> Float[np.ndarray, "shape 2"]:
+    def _bounds(self, narrowest: float, share: float) -> Bounds:
         """The bounds, with a least reach and a middle that are shares of the extent."""
         longest, half = np.log(10 * self.extent), 0.5 * share * self.extent
         least = np.log(max(narrowest * self.extent, 1.0))
@@ -319,7 +324,7 @@ class WeightPrior(AbstractFadingPrior):
     floor: float = 0.0
 
     @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+    def bounds(self) -> Bounds:
         return self._bounds(self.narrowest, MIDDLE)
 
     @property
@@ -337,7 +342,7 @@ class WeightPrior(AbstractFadingPrior):
         shape: Shape,
         places: Float[np.ndarray, "point place dim"],
         forces: Float[np.ndarray, "point place dim"],
-    ) -> Float[np.ndarray, "point dim"]:
+    ) -> Points:
         r"""Prior variance of $\sum_j w_j f_j$ at points, with kernels at other places.
 
         Args:
@@ -351,10 +356,7 @@ class WeightPrior(AbstractFadingPrior):
         return np.sum(faded * np.einsum("ij,pjd->pid", alike, faded), axis=1)
 
     def draw(
-        self,
-        shape: Shape,
-        centers: Centers,
-        generator: np.random.Generator,
+        self, shape: Shape, centers: Centers, generator: np.random.Generator
     ) -> Float[np.ndarray, "kernel component"]:
         r"""Weights drawn from the prior for kernels at other places, however many.
 
@@ -397,7 +399,7 @@ class ProfilePrior(AbstractFadingPrior):
     floor: float = 0.01
 
     @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+    def bounds(self) -> Bounds:
         return self._bounds(0.0, 1.0)
 
     def correlation(self, distances: Gram) -> Gram:
@@ -430,7 +432,7 @@ class DistancePrior(AbstractPrior):
         return [np.array([SMOOTH, reach, 0.99 * low]) for reach in reaches]
 
     @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+    def bounds(self) -> Bounds:
         return self.base.bounds
 
     def covariance(self, shape: Shape) -> Matrix:
@@ -492,14 +494,12 @@ class MixturePrior(AbstractPrior):
         return dataclasses.replace(self, first=first, second=second)
 
     def _join(
-        self,
-        first: Float[np.ndarray, " first"],
-        second: Float[np.ndarray, " second"],
+        self, first: Float[np.ndarray, " first"], second: Float[np.ndarray, " second"]
     ) -> Shape:
         return np.concatenate([first, second, [self.first_ratio]])
 
     @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+    def bounds(self) -> Bounds:
         ratio = [[self.least_ratio, self.most_ratio]]
         return np.concatenate([self.first.bounds, self.second.bounds, ratio])
 
@@ -550,7 +550,7 @@ class TimedPrior(AbstractPrior):
         return np.append(self.space.start, 1.0)
 
     @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+    def bounds(self) -> Bounds:
         return np.concatenate([self.space.bounds, [[-0.5, LOG_STATIC]]])
 
     def covariance(self, shape: Shape) -> Matrix:

@@ -39,6 +39,7 @@ from pinav.forces.priors import (
     DistancePrior,
     IsotropicPrior,
     MixturePrior,
+    Points,
     ProfilePrior,
     Shape,
 )
@@ -322,9 +323,7 @@ class StructuredForce(AbstractLearnedForce):
         terms, rest = prior_of(self.terms), self.remainder.prior().broad
         return MixturePrior(terms, rest, SMALL, LEAST, MOST, unit)
 
-    def variance_beyond(
-        self, shape: Shape, positions: Float[np.ndarray, "point dim"]
-    ) -> Float[np.ndarray, "point dim"]:
+    def variance_beyond(self, shape: Shape, positions: Points) -> Points:
         _, rest, ratio = self.prior().split(shape)
         return ratio**2 * self.remainder.variance_beyond(rest, positions)
 

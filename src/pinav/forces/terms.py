@@ -17,7 +17,9 @@ from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.priors import (
     AbstractIndependentPrior,
     AbstractPrior,
+    Bounds,
     IsotropicPrior,
+    LogVariances,
     MixturePrior,
     Shape,
 )
@@ -44,12 +46,10 @@ class LatticePrior(AbstractIndependentPrior):
         return np.zeros(1)
 
     @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+    def bounds(self) -> Bounds:
         return np.array([[-3.0, 2.0]])
 
-    def log_variances(
-        self, shape: Shape
-    ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight shape"]]:
+    def log_variances(self, shape: Shape) -> LogVariances:
         squares = np.tile((self.orders**2).sum(axis=1) - 1.0, 2)
         logarithms = -np.exp(2 * shape[0]) * squares
         return logarithms, 2 * logarithms[:, None]
@@ -161,12 +161,10 @@ class HillsPrior(AbstractIndependentPrior):
         return np.full(len(WIDTHS) - 1, -3.0)
 
     @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+    def bounds(self) -> Bounds:
         return np.tile([-8.0, 1.0], (len(WIDTHS) - 1, 1))
 
-    def log_variances(
-        self, shape: Shape
-    ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight shape"]]:
+    def log_variances(self, shape: Shape) -> LogVariances:
         slopes = 2 * np.delete(np.eye(len(WIDTHS)), MIDDLE, axis=1)
         return np.tile(slopes @ shape, self.count), np.tile(slopes, (self.count, 1))
 
