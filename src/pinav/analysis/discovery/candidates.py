@@ -242,10 +242,7 @@ class SolidRotation(AbstractLaw):
     r"""$\psi = -\tfrac12 \Omega r^2$: $\Omega\,(-(y - c_y),\ x - c_x)$."""
 
     name = "solid rotation"
-    constants = (
-        Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"),
-        *CENTER[:2],
-    )
+    constants = (Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"), *CENTER[:2])
     turns = True
 
     def potential(self, c: Constants, x: Place, f: Functions) -> Expr:

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
 
 from pinav.analysis.discovery.candidates import LIBRARY
 from pinav.analysis.discovery.force_sample import (
@@ -21,6 +20,7 @@ from pinav.analysis.discovery.force_sample import (
 )
 from pinav.analysis.discovery.law_regression import (
     FieldFit,
+    Values,
     law_force,
     screen,
     screen_terms,
@@ -41,6 +41,7 @@ from pinav.fitting.environments.summary import learned_part
 from pinav.forces import as_learned_force, split_structure
 from pinav.forces.formulas import Role
 from pinav.forces.laws import AbstractLaw, LawForce, SumLaw, latex, sympy_text, terms_of
+from pinav.forces.priors import Points
 from pinav.identification import needs_kalman_filter
 from pinav.trajectories import Trajectories, with_velocities
 
@@ -95,7 +96,7 @@ class Candidate(eqx.Module):
     sympy: str
 
     @property
-    def values(self) -> Float[np.ndarray, " constant"]:
+    def values(self) -> Values:
         """The values of its constants, in their order."""
         return np.array([constant.value for constant in self.constants])
 
@@ -141,7 +142,7 @@ class Discovery(eqx.Module):
     learned_noise: float
     num_effective: float
     sample: ForceSample
-    best_force: Float[np.ndarray, "point dim"]
+    best_force: Points
     structure: tuple[str, ...] = eqx.field(static=True, default=())
     units: dict[str, str] = eqx.field(default_factory=dict)
 

@@ -21,6 +21,7 @@ from pinav.errors import InputError
 from pinav.fitting import ParametricModel, Posterior
 from pinav.forces import AbstractForce
 from pinav.forces.geometries import Landscape
+from pinav.forces.priors import Points
 from pinav.trajectories import Trajectories
 
 FLOOR = 0.01
@@ -42,8 +43,8 @@ class ForceSample(eqx.Module):
         InputError: the shapes do not fit together, or there are under four points.
     """
 
-    positions: Float[np.ndarray, "point dim"]
-    force: Float[np.ndarray, "point dim"]
+    positions: Points
+    force: Points
     covariance: Float[np.ndarray, "component component"]
     num_effective: float
 
@@ -62,7 +63,7 @@ class ForceSample(eqx.Module):
             )
 
     @property
-    def sd(self) -> Float[np.ndarray, "point dim"]:
+    def sd(self) -> Points:
         """Standard deviation of each component [L T⁻²]."""
         variances = np.maximum(np.diag(self.covariance), 0.0)
         return np.sqrt(variances).reshape(self.force.shape)
@@ -110,7 +111,7 @@ class ForceSample(eqx.Module):
             extent=self.extent,
         )
 
-    def less(self, force: Float[np.ndarray, "point dim"]) -> "ForceSample":
+    def less(self, force: Points) -> "ForceSample":
         """The sample less a known force."""
         return eqx.tree_at(lambda s: s.force, self, self.force - force)
 
@@ -123,7 +124,7 @@ class Sampling(eqx.Module):
     """
 
     posterior: Posterior
-    positions: Float[np.ndarray, "point dim"]
+    positions: Points
     times: Float[np.ndarray, " point"]
     num_effective: float
 
@@ -190,7 +191,7 @@ def _visited_positions(
     return trajectories.states[..., :2][is_observed], trajectories.times[is_observed]
 
 
-def spread_points(positions: Float[np.ndarray, "point dim"], count: int) -> np.ndarray:
+def spread_points(positions: Points, count: int) -> np.ndarray:
     """Indices of at most `count` points, each the farthest from those before it."""
     chosen = [0]
     distance = np.linalg.norm(positions - positions[0], axis=1)
@@ -321,8 +322,7 @@ def _center(
 
 
 def project_covariance(
-    covariance: Float[np.ndarray, "component component"],
-    directions: Float[np.ndarray, "point dim"],
+    covariance: Float[np.ndarray, "component component"], directions: Points
 ) -> Float[np.ndarray, "point point"]:
     """Covariance of each point's force along its own direction."""
     points = len(directions)

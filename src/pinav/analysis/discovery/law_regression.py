@@ -22,12 +22,16 @@ from pinav.analysis.discovery.term_laws import MOST_TERMS, TermLaws
 from pinav.forces import forces_at
 from pinav.forces.formulas import Role
 from pinav.forces.laws import AbstractLaw, LawForce, terms_of
+from pinav.forces.priors import Points
 from pinav.threads import map_on_cores
 
 STARTS = 3
 """Best starts from which a fit is run to its end."""
 
-Bounds = tuple[Float[np.ndarray, " constant"], Float[np.ndarray, " constant"]]
+Values = Float[np.ndarray, " constant"]
+"""Values of the constants of a law, in their order."""
+
+Bounds = tuple[Values, Values]
 """Least and greatest value of each constant."""
 
 
@@ -39,7 +43,7 @@ class FieldFit(eqx.Module):
     """
 
     law: AbstractLaw = eqx.field(static=True)
-    constants: Float[np.ndarray, " constant"]
+    constants: Values
     squares: float
     bic: float
 
@@ -78,11 +82,7 @@ def fit_sum(first: FieldFit, term: AbstractLaw, sample: ForceSample) -> FieldFit
     return fit_law(first.law + term, sample, start[None])
 
 
-def law_force(
-    law: AbstractLaw,
-    constants: Float[np.ndarray, " constant"],
-    positions: Float[np.ndarray, "point dim"],
-) -> Float[np.ndarray, "point dim"]:
+def law_force(law: AbstractLaw, constants: Values, positions: Points) -> Points:
     """The force of a law at points [L T⁻²]."""
     with jax.enable_x64(new_val=True):
         force = LawForce(law, jnp.asarray(constants))
@@ -110,12 +110,12 @@ class _Regression(eqx.Module):
     """Whitened residuals of a law, as a function of its constants."""
 
     law: AbstractLaw = eqx.field(static=True)
-    positions: Float[np.ndarray, "point dim"]
-    force: Float[np.ndarray, "point dim"]
+    positions: Points
+    force: Points
     whitener: Float[np.ndarray, "component component"]
 
     def evaluate(
-        self, constants: Float[np.ndarray, " constant"]
+        self, constants: Values
     ) -> tuple[
         Float[np.ndarray, " component"], Float[np.ndarray, "component constant"]
     ]:
@@ -132,9 +132,7 @@ class _Regression(eqx.Module):
         columns = slopes.reshape(-1, len(constants))
         return self.whitener @ missed.reshape(-1), self.whitener @ columns
 
-    def with_best_amplitudes(
-        self, constants: Float[np.ndarray, " constant"]
-    ) -> Float[np.ndarray, " constant"]:
+    def with_best_amplitudes(self, constants: Values) -> Values:
         """The constants with the amplitudes, which are linear, at their best."""
         chosen = self.law.indices(Role.AMPLITUDE)
         values = np.array(constants, float)
@@ -143,9 +141,7 @@ class _Regression(eqx.Module):
         values[chosen] = np.linalg.lstsq(columns[:, chosen], -rest, rcond=1e-10)[0]
         return values
 
-    def fit(
-        self, start: Float[np.ndarray, " constant"], bounds: Bounds
-    ) -> scipy.optimize.OptimizeResult:
+    def fit(self, start: Values, bounds: Bounds) -> scipy.optimize.OptimizeResult:
         return scipy.optimize.least_squares(
             lambda constants: self.evaluate(constants)[0],
             start,

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Float
 
-from pinav.analysis.discovery.law_regression import MISFIT_PROBABILITY
+from pinav.analysis.discovery.law_regression import MISFIT_PROBABILITY, Values
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer, with_dtype
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome, Posterior
@@ -47,7 +47,7 @@ class Refit(eqx.Module):
     """
 
     law: AbstractLaw = eqx.field(static=True)
-    constants: Float[np.ndarray, " constant"]
+    constants: Values
     covariance: Float[np.ndarray, "constant constant"]
     squares: float
     noise: float
@@ -66,7 +66,7 @@ class Refit(eqx.Module):
 
 def refit(
     law: AbstractLaw,
-    constants: Float[np.ndarray, " constant"],
+    constants: Values,
     model: Swimmer | OverdampedSwimmer,
     learned: "LearnedOnPaths",
 ) -> Refit:

@@ -65,9 +65,7 @@ class Influence(eqx.Module):
     distances: Float[np.ndarray, " trajectory"]
 
     def force_changes(
-        self,
-        points: ArrayLike,
-        changes: Float[np.ndarray, "change parameter"],
+        self, points: ArrayLike, changes: Float[np.ndarray, "change parameter"]
     ) -> Float[np.ndarray, "change point dim"]:
         """First-order change of the force [L T⁻²] on a swimmer at rest at points [L].
 
