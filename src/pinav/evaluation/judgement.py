@@ -4,11 +4,16 @@ from operator import attrgetter
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from pinav.dynamics import AbstractSwimmer
 from pinav.errors import InputError
-from pinav.evaluation.conformal import Calibration, calibrate, trajectory_scores
+from pinav.evaluation.conformal import (
+    Calibration,
+    Samples,
+    calibrate,
+    trajectory_scores,
+)
 from pinav.evaluation.coverage import (
     Bands,
     estimated_start_bands,
@@ -203,11 +208,7 @@ def calibrate_band(
 
 def _prediction_bands(
     setting: Setting, data: Trajectories
-) -> tuple[
-    Trajectories,
-    Float[np.ndarray, "trajectory time state"],
-    Float[np.ndarray, "trajectory time state"],
-]:
+) -> tuple[Trajectories, Samples, Samples]:
     """Observations, predictions and standard deviations."""
     bands, observed = _bands(setting, data)
     return observed, bands.ys, bands.observable_sd(setting.fit.noise)

@@ -155,14 +155,8 @@ def _starts(
     count: int,
 ) -> Starts:
     finite = np.asarray(np.isfinite(states).all(axis=(1, 2)))
-    outcomes = tuple(
-        Outcome.DIVERGED
-        if not usable
-        else Outcome.CONVERGED
-        if done
-        else Outcome.STALLED
-        for usable, done in zip(finite, settled, strict=True)
-    )
+    ended = np.where(settled, Outcome.CONVERGED, Outcome.STALLED)
+    outcomes = tuple(map(Outcome, np.where(finite, ended, Outcome.DIVERGED).tolist()))
     states = np.where(finite[:, None, None], states, np.nan)
     return Starts(states[:, 0], states, outcomes, count)
 
