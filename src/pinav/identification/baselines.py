@@ -198,9 +198,12 @@ def _share_of_variance(force: RestoringForce, held_out: Track) -> float:
                 before, here = here, here + step
             displacements.append(path[start + ahead] - path[start])
             predicted.append(here - path[start])
-    if len(displacements) < 2:
+    return explained_variance(np.array(displacements), np.array(predicted))
+
+
+def explained_variance(observed: np.ndarray, predicted: np.ndarray) -> float:
+    """Explained share of the variance of all columns; NaN for fewer than two rows."""
+    if len(observed) < 2:
         return float("nan")
-    observed = np.array(displacements)
-    error = observed - np.array(predicted)
     spread = ((observed - observed.mean(axis=0)) ** 2).sum()
-    return float(1.0 - (error**2).sum() / max(spread, 1e-30))
+    return float(1 - ((observed - predicted) ** 2).sum() / max(spread, 1e-30))

@@ -346,7 +346,7 @@ def _result(
         problem.swimmer, learned, spread, conditional_mean, alone
     )
     quadratic, _, information = problem.quadratic(learned)
-    log_prior = _log_prior(problem.search, learned)
+    log_prior, _ = problem.search.log_prior(learned)
     linear = LinearFit(
         quadratic=quadratic,
         weights=problem.weights,
@@ -365,10 +365,3 @@ def _result(
         goodness=None,
         linear=linear,
     )
-
-
-def _log_prior(search: CandidateSearch, learned: np.ndarray) -> float:
-    sd = search.prior.sd[search.places]
-    offset = (learned - search.prior.mean[search.places]) / sd
-    constant = np.log(sd).sum() + 0.5 * len(sd) * np.log(2 * np.pi)
-    return float(-0.5 * offset @ offset - constant)

@@ -31,7 +31,6 @@ from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
 from pinav.forces import RollingPropulsion, ZeroFlow, ZeroForce
 from pinav.identification.parameters import (
-    DRIFT,
     GAIN,
     ROLLING,
     Coordinates,
@@ -58,16 +57,17 @@ def response_name(swimmer: Swimmer | OverdampedSwimmer) -> str:
 
 
 class AbstractDrive(eqx.Module):
-    """Displacements of a swimmer as a function of the numbers of its propulsion."""
+    """Displacements of a swimmer as a function of the numbers of its propulsion.
 
-    @property
-    @abc.abstractmethod
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The numbers in which displacements are not linear."""
+    Attributes:
+        parameters: the numbers in which displacements are not linear.
+    """
 
-    @abc.abstractmethod
+    parameters: eqx.AbstractVar[tuple[Parameter, ...]]
+
     def coordinates(self, swimmer: OverdampedSwimmer) -> Coordinates:
         """Coordinates of its parameters in a swimmer."""
+        return coordinates_of(self.parameters, swimmer)
 
     @abc.abstractmethod
     def displacements(
@@ -101,18 +101,13 @@ class RollingDrive(AbstractDrive):
     """
 
     response: Int[Array, ""]
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return ROLLING
+    parameters: tuple[Parameter, ...] = eqx.field(static=True, default=ROLLING)
 
     @classmethod
     def of(cls, swimmer: Swimmer | OverdampedSwimmer) -> "RollingDrive":
         """The drive of a swimmer."""
-        return cls(jnp.asarray(list(RESPONSES).index(response_name(swimmer))))
-
-    def coordinates(self, swimmer: Swimmer | OverdampedSwimmer) -> Coordinates:
-        return rolling_coordinates(swimmer)
+        place = list(RESPONSES).index(response_name(swimmer))
+        return cls(response=jnp.asarray(place))
 
     def displacements(
         self, coordinates: Float[Array, "4"], blocks: Blocks
@@ -222,11 +217,7 @@ class OtherDrive(AbstractDrive):
     """
 
     swimmer: OverdampedSwimmer
-    numbers: tuple[Parameter, ...] = eqx.field(static=True)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return self.numbers
+    parameters: tuple[Parameter, ...] = eqx.field(static=True)
 
     @classmethod
     def of(cls, system: System) -> "OtherDrive":
@@ -242,10 +233,7 @@ class OtherDrive(AbstractDrive):
             system.swimmer,
             (ZeroForce(), ZeroForce(), ZeroFlow()),
         )
-        return cls(swimmer, parameters)
-
-    def coordinates(self, swimmer: OverdampedSwimmer) -> Coordinates:
-        return coordinates_of(self.parameters, swimmer)
+        return cls(swimmer=swimmer, parameters=parameters)
 
     def displacements(
         self, coordinates: Float[Array, " parameter"], blocks: Blocks
@@ -308,8 +296,3 @@ def integrate_between(
     steps = velocity * jnp.diff(knots)[:, None]
     path = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
     return path[jnp.searchsorted(knots, times)]
-
-
-def drift_basis(system: System) -> Float[np.ndarray, "2 2"]:
-    """Drift by each number of an open drift, zeros where it is not open."""
-    return np.eye(2) if is_open(system, DRIFT) else np.zeros((2, 2))

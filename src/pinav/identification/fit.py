@@ -195,16 +195,23 @@ class CandidateSearch:
     ) -> tuple[float, Float[np.ndarray, " learned"]]:
         """Negative log posterior density and its gradient."""
         (value, _), slope = self._evaluate(learned)
-        mean, sd = self.prior.mean[self.places], self.prior.sd[self.places]
-        offset = (learned - mean) / sd
-        value = float(value) + 0.5 * float(offset @ offset)
-        value += float(np.log(sd).sum()) + 0.5 * len(sd) * math.log(2 * math.pi)
-        slope = np.asarray(slope)[self.places] + offset / sd
+        log_prior, by_prior = self.log_prior(learned)
+        value = float(value) - log_prior
+        slope = np.asarray(slope)[self.places] - by_prior
         if not (math.isfinite(value) and np.isfinite(slope).all()):
             # A large number makes L-BFGS shorten its step, infinity would end the
             # search.
-            return 1e30, np.zeros_like(offset)
+            return 1e30, np.zeros_like(slope)
         return value, slope
+
+    def log_prior(
+        self, learned: Float[np.ndarray, " learned"]
+    ) -> tuple[float, Float[np.ndarray, " learned"]]:
+        """Log density of the prior and its gradient."""
+        sd = self.prior.sd[self.places]
+        offset = (learned - self.prior.mean[self.places]) / sd
+        constant = np.log(sd).sum() + 0.5 * len(sd) * math.log(2 * math.pi)
+        return float(-0.5 * offset @ offset - constant), -offset / sd
 
     def _evaluate(self, learned: Float[np.ndarray, " learned"]) -> Any:
         """Result of `value_and_slope`, computed once for curvatures and derivatives."""

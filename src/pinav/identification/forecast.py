@@ -134,9 +134,10 @@ class FrameJitter(eqx.Module):
             along.append((scatter[:, 0] * cosine + scatter[:, 1] * sine)[on])
             across.append((scatter[:, 1] * cosine - scatter[:, 0] * sine)[on])
             rest.append(scatter[~on].ravel())
-        variances = [_mean_square(np.concatenate(v)) for v in (along, across, rest)]
+        scatters = [np.concatenate(parts) for parts in (along, across, rest)]
+        variances = [float(np.mean(v**2)) if len(v) else 0.0 for v in scatters]
         driven = np.array(variances[:2])
-        still = variances[2] if sum(map(len, rest)) else float(driven.min())
+        still = variances[2] if len(scatters[2]) else float(driven.min())
         return cls(driven if driven.any() else np.full(2, still), still)
 
     def variance(self, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
@@ -146,10 +147,6 @@ class FrameJitter(eqx.Module):
         along, across = self.driven
         rolling = along * squares + across * (1 - squares)
         return np.where(frequency[:, None] > 0, rolling, self.still)
-
-
-def _mean_square(values: np.ndarray) -> float:
-    return float(np.mean(values**2)) if len(values) else 0.0
 
 
 def _running_mean(times: np.ndarray, values: np.ndarray, width: float) -> np.ndarray:

@@ -23,10 +23,9 @@ from pinav.identification.drive import fitted_coordinates
 from pinav.identification.forecast import Displacement, integrate_held, path_of
 from pinav.identification.likelihood import (
     Design,
-    Drive,
+    Regressors,
     apart,
     in_plane,
-    innovations_of_columns,
     path_displacement,
     whiten,
 )
@@ -78,7 +77,8 @@ def fit_residual(
         )
         gain = model_evidence(field.linear, field.hyperparameters).log_evidence
         normalisation = design.num_free * np.log(2 * np.pi)
-        nothing = -0.5 * (normalisation + design.squares_without())
+        target = design.residuals.project(design.residuals.target)
+        nothing = -0.5 * (normalisation + float(jnp.sum(target**2)))
         return ResidualFit(
             swimmer=design.swimmer(base.model, field.model),
             log_evidence=base.hyperparameters.log_evidence + float(gain - nothing),
@@ -90,7 +90,7 @@ class FilteredDisplacement(eqx.Module):
 
     theta: Float[Array, " parameter"]
     blocks: Blocks
-    drive: Drive
+    regressors: Regressors
     target: Float[Array, " row"]
     basis: Float[Array, "row coefficient"]
 
@@ -99,8 +99,7 @@ class FilteredDisplacement(eqx.Module):
         moved = path_displacement(
             lambda t, x: environment(t, x, jnp.zeros_like(x)), self.blocks
         )
-        columns = in_plane(moved)[:, None]
-        filtered = innovations_of_columns(self.theta, columns, self.drive, self.blocks)
+        filtered = self.regressors.filter(self.theta, in_plane(moved)[:, None])
         return apart(filtered.columns[:, 0])
 
     def __call__(self, environment: Any) -> Float[Array, " row"]:
@@ -129,15 +128,12 @@ class _BaseDesign(eqx.Module):
         residuals = FilteredDisplacement(
             theta=theta,
             blocks=design.blocks,
-            drive=regressors.drive,
+            regressors=regressors,
             target=whitened.target,
             basis=jnp.asarray(np.linalg.qr(rows[:, present])[0]),
         )
         num_free = 2 * int(whitened.count) - int(present.sum())
         return cls(rows[:, present], residuals, num_free, int(present[:4].sum()))
-
-    def squares_without(self) -> float:
-        return float(jnp.sum(self.residuals.project(self.residuals.target) ** 2))
 
     def swimmer(
         self, swimmer: OverdampedSwimmer, environment: Any

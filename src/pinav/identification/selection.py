@@ -8,7 +8,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import (
@@ -19,7 +18,7 @@ from pinav.fitting import (
 )
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.forces import KernelForce, KernelPotential, NeuralForce
-from pinav.identification.baselines import least_squares
+from pinav.identification.baselines import explained_variance, least_squares
 from pinav.identification.candidates import (
     drift_only,
     gain_matrix,
@@ -53,7 +52,7 @@ from pinav.identification.rollouts import (
     stack,
     stacking_weight,
 )
-from pinav.identification.tracks import Track, after, before, pairs_apart
+from pinav.identification.tracks import Track, cut_track, pairs_apart
 from pinav.settings import FRACTION
 from pinav.systems import System
 
@@ -224,15 +223,10 @@ class Selection:
         path = fitted.displacement()
         self._add(LEAST_SQUARES, float("nan"), fitted.seconds, path)
         if self.train.commanded:
-            self._stack_with(path)
-
-    def _stack_with(self, other: Displacement) -> None:
-        """The average of the chosen candidate and least squares; never chosen."""
-        begin = time.perf_counter()
-        chosen = path_of(self.best.model)
-        weight = stacking_weight(self.train, chosen, other)
-        seconds = time.perf_counter() - begin
-        self._add(STACKED, float("nan"), seconds, stack(chosen, other, weight))
+            begin, chosen = time.perf_counter(), path_of(self.best.model)
+            weight = stacking_weight(self.train, chosen, path)
+            seconds = time.perf_counter() - begin
+            self._add(STACKED, float("nan"), seconds, stack(chosen, path, weight))
 
     def _add(
         self,
@@ -263,7 +257,8 @@ def split(track: Track, fraction: float) -> tuple[Track, Track]:
     FRACTION.check("split fraction", fraction)
     first, last = track.span
     moment = first + fraction * (last - first)
-    return before(track, moment), after(track, moment)
+    train = cut_track(track, lambda times: times < moment)
+    return train, cut_track(track, lambda times: times >= moment)
 
 
 def select_model(
@@ -291,16 +286,7 @@ def velocity_r2(track: Track, displacement: Displacement) -> float:
         interval = (piece.times[last] - piece.times[first])[:, None]
         observed.append((piece.states[last] - piece.states[first]) / interval)
         predicted.append((path[last] - path[first]) / interval)
-    return _r2(np.concatenate(observed), np.concatenate(predicted))
-
-
-def _r2(
-    observed: Float[np.ndarray, "n 2"], predicted: Float[np.ndarray, "n 2"]
-) -> float:
-    if len(observed) < 2:
-        return float("nan")
-    spread = float(((observed - observed.mean(axis=0)) ** 2).sum())
-    return 1 - float(((observed - predicted) ** 2).sum()) / max(spread, 1e-30)
+    return explained_variance(np.concatenate(observed), np.concatenate(predicted))
 
 
 GRID = KernelGrid(across=6, margin=2.0)
