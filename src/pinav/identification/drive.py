@@ -221,11 +221,7 @@ class OtherDrive(AbstractDrive):
 
     @classmethod
     def of(cls, system: System) -> "OtherDrive":
-        """The drive of a system.
-
-        Raises:
-            InputError: an open number has no prior, or is no single number.
-        """
+        """The drive of a system."""
         numbers = [n for n in system.learn if n.path.startswith("propulsion.")]
         parameters = tuple(_parameter(number, system) for number in numbers)
         swimmer = eqx.tree_at(

@@ -105,11 +105,7 @@ def _names(recording: Trajectories, *, pooled: bool) -> list[str]:
 
 
 def one_track(data: Trajectories, name: str) -> Track:
-    """All trajectories as the segments of one track, one after the other in time.
-
-    Raises:
-        InputError: the channels are not x and y, or nothing is long enough to fit.
-    """
+    """All trajectories as the segments of one track, one after the other in time."""
     _check_planar(data)
     seen = sorted(map(_drop_unseen, data), key=lambda piece: float(piece.times[0]))
     long = [piece for piece in seen if len(piece.times) >= LEAST_SAMPLES]

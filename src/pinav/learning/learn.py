@@ -146,11 +146,7 @@ def infer(
     checkpoint: AbstractCheckpoint | None = None,
     on_progress: OnProgress | None = None,
 ) -> Learned:
-    """The fit of a plan, without an account of it; see `learn`.
-
-    Raises:
-        FitError: the fit diverged, or the data do not determine it.
-    """
+    """The fit of a plan, without an account of it; see `learn`."""
     model: Any = build(plan.choice, plan.system.swimmer, plan.summary)
     header = ModelHeader(plan.choice, plan.summary)
     if isinstance(plan.recipe, Langevin):

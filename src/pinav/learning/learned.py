@@ -336,11 +336,7 @@ class Learned(AbstractLearned):
 
 
 def read_header(content: Mapping[str, Any]) -> ModelHeader:
-    """The header of a model file; long arrays in it are zero, as the file has them.
-
-    Raises:
-        InputError: another version wrote it.
-    """
+    """The header of a model file; long arrays in it are zero, as the file has them."""
     own = {name: part for name, part in content.items() if name != "pinav"}
     try:
         header = decode_blank(ModelHeader, own)

@@ -220,12 +220,9 @@ def navigate(
     """Go a way through the force that a fit has learned.
 
     Args:
-        fit: the fit.
-        way: the way.
         samples: models drawn from the posterior, whose spread makes uncertain regions
             cost more; 0 takes the model for true.
         seeds: closed loops with each model, each with its own noise.
-        seed: seed of all noise.
 
     Raises:
         InputError: the fit is not of a swimmer in the plane or in space, or the goal
@@ -247,9 +244,7 @@ def compare_models(
     Physics alone and, where it is known, the truth are tried beside the learned model.
 
     Args:
-        problem: the task, and what is known of it.
         seeds: closed loops with each model, each with its own noise.
-        seed: seed of all noise.
         attempts: takes the names of models and tries them elsewhere; here unless given.
 
     Raises:

@@ -272,7 +272,6 @@ def tabulate_model(
 
     Args:
         task: the arena, the walls, the limits; its truth is not used.
-        model: what is believed.
         samples: of the posterior of the model, none or at least two: their spread makes
             uncertain regions cost more.
         margin: from walls, over which time costs more [L]; half the tolerance or what

@@ -46,7 +46,6 @@ class NavigationProblem:
 
     Attributes:
         task: its truth is that of the system, or the model where there is none.
-        fit: the fit of the model.
         samples: draws of the posterior; none where the fit has no posterior.
         truth: name of the system whose environment is the truth, where it is known.
         posterior: that of the fit, where further trajectories can be suggested.
@@ -66,10 +65,7 @@ class NavigationProblem:
         """The problem of going a way through the force that a fit has learned.
 
         Args:
-            fit: the fit.
-            way: the way.
             samples: models drawn from the posterior; 0 takes the model for true.
-            seed: seed of these draws.
 
         Raises:
             InputError: the fit is not of a swimmer in the plane or in space, or the way
@@ -128,12 +124,7 @@ class NavigationProblem:
         return [LEARNED, PHYSICS, *([ORACLE] if self.truth is not None else [])]
 
     def controller_with(self, name: str) -> AbstractController:
-        """The controller that takes a model for true.
-
-        Raises:
-            InputError: start or goal are in a wall or outside the arena, or the goal
-                cannot be reached with this thrust, as far as the model knows.
-        """
+        """The controller that takes a model for true."""
         if name == LEARNED:
             return controller(self.task, self.model, samples=self.samples)
         model = physics_only(self.model) if name == PHYSICS else self.task.truth
@@ -148,8 +139,6 @@ class NavigationProblem:
         """Closed loops of a controller, one for each key, over the possible truths.
 
         Args:
-            steering: what decides.
-            keys: random keys of all loops.
             numbers: which of them are done, ascending; all unless given.
         """
         truths = self.truths[: len(keys)]
@@ -203,9 +192,6 @@ def suggest_trajectory(
     Returns:
         The trajectory; none where the fit has no evidence that one could improve, or
         every candidate leaves the arena.
-
-    Raises:
-        InputError: the model changes in time.
     """
     task, fit = problem.task, problem.fit
     if problem.posterior is None:

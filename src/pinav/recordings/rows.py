@@ -135,9 +135,6 @@ def in_known_units(tracks: Tracks, reading: Reading) -> Tracks:
 
     What the user states of a unit stands above what the file says. `mpp` says that an
     unknown unit is the pixel.
-
-    Raises:
-        InputError: a stated unit measures something else.
     """
     scale, length_unit = units.stated_length(reading.units) or (
         1.0,

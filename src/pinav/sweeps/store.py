@@ -62,7 +62,6 @@ class Cell(msgspec.Struct, frozen=True):
         Args:
             command: "module:name".
             settings: a struct of numbers, words, and sequences and structs of them.
-            system: name of the system, or the path of the data.
             others: the fields `seed`, `label` and `shape`.
         """
         content = without_none(msgspec.to_builtins(settings, enc_hook=str))

@@ -83,12 +83,7 @@ class Body(eqx.Module):
 
 
 def build_body(case: Case, folder: Path) -> tuple[Bioheat, Body]:
-    """The tissues and target of a case, and the model of them without sources.
-
-    Raises:
-        InputError: a name or a unit is unknown, a perfusion implausible, or a file
-            cannot be read, is not of these voxels, or holds what no tissue has.
-    """
+    """The tissues and target of a case, and the model of them without sources."""
     if isinstance(case.grid, Voxels):
         return _voxel_body(case, case.grid, folder)
     return _ball_body(case, case.grid)

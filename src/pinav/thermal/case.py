@@ -148,11 +148,7 @@ class Case(Strict, frozen=True):
         return self.sides.build(self.wall, axes)
 
     def check_extent(self, grid: AbstractGrid) -> None:
-        """Refuse sides, probes and a size that do not go with the cells of a grid.
-
-        Raises:
-            ValueError: they do not.
-        """
+        """Refuse sides, probes and a size that do not go with the cells of a grid."""
         check_sides(grid, self.sides)
         self._check_center(grid)
         self._check_size(grid)

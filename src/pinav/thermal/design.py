@@ -146,7 +146,6 @@ def free_amplitudes(
 
     Args:
         largest: $H_{max}$ [A m⁻¹], positive.
-        count: number of intervals.
         first: $H_j/H_{max}$ to start from, the same in all.
         before: number of intervals at the begin that keep their amplitudes.
 

@@ -239,15 +239,11 @@ def learn(
         model: where the fit starts; what is not picked stays as it is.
         protocol: the field while the readings were taken, best with steps of power:
             at steady state a scale of the power cannot be told from perfusion.
-        data: the readings.
         laws: picks learned perfusions, such as `lambda m: m.perfusion.laws`.
         constants: picks numbers to learn, such as `lambda m: m.sources[0].scale`.
         noise: standard deviation of a reading [K], of voxels in units of their map;
             estimated unless given.
-        stepper: as of `solve`.
-        start: as of `solve`.
         max_iterations: after which the fit counts as stalled.
-        throw: raise where the fit did not converge.
 
     Raises:
         InputError: nothing is picked, the data do not fit the grid or the protocol, or

@@ -88,9 +88,7 @@ def optimise(
 
     Args:
         start: the run that the design variables change.
-        variables: the design variables.
         maximise: a quantity of a run, such as `log_d90`.
-        subject_to: constraints.
         stepper: as of `solve`.
         begin: where every run begins, as of `solve`; in the middle of the protocol,
             too.

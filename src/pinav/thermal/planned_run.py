@@ -121,11 +121,7 @@ class PlanTask:
         )
 
     def run(self) -> PlannedRun:
-        """Plan, and judge the plan where the truth is known.
-
-        Raises:
-            FitError: no protocol keeps the limits, or the tissue was not learned.
-        """
+        """Plan, and judge the plan where the truth is known."""
         setup, learning, judged = self.setup, self.learning, None
         model = setup.model
         if learning is not None and learning.fitted is not None:

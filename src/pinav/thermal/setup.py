@@ -66,12 +66,7 @@ class Setup(eqx.Module):
 
     @classmethod
     def of(cls, case: Case, folder: Path) -> "Setup":
-        """The setup of a case.
-
-        Raises:
-            InputError: a name or a unit is unknown, a perfusion implausible, or a file
-                cannot be read.
-        """
+        """The setup of a case."""
         model, body = build_body(case, folder)
         grid = model.grid
         start = _start(case.start, grid.shape, folder)

@@ -81,8 +81,6 @@ def solve(
     the `Schedule` of a nearby model to `run` inside a transformation.
 
     Args:
-        model: the tissue.
-        protocol: the field over time.
         stepper: `Rosenbrock()` on radial grids and `RKL2()` on others unless given.
         observe: what of the temperature is kept; all of it unless given.
         observe_dose: what of the dose so far [CEM43 min] is kept; nothing unless given.

@@ -129,11 +129,7 @@ class TissueFit:
         return read_residuals(setup.model, setup.protocol, data, **options)
 
     def learn(self, data: Readings, kind: str | None = None) -> EvidenceFit:
-        """Learn laws of a kind, that of the settings unless given, and the sources.
-
-        Raises:
-            FitError: the fit did not converge.
-        """
+        """Learn laws of a kind, that of the settings unless given, and the sources."""
         setup, kind = self.setup, kind or self.settings.kind
         laws, model = [setup.body.law(name) for name in self.names], self.movable()
         for index, law in enumerate(laws):

@@ -140,7 +140,6 @@ def judge_flights(
     """The outcome of some flights.
 
     Args:
-        flights: flights of one controller.
         own_limit: time limit of the task itself [T].
         oracle: flights with the truth, of the same keys; none for the oracle itself.
             A pair whose oracle did not arrive has no regret.
@@ -207,8 +206,6 @@ def fly(
     with one key are a pair.
 
     Args:
-        adaptive: what decides.
-        key: random key of noise, sensor and controller.
         every: time between the beliefs that are kept, to be shown [T].
     """
     task, notes, moments, now, memory = adaptive.task, [], [], None, None
@@ -364,11 +361,8 @@ def fly_swimmer(
     """The oracle's flight and those of each visit, with the same noise.
 
     Args:
-        adaptive: the controller.
-        seed: seed of all noise.
         number: number of the swimmer; the first one is shown.
         visits: visits to the task, with the map kept.
-        oracle: True to fly the oracle, too.
 
     Raises:
         InputError: the true force changes in time.

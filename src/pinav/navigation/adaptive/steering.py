@@ -153,7 +153,6 @@ class AdaptiveController(AbstractController[ControllerState]):
         """The controller of a task.
 
         Args:
-            task: what is to be done.
             strategy: `ExplorationBonus` unless given.
             points: number of points of the lattice along the arena.
             speeds: the same along a velocity.

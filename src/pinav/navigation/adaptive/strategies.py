@@ -219,7 +219,6 @@ class Progress:
         """The progress a frame later.
 
         Args:
-            time: time of the frame [T].
             state: state of the swimmer, its position first.
             time_to_go: from a state, as the last plan has it [T]. Old and new state are
                 compared by one plan, because what is learned changes all of them.

@@ -60,8 +60,6 @@ class AbstractMotion(abc.ABC):
         """One step of the midpoint rule.
 
         Args:
-            state: before it.
-            force_at: what is believed of the force.
             thrust: known acceleration, or velocity where there is no inertia.
             duration: h [T].
         """

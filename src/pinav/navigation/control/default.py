@@ -150,7 +150,6 @@ class FilterState(eqx.Module, Generic[Inner]):
         mean: mean of the state after the last observation.
         command: the one in force when it was observed.
         time: time of the last observation [T].
-        inner: memory of the controller inside.
     """
 
     mean: State

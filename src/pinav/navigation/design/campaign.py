@@ -108,11 +108,8 @@ def run_campaign(
 
     Args:
         adaptive: the task, what is known of it, and its planner.
-        design: choice of the trajectories.
-        experiment: recording of the trajectories.
         accuracy: relative error of the force along the way that is small enough.
         most: trajectories after which the campaign is given up.
-        key: random key of noise and choices.
 
     Raises:
         InputError: `accuracy` is not between 0 and 1, or `most` is below 1.
@@ -187,9 +184,6 @@ def learn(
     """The belief after a further trajectory.
 
     Args:
-        adaptive: what is known of the swimmer.
-        belief: before it.
-        frames: of the trajectory.
         speed_sd: standard deviation of each component of the first velocity; at rest
             unless given.
     """
@@ -252,7 +246,6 @@ def believe_data(
     """The belief on the force after recorded trajectories.
 
     Args:
-        adaptive: the task, and what is known of the swimmer.
         swimmer: whose propulsion drove the trajectories, by their commands where it
             takes any.
         data: the trajectories; their positions alone are used.

@@ -229,8 +229,6 @@ class Way:
 
         Args:
             model: swimmer whose propulsion is steered.
-            truth: the true swimmer.
-            name: name of the task.
             places: further places that the arena surrounds [L]; none unless given.
 
         Raises:
