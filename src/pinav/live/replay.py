@@ -20,23 +20,6 @@ from pinav.live.messages import (
 from pinav.live.session import Session
 
 
-def frames_of(track: Track) -> Iterator[Frame]:
-    """The frames of a track, in the order of time."""
-    seq = 0
-    for piece in track.pieces:
-        columns = (piece.times, *piece.states.T, *commands_of(piece))
-        for t, x, y, frequency, heading in zip(*map(np.asarray, columns), strict=True):
-            yield Frame(
-                seq=seq,
-                t=float(t),
-                x=float(x),
-                y=float(y),
-                frequency=max(float(frequency), 0.0),
-                heading=float(heading),
-            )
-            seq += 1
-
-
 def lines_of(track: Track, units: str) -> Iterator[bytes]:
     """Hello, frames and bye of a track, as lines without newlines."""
     steps = np.concatenate([np.diff(piece.times) for piece in track.pieces])
@@ -51,7 +34,12 @@ def lines_of(track: Track, units: str) -> Iterator[bytes]:
             clock="of the recording",
         )
     ).rstrip()
-    for frame in frames_of(track):
+    pieces = [(p.times, *p.states.T, *commands_of(p)) for p in track.pieces]
+    columns = (np.concatenate(parts).tolist() for parts in zip(*pieces, strict=True))
+    for seq, (t, x, y, frequency, heading) in enumerate(zip(*columns, strict=True)):
+        frame = Frame(
+            seq=seq, t=t, x=x, y=y, frequency=max(frequency, 0.0), heading=heading
+        )
         yield encode(frame).rstrip()
     yield encode(Bye(reason="end of the recording")).rstrip()
 

@@ -109,7 +109,7 @@ class RollerPilot(AbstractPilot):
             count, begun = count + 1, time
         pilot = dataclasses.replace(self, probe=np.array([count, begun]))
         frequency = PROBE_PART * hello.limits.frequency
-        heading = _wrap(float(count) * GOLDEN)
+        heading = math.remainder(float(count) * GOLDEN, 2 * math.pi)
         advice = Advice(frequency, heading, intent)
         return pilot._filter(estimator, advice, hello, time)
 
@@ -236,7 +236,3 @@ def _tangent(start: Point, goal: Point, centre: Point, radius: float) -> Point:
     # A little beyond the point of contact, so that the next tangent leads on.
     ends = [centre + (end - centre) * 1.05 for end in ends]
     return min(ends, key=lambda end: length + math.dist(end, goal))
-
-
-def _wrap(angle: float) -> float:
-    return math.remainder(angle, 2 * math.pi)

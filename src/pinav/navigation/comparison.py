@@ -1,9 +1,9 @@
 """Plans with a learned model, tried in closed loop beside others, and results."""
 
 import dataclasses
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import jax
 import numpy as np
@@ -270,15 +270,17 @@ def compare_models(
             partial(try_model, problem, LEARNED, seeds, seed, steered),
             *(partial(try_model, problem, name, seeds, seed) for name in others),
         ]
-        *tried, suggestion = map_on_cores(_call, [*jobs, suggest], title="loops")
+        jobs = [*jobs, suggest]
+        *tried, suggestion = map_on_cores(operator.call, jobs, title="loops")
     episodes = {name: loops for name, loops in tried if isinstance(loops, Episodes)}
+    compute = run(task, steered, key=jax.random.key(seed)).compute
     return Navigation(
         truth=problem.truth,
         plan=_planned_way(plan, route, way),
         controllers={name: summary(loops, task) for name, loops in episodes.items()},
         regret=_regrets(episodes),
         refused={name: reason for name, reason in tried if isinstance(reason, str)},
-        computing=_computing_times(task, steered, seed),
+        computing=ComputingTimes(float(compute[0]), float(np.median(compute[1:]))),
         units=dict(problem.fit.units),
         thrust=problem.thrust,
         delay=task.delay,
@@ -303,10 +305,6 @@ def try_model(
     except InputError as error:
         return name, str(error)
     return name, problem.attempt(steering, episode_keys(seed, seeds))
-
-
-def _call(job: Callable[[], Any]) -> Any:
-    return job()
 
 
 def plan_of(steered: AbstractController) -> TimeToGo:
@@ -353,14 +351,6 @@ def _regrets(episodes: Mapping[str, Episodes]) -> dict[str, Interval]:
         for name, loops in episodes.items()
         if name != ORACLE
     }
-
-
-def _computing_times(
-    task: Task, steering: AbstractController, seed: int
-) -> ComputingTimes:
-    """Time that one command takes to compute [s], and the first one."""
-    compute = run(task, steering, key=jax.random.key(seed)).compute
-    return ComputingTimes(float(compute[0]), float(np.median(compute[1:])))
 
 
 def _positions(task: Task, route: Route) -> Float[np.ndarray, "time dim"]:

@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import msgspec
 
 from pinav.errors import InputError
-from pinav.thermal.boundaries import AbstractBoundary, AbstractEnds, outer
+from pinav.thermal.boundaries import AbstractBoundary, AbstractEnds, Sides, outer
 from pinav.thermal.case_geometry import (
-    Ends,
     Grid,
     Learn,
     Optimise,
@@ -164,11 +163,10 @@ class Case(Strict, frozen=True):
     @property
     def _outside(self) -> list[float]:
         """Temperatures behind the sides that have one [°C], and of the arteries."""
-        stated = [one for one in self.sides.along if isinstance(one, Ends)]
-        tables = [side for one in stated for side in (one.low, one.high)]
-        sides = [read_boundary("sides", one) for one in tables if one is not None]
+        pairs = [one for one in self.boundaries(3) if isinstance(one, Sides)]
         one = jnp.ones(())
-        walls = [side.passage(one, one) for side in (self.wall, *sides)]
+        sides = self.wall, *(side for pair in pairs for side in (pair.low, pair.high))
+        walls = [side.passage(one, one) for side in sides]
         outside = [float(wall.outside) for wall in walls if wall.conductance > 0]
         return [float(self.blood.arterial), *outside]
 

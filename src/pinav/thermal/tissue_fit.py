@@ -82,7 +82,10 @@ class TissueFit:
                 )
             perfusion_at_rest(setup, name)
         require_heating(setup)
-        data = _read_data(settings, setup, folder)
+        data = None if settings.data is None else load_probes(folder / settings.data)
+        if settings.thermometry is not None:
+            image = setup.body.image
+            data = read_frames(settings.thermometry, image, setup.arterial, folder)
         if data is None and not len(setup.points):
             raise InputError(
                 "learn: expected data, a CSV file, or probes whose readings are "
@@ -199,14 +202,6 @@ class TissueFit:
         if not readings.size:
             return setup.arterial + DEFAULT_RISE
         return float(np.nanmax(readings))
-
-
-def _read_data(settings: Learn, setup: Setup, folder: Path) -> Readings | None:
-    if settings.thermometry is not None:
-        return read_frames(
-            settings.thermometry, setup.body.image, setup.arterial, folder
-        )
-    return None if settings.data is None else load_probes(folder / settings.data)
 
 
 def _read_truth(path: Path, setup: Setup, names: tuple[str, ...]) -> Setup:

@@ -22,15 +22,13 @@ class Transition:
 
     Attributes:
         slope: A, change of it by the state before.
-        by_force: change of it by the force at `middle`.
-        middle: where the force was asked for [L].
+        by_force: change of it by the force where that was asked for.
         noise: Q, covariance that the white noise adds.
     """
 
     state: Float[np.ndarray, " state"]
     slope: Square
     by_force: Float[np.ndarray, "state dim"]
-    middle: Vector
     noise: Square
 
 
@@ -108,7 +106,6 @@ class InertialMotion(AbstractMotion):
             np.concatenate([middle + h / 2 * later, later]),
             slope,
             np.concatenate([h / 2 * push * identity, push * identity]),
-            middle,
             self.noise**2 * _integrated_noise(h, dim),
         )
 
@@ -144,7 +141,6 @@ class OverdampedMotion(AbstractMotion):
             state + h * (force + thrust),
             identity + by_force @ gradient,
             by_force,
-            middle,
             self.noise**2 * h * identity,
         )
 

@@ -277,7 +277,9 @@ class InformedDesign(AbstractDesign):
         best, _ = best_candidate(
             functools.partial(expected_sd, stage),
             experiment,
-            _join(along[:half], others[:half]),
+            jax.tree.map(
+                lambda *leaves: jnp.concatenate(leaves), along[:half], others[:half]
+            ),
             variations=self.variations,
             keys=list(keys[2:]),
         )
@@ -409,10 +411,6 @@ def _along(
     first = jnp.asarray(np.arctan2(ahead[:, 1], ahead[:, 0]))
     heading = drawn.heading - drawn.heading[:, :1] + first[:, None]
     return CandidateTrajectories(jnp.asarray(places), drawn.frequency, heading)
-
-
-def _join(*parts: CandidateTrajectories) -> CandidateTrajectories:
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
 def _keep_allowed(
