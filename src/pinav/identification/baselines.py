@@ -8,11 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
-from pinav.identification.forecast import (
-    Displacement,
-    command_vector,
-    integrate_held,
-)
+from pinav.identification.forecast import Displacement, command_vector, integrate_held
 from pinav.identification.tracks import Track, commands_of
 from pinav.trajectories import Trajectory
 

@@ -202,10 +202,7 @@ class SwitchedResponse(AbstractResponse):
 def _with_numbers(
     response: AbstractResponse, log_corner: Array, logit_residual: Array
 ) -> AbstractResponse:
-    values = {
-        "corner": jnp.exp(log_corner),
-        "residual": jax.nn.sigmoid(logit_residual),
-    }
+    values = {"corner": jnp.exp(log_corner), "residual": jax.nn.sigmoid(logit_residual)}
     names = {field.name for field in dataclasses.fields(response)}
     return dataclasses.replace(response, **{n: values[n] for n in values if n in names})
 

@@ -12,12 +12,7 @@ from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.fitting import Estimate, EvidenceFit, Posterior, ravel_model
 from pinav.fitting.bayes.parameters import derive
 from pinav.fitting.engine.local_model import selected_entries
-from pinav.forces import (
-    RollingPropulsion,
-    UniformFlow,
-    heading_offset,
-    mean_gain,
-)
+from pinav.forces import RollingPropulsion, UniformFlow, heading_offset, mean_gain
 from pinav.identification.parameters import (
     ABOUT_GAIN,
     DRIFTS,

@@ -333,11 +333,7 @@ def _force_lines(fit: Learned, plan: FitPlan) -> dict[str, ForceLine]:
     truth = _true_environment(plan)
     return {
         plan.data.channels[axis]: force_line(
-            model.environment,
-            plan.data,
-            axis,
-            posterior=fit.posterior,
-            truth=truth,
+            model.environment, plan.data, axis, posterior=fit.posterior, truth=truth
         )
         for axis in axes
     }

@@ -39,14 +39,7 @@ from pinav.learning.learned import (
 )
 from pinav.learning.matching import Losses, matching
 from pinav.learning.plan import FitPlan, choose_system, plan_fit
-from pinav.learning.recipes import (
-    SUITED,
-    Bayes,
-    Curriculum,
-    Langevin,
-    Paper,
-    Recipe,
-)
+from pinav.learning.recipes import SUITED, Bayes, Curriculum, Langevin, Paper, Recipe
 from pinav.learning.thermal import fit_thermal
 from pinav.systems import System
 from pinav.trajectories import Trajectories

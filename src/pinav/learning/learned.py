@@ -18,13 +18,7 @@ from pinav.codec import decode_blank, encode
 from pinav.dynamics import AbstractDynamics, with_dtype
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap, exact_forces, require_x64
-from pinav.fitting import (
-    AbstractLearned,
-    Estimate,
-    EvidenceFit,
-    Posterior,
-    is_network,
-)
+from pinav.fitting import AbstractLearned, Estimate, EvidenceFit, Posterior, is_network
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.summary import DataSummary, KnownSwimmer, ModelChoice
 from pinav.forces import as_learned_force, split_structure

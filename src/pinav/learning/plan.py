@@ -19,11 +19,7 @@ from pinav.fitting.environments.summary import (
     summarise_for_matching,
 )
 from pinav.forces import KernelPotential, LinearDrag
-from pinav.identification import (
-    needs_kalman_filter,
-    record_commands,
-    trajectories_of,
-)
+from pinav.identification import needs_kalman_filter, record_commands, trajectories_of
 from pinav.learning.matching import check_starts
 from pinav.learning.recipes import (
     SUITED,

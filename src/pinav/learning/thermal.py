@@ -180,10 +180,7 @@ def _observation(
 
 
 def _reference(
-    recipe: Langevin,
-    system: System,
-    axes: tuple[KernelAxis, ...],
-    data: Trajectories,
+    recipe: Langevin, system: System, axes: tuple[KernelAxis, ...], data: Trajectories
 ) -> SlowReference:
     name = str(recipe.reference)
     _check_names("reference", (name,), system)

@@ -129,11 +129,7 @@ class RollerPilot(AbstractPilot):
         return dataclasses.replace(self, best=best, stalls=self.stalls + 1)
 
     def _steer(
-        self,
-        estimator: DriveEstimator,
-        position: Point,
-        hello: Hello,
-        time: float,
+        self, estimator: DriveEstimator, position: Point, hello: Hello, time: float
     ) -> Advice:
         fit, now = estimator.fit, estimator.known
         assert now is not None
@@ -167,11 +163,7 @@ class RollerPilot(AbstractPilot):
         return forecast(fit, times, np.zeros(2), np.zeros(2)).displacement[-1]
 
     def _filter(
-        self,
-        estimator: DriveEstimator,
-        advice: Advice,
-        hello: Hello,
-        time: float,
+        self, estimator: DriveEstimator, advice: Advice, hello: Hello, time: float
     ) -> tuple["RollerPilot", Advice]:
         """The advice, or else what the last filter gives in its place."""
         where = estimator.whereabouts(time)

@@ -210,12 +210,7 @@ class OnlineNavigation(AbstractNavigation):
 
 
 def navigate(
-    fit: AbstractLearned,
-    way: Way,
-    *,
-    samples: int = 8,
-    seeds: int = 20,
-    seed: int = 0,
+    fit: AbstractLearned, way: Way, *, samples: int = 8, seeds: int = 20, seed: int = 0
 ) -> Navigation:
     """Go a way through the force that a fit has learned.
 

@@ -7,11 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from pinav.dynamics import (
-    AbstractDynamics,
-    AbstractSwimmer,
-    takes_commands,
-)
+from pinav.dynamics import AbstractDynamics, AbstractSwimmer, takes_commands
 from pinav.errors import InputError
 from pinav.evaluation import enclosing_cube
 from pinav.fitting import AbstractLearned, Posterior

@@ -236,8 +236,7 @@ class CellStore:
         result = attempt / RESULT
         write_whole(result / CELL_FILE, lambda file: file.write(cell.text.encode()))
         write_whole(
-            result / OUTCOME_FILE,
-            lambda file: file.write(msgspec.json.encode(outcome)),
+            result / OUTCOME_FILE, lambda file: file.write(msgspec.json.encode(outcome))
         )
         try:
             os.rename(result, self.folder(cell))

@@ -361,11 +361,7 @@ def _held_out(
     def solution(model: Bioheat) -> Solution:
         every = protocol.duration / 60
         return solve(
-            model,
-            protocol,
-            stepper=setup.stepper,
-            save_every=every,
-            start=setup.start,
+            model, protocol, stepper=setup.stepper, save_every=every, start=setup.start
         )
 
     truth = solution(setup.model).observed

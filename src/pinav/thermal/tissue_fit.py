@@ -40,7 +40,7 @@ ADVICE = {
     str(Outcome.STALLED): (
         "the fit stalled before its steps became small; learn fewer numbers (kind = "
         "'constant' or no spot under [learn]), or give more readings"
-    ),
+    )
 }
 """What can be changed in a case whose fit failed."""
 

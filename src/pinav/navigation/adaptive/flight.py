@@ -133,9 +133,7 @@ class FlightOutcome:
 
 
 def judge_flights(
-    flights: Sequence[Flight],
-    own_limit: float,
-    oracle: Sequence[Flight] = (),
+    flights: Sequence[Flight], own_limit: float, oracle: Sequence[Flight] = ()
 ) -> FlightOutcome:
     """The outcome of some flights.
 
@@ -195,10 +193,7 @@ class Visit(NamedTuple):
 
 
 def fly(
-    adaptive: AdaptiveController,
-    *,
-    key: PRNGKeyArray,
-    every: float = math.inf,
+    adaptive: AdaptiveController, *, key: PRNGKeyArray, every: float = math.inf
 ) -> Visit:
     """One flight, frame by frame; only positions are observed.
 

@@ -227,11 +227,7 @@ class AdaptiveController(AbstractController[ControllerState]):
         return self.begin(belief, observation.pending)
 
     def __call__(
-        self,
-        observation: Observation,
-        memory: ControllerState,
-        *,
-        key: PRNGKeyArray,
+        self, observation: Observation, memory: ControllerState, *, key: PRNGKeyArray
     ) -> tuple[Command, ControllerState]:
         if observation.time > memory.belief.time:
             memory = self.learn(memory, observation)

@@ -15,12 +15,7 @@ from pinav.navigation.belief.kernels import (
     Points,
     PotentialKernels,
 )
-from pinav.navigation.belief.motion import (
-    AbstractMotion,
-    Square,
-    Vector,
-    substeps,
-)
+from pinav.navigation.belief.motion import AbstractMotion, Square, Vector, substeps
 
 KINDS: tuple[type[PotentialKernels | FreeKernels], ...] = (
     PotentialKernels,

@@ -12,6 +12,9 @@ from jaxtyping import Float
 Vector = Float[np.ndarray, " dim"]
 Square = Float[np.ndarray, "state state"]
 
+State = Float[np.ndarray, " state"]
+"""Position and, with inertia, velocity."""
+
 ForceAt = Callable[[Vector], tuple[Vector, Float[np.ndarray, "dim dim"]]]
 """Mean force and its slope dF/dx at a position."""
 
@@ -26,7 +29,7 @@ class Transition:
         noise: Q, covariance that the white noise adds.
     """
 
-    state: Float[np.ndarray, " state"]
+    state: State
     slope: Square
     by_force: Float[np.ndarray, "state dim"]
     noise: Square
@@ -38,7 +41,7 @@ class AbstractMotion(abc.ABC):
     @abc.abstractmethod
     def start(
         self, position: Vector, sd: float, speed_sd: float
-    ) -> tuple[Float[np.ndarray, " state"], Square]:
+    ) -> tuple[State, Square]:
         """State at rest at a position [L], and its covariance.
 
         Args:
@@ -49,11 +52,7 @@ class AbstractMotion(abc.ABC):
 
     @abc.abstractmethod
     def step(
-        self,
-        state: Float[np.ndarray, " state"],
-        force_at: ForceAt,
-        thrust: Vector,
-        duration: float,
+        self, state: State, force_at: ForceAt, thrust: Vector, duration: float
     ) -> Transition:
         """One step of the midpoint rule.
 
@@ -77,16 +76,12 @@ class InertialMotion(AbstractMotion):
 
     def start(
         self, position: Vector, sd: float, speed_sd: float
-    ) -> tuple[Float[np.ndarray, " state"], Square]:
+    ) -> tuple[State, Square]:
         state = np.concatenate([position, np.zeros_like(position)])
         return state, np.diag(np.repeat([sd**2, speed_sd**2], len(position)))
 
     def step(
-        self,
-        state: Float[np.ndarray, " state"],
-        force_at: ForceAt,
-        thrust: Vector,
-        duration: float,
+        self, state: State, force_at: ForceAt, thrust: Vector, duration: float
     ) -> Transition:
         h, dim = duration, len(thrust)
         x, v = state[:dim], state[dim:]
@@ -122,15 +117,11 @@ class OverdampedMotion(AbstractMotion):
 
     def start(
         self, position: Vector, sd: float, speed_sd: float
-    ) -> tuple[Float[np.ndarray, " state"], Square]:
+    ) -> tuple[State, Square]:
         return np.array(position, float), sd**2 * np.eye(len(position))
 
     def step(
-        self,
-        state: Float[np.ndarray, " state"],
-        force_at: ForceAt,
-        thrust: Vector,
-        duration: float,
+        self, state: State, force_at: ForceAt, thrust: Vector, duration: float
     ) -> Transition:
         h, identity = duration, _identity(len(state))
         middle = state + h / 2 * (force_at(state)[0] + thrust)

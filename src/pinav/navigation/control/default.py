@@ -23,19 +23,13 @@ from pinav.navigation.control.controller import (
 )
 from pinav.navigation.control.mppi import GradientMPC, PathIntegral
 from pinav.navigation.planning.plan import check_places, time_to_go
-from pinav.navigation.predictors import (
-    AbstractPredictor,
-    tabulate_model,
-)
+from pinav.navigation.predictors import AbstractPredictor, tabulate_model
 from pinav.navigation.task.steering import Command, SteeredSwimmer
 from pinav.navigation.task.task import ReachGoal, Task, Timing
 
 
 def controller(
-    task: Task,
-    model: SteeredSwimmer,
-    *,
-    samples: Sequence[SteeredSwimmer] = (),
+    task: Task, model: SteeredSwimmer, *, samples: Sequence[SteeredSwimmer] = ()
 ) -> AbstractController:
     """Plan and control a task with a model: the truth of the task is not used.
 

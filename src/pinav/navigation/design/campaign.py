@@ -14,10 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from pinav.dynamics import (
-    AbstractSwimmer,
-    drive_by_commands,
-)
+from pinav.dynamics import AbstractSwimmer, drive_by_commands
 from pinav.errors import InputError
 from pinav.navigation.adaptive.flight import true_force
 from pinav.navigation.adaptive.steering import TO_THE_END, AdaptiveController
@@ -135,10 +132,7 @@ def run_campaign(
 
 
 def record(
-    experiment: Experiment,
-    candidate: CandidateTrajectories,
-    *,
-    key: PRNGKeyArray,
+    experiment: Experiment, candidate: CandidateTrajectories, *, key: PRNGKeyArray
 ) -> tuple[list[Frame], Float[np.ndarray, "time 2"]]:
     """A trajectory of the true swimmer, until it leaves the arena.
 

@@ -122,11 +122,7 @@ class Experiment(eqx.Module):
 
     @eqx.filter_jit
     def vary(
-        self,
-        candidate: CandidateTrajectories,
-        count: int,
-        *,
-        key: PRNGKeyArray,
+        self, candidate: CandidateTrajectories, count: int, *, key: PRNGKeyArray
     ) -> CandidateTrajectories:
         """Variations of a trajectory, within the same limits, from the same start."""
         first_key, turn_key, frequency_key = jax.random.split(key, 3)
@@ -393,10 +389,7 @@ def suggest_next(stage: Stage, *, key: PRNGKeyArray) -> Suggestion | None:
 
 
 def _along(
-    way: Way,
-    drawn: CandidateTrajectories,
-    experiment: Experiment,
-    key: PRNGKeyArray,
+    way: Way, drawn: CandidateTrajectories, experiment: Experiment, key: PRNGKeyArray
 ) -> CandidateTrajectories:
     """Random programmes, released on the way and turned along it."""
     count = len(drawn.starts)
