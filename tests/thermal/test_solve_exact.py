@@ -18,10 +18,9 @@ from pinav.report import as_text
 from pinav.thermal.boundaries import Insulated, around
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import lang
-from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import solve
 from pinav.thermal.starts import HeatState
-from pinav.thermal.steppers import RKL2
+from pinav.thermal.steppers import RKL2, Rosenbrock
 from pinav.thermal.tissues import Tissue
 
 UNIFORM = medium(RadialGrid.slab(0.01, 3), 3e4, CLOSED)

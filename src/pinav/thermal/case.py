@@ -15,7 +15,6 @@ from pinav.thermal.case_geometry import (
     Grid,
     Learn,
     Optimise,
-    Place,
     Probes,
     Side,
     SideTables,
@@ -36,7 +35,15 @@ from pinav.thermal.case_matter import (
 )
 from pinav.thermal.dose import DAMAGES, Arrhenius
 from pinav.thermal.grids import AbstractGrid
-from pinav.thermal.quantities import Length, Strict, Table, Time, explain, read_module
+from pinav.thermal.quantities import (
+    Length,
+    Place,
+    Strict,
+    Table,
+    Time,
+    explain,
+    read_module,
+)
 from pinav.thermal.sources import EddySource
 from pinav.thermal.tissues import Blood
 

@@ -26,10 +26,9 @@ from pinav.thermal.perfusion import AbstractLearnedPerfusion
 from pinav.thermal.protocols import AbstractProtocol, Schedule, plan_steps
 from pinav.thermal.quantities import Field, Number, Numbers
 from pinav.thermal.readings import Readings
-from pinav.thermal.rosenbrock import refuse_jumps
 from pinav.thermal.solve import Observe, default_stepper, probes_at, run, solve
 from pinav.thermal.starts import AT_REST, AbstractStart
-from pinav.thermal.steppers import AbstractStepper
+from pinav.thermal.steppers import AbstractStepper, refuse_jumps
 
 Temperatures = Float[Array, "time place"]
 """Temperatures of the places that are read [°C], or differences of them [K]."""

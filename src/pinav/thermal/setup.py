@@ -17,7 +17,6 @@ from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.protocols import LIMITS, HfLimit, Piecewise
 from pinav.thermal.quantities import Field
 from pinav.thermal.readings import Readings, simulate_probes
-from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import default_stepper
 from pinav.thermal.sources import (
     AbstractSource,
@@ -32,7 +31,7 @@ from pinav.thermal.starts import (
     find_steady_state,
     read_state,
 )
-from pinav.thermal.steppers import RKL2, AbstractStepper
+from pinav.thermal.steppers import RKL2, AbstractStepper, Rosenbrock
 
 
 class Setup(eqx.Module):

@@ -14,9 +14,8 @@ from pinav.thermal.bioheat import Bioheat, HeatBalance
 from pinav.thermal.dose import Arrhenius, cem43_segment
 from pinav.thermal.protocols import AbstractProtocol, Schedule, plan_steps
 from pinav.thermal.quantities import Field, Number, Numbers
-from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.starts import AT_REST, AbstractStart, HeatState
-from pinav.thermal.steppers import RKL2, AbstractStepper
+from pinav.thermal.steppers import RKL2, AbstractStepper, Rosenbrock
 
 
 class EnergyBalance(eqx.Module):
