@@ -17,10 +17,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 
 from pinav.navigation.control.controller import AbstractController, Memory, Observation
-from pinav.navigation.task.steering import (
-    Command,
-    SteeredSwimmer,
-)
+from pinav.navigation.task.steering import Command, SteeredSwimmer
 from pinav.navigation.task.task import Task
 from pinav.navigation.trials.situation import (
     Situation,
