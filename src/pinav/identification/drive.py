@@ -18,14 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from pinav.actuation import (
-    AbstractResponse,
-    HeldProgramme,
-    LinearResponse,
-    SaturatingResponse,
-    SlippingResponse,
-    StepOutResponse,
-)
+from pinav import actuation
 from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_arrays
 from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
@@ -41,11 +34,11 @@ from pinav.identification.parameters import (
 from pinav.identification.tracks import Blocks
 from pinav.systems import FreeNumber, LogNormal, Normal, System
 
-RESPONSES: dict[str, AbstractResponse] = {
-    "linear": LinearResponse(),
-    "saturating": SaturatingResponse(1.0),
-    "slipping": SlippingResponse(1.0, 0.5),
-    "step-out": StepOutResponse(1.0),
+RESPONSES: dict[str, actuation.AbstractResponse] = {
+    "linear": actuation.LinearResponse(),
+    "saturating": actuation.SaturatingResponse(1.0),
+    "slipping": actuation.SlippingResponse(1.0, 0.5),
+    "step-out": actuation.StepOutResponse(1.0),
 }
 """Responses to high frequencies, with placeholders for their numbers."""
 
@@ -113,11 +106,11 @@ class RollingDrive(AbstractDrive):
         self, coordinates: Float[Array, "4"], blocks: Blocks
     ) -> Float[Array, "sample 2"]:
         along: Any = blocks  # as JAX arrays
-        programme = HeldProgramme(along.times, along.frequency, along.heading)
+        programme = actuation.HeldProgramme(along.times, along.frequency, along.heading)
         return self.cycles(coordinates, programme)
 
     def cycles(
-        self, coordinates: Float[Array, "4"], programme: HeldProgramme
+        self, coordinates: Float[Array, "4"], programme: actuation.HeldProgramme
     ) -> Float[Array, "sample 2"]:
         """Integral of the response along the heading, delayed and lagged."""
         corner, residual, delay, lag = coordinates
@@ -177,7 +170,7 @@ def gain_basis(ndim: int) -> Float[np.ndarray, "number 2 2"]:
     return axes if ndim else axes.sum(axis=0, keepdims=True)
 
 
-class SwitchedResponse(AbstractResponse):
+class SwitchedResponse(actuation.AbstractResponse):
     """Any of the responses, by a number that may be traced: one compilation for all.
 
     Attributes:
@@ -200,8 +193,8 @@ class SwitchedResponse(AbstractResponse):
 
 
 def _with_numbers(
-    response: AbstractResponse, log_corner: Array, logit_residual: Array
-) -> AbstractResponse:
+    response: actuation.AbstractResponse, log_corner: Array, logit_residual: Array
+) -> actuation.AbstractResponse:
     values = {"corner": jnp.exp(log_corner), "residual": jax.nn.sigmoid(logit_residual)}
     names = {field.name for field in dataclasses.fields(response)}
     return dataclasses.replace(response, **{n: values[n] for n in values if n in names})

@@ -21,14 +21,9 @@ from pinav.fitting import (
 )
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import NoWeights
+from pinav.identification import likelihood
 from pinav.identification.drive import fitted_coordinates, is_open
 from pinav.identification.estimates import constants_of, learned_numbers, posterior_over
-from pinav.identification.likelihood import (
-    CommandedPath,
-    Design,
-    Field,
-    value_and_slope,
-)
 from pinav.identification.parameters import (
     BLOCK_NOISE,
     CORNER,
@@ -67,7 +62,7 @@ def fit_track(
         FitError: the likelihood is not finite at any start.
     """
     with jax.enable_x64(new_val=True):
-        design = Design.of(system, Blocks.of(track))
+        design = likelihood.Design.of(system, Blocks.of(track))
         prior = Prior.of(track, design.parameters)
         search = CandidateSearch(system, design, prior, wandering_gain=wandering_gain)
         # Starts that coincide are searched once.
@@ -94,7 +89,7 @@ WHITE = ("wandering.memory", BLOCK_NOISE)
 """Noise that is small where the velocity of a track is nearly white."""
 
 
-def stated_coordinates(system: System, design: Design) -> Coordinates:
+def stated_coordinates(system: System, design: likelihood.Design) -> Coordinates:
     """Coordinates that a system states; NaN for noise of which it says nothing."""
     drive: Any = system.swimmer
     return np.concatenate([design.drive.coordinates(drive), stated_noise(system)])
@@ -111,7 +106,7 @@ class CandidateSearch:
     def __init__(
         self,
         system: System,
-        design: Design,
+        design: likelihood.Design,
         prior: Prior,
         *,
         wandering_gain: bool = False,
@@ -126,9 +121,9 @@ class CandidateSearch:
         stated = stated_coordinates(system, design)
         self.base = np.where(np.isfinite(stated), stated, prior.mean)
         self.evaluations = 0
-        self.field: Field | None = None
+        self.field: likelihood.Field | None = None
         self.known, self.known_field = {}, self.field
-        self.latest: tuple[bytes, CommandedPath] | None = None
+        self.latest: tuple[bytes, likelihood.CommandedPath] | None = None
 
     def begins(self, start: EvidenceFit | None) -> list[np.ndarray]:
         """Starts of the search: the prior, or where a simpler candidate ended.
@@ -217,14 +212,14 @@ class CandidateSearch:
             self.evaluations += 1
             theta = self.theta(learned)
             path = self._commanded_path(theta[: len(self.design.drive.parameters)])
-            self.known[key] = value_and_slope(
+            self.known[key] = likelihood.value_and_slope(
                 theta, path, self.design.still, self.field
             )
         return self.known[key]
 
     def _commanded_path(
         self, coordinates: Float[np.ndarray, " parameter"]
-    ) -> CommandedPath:
+    ) -> likelihood.CommandedPath:
         """The path at a point, kept for the next one: the noise alone may differ."""
         key = coordinates.tobytes()
         if self.latest is None or self.latest[0] != key:

@@ -19,16 +19,9 @@ from pinav.fitting.engine.evidence_fit import evidence_fit, iterate
 from pinav.fitting.engine.problem import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
+from pinav.identification import likelihood
 from pinav.identification.drive import fitted_coordinates
 from pinav.identification.forecast import Displacement, integrate_held, path_of
-from pinav.identification.likelihood import (
-    Design,
-    Regressors,
-    apart,
-    in_plane,
-    path_displacement,
-    whiten,
-)
 from pinav.identification.rollouts import Errors, Rollouts
 from pinav.identification.tracks import Blocks, Track
 from pinav.systems import System
@@ -90,17 +83,19 @@ class FilteredDisplacement(eqx.Module):
 
     theta: Float[Array, " parameter"]
     blocks: Blocks
-    regressors: Regressors
+    regressors: likelihood.Regressors
     target: Float[Array, " row"]
     basis: Float[Array, "row coefficient"]
 
     def displacement(self, environment: Any) -> Float[Array, " row"]:
         """Integral of the environment's velocity along the path, filtered."""
-        moved = path_displacement(
+        moved = likelihood.path_displacement(
             lambda t, x: environment(t, x, jnp.zeros_like(x)), self.blocks
         )
-        filtered = self.regressors.filter(self.theta, in_plane(moved)[:, None])
-        return apart(filtered.columns[:, 0])
+        filtered = self.regressors.filter(
+            self.theta, likelihood.in_plane(moved)[:, None]
+        )
+        return likelihood.apart(filtered.columns[:, 0])
 
     def __call__(self, environment: Any) -> Float[Array, " row"]:
         """Displacements by the environment less the observed ones."""
@@ -120,9 +115,9 @@ class _BaseDesign(eqx.Module):
     @classmethod
     def of(cls, track: Track, system: System, base: EvidenceFit) -> "_BaseDesign":
         blocks, theta = Blocks.of(track), jnp.asarray(fitted_coordinates(base))
-        design = Design.of(system, blocks)
+        design = likelihood.Design.of(system, blocks)
         regressors = design.regressors(theta)
-        whitened = whiten(theta, regressors)
+        whitened = likelihood.whiten(theta, regressors)
         rows = np.asarray(whitened.rows)
         present = np.any(rows != 0, axis=0)
         residuals = FilteredDisplacement(

@@ -7,17 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from pinav import evaluation
 from pinav.dynamics import Swimmer
-from pinav.evaluation import (
-    ForceLine,
-    field_map,
-    force_error_at_samples,
-    force_errors,
-    force_line,
-    predict,
-    restart_errors,
-    score,
-)
 from pinav.fitting import (
     Outcome,
     Posterior,
@@ -119,7 +110,7 @@ def _found_law(
 
 def _profile(
     term: AbstractProfileTerm, posterior: Posterior, index: int, data: Trajectories
-) -> ForceLine:
+) -> evaluation.ForceLine:
     """The profile over the coordinates that were observed, with its deviation."""
     samples = jnp.asarray(data.positions[data.observed[..., :2].all(-1)])
     coordinates = np.asarray(jax.vmap(term.coordinates)(samples))
@@ -131,7 +122,7 @@ def _profile(
         return jax.vmap(model.environment.terms[index].profile)(jnp.asarray(places))
 
     values = derive(posterior, profile)
-    return ForceLine(
+    return evaluation.ForceLine(
         places + float(term.offset),
         np.array([one.value for one in values]),
         np.array([one.sd for one in values]),
@@ -223,7 +214,9 @@ def simpler_model(
         return ()
     total = rmse["total"]
     for name, model in simpler_models(plan.system.swimmer, plan.data).items():
-        simple = score(*predict(model, plan.data), plan.data).total
+        simple = evaluation.score(
+            *evaluation.predict(model, plan.data), plan.data
+        ).total
         if FAR_BETTER * simple < total or not np.isfinite(total):
             return (
                 f"The fit failed: its rollouts miss the data by {total:.2g}, those of "
@@ -241,8 +234,8 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
     """The account of a fit: rollouts, errors, the force, and remarks."""
     data, model, evidence = plan.data, fit.model, fit.evidence
     starts = None if evidence is None else evidence.states[:, 0]
-    predictions, outcomes = predict(model, data, starts=starts)
-    rmse = score(predictions, outcomes, data).by_name()
+    predictions, outcomes = evaluation.predict(model, data, starts=starts)
+    rmse = evaluation.score(predictions, outcomes, data).by_name()
     maps = lines = None
     if isinstance(model, KnownSwimmer):
         maps = _force_maps(fit, plan) if data.dim == 2 else None
@@ -289,7 +282,7 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
         iterations=None if evidence is None else evidence.iterations,
         support=None if evidence is None else evidence.support,
         losses=losses,
-        restarts=restart_errors(model, data) if commanded else None,
+        restarts=evaluation.restart_errors(model, data) if commanded else None,
         structure=found_structure(fit),
         thermal=fit.thermal,
         force=maps,
@@ -299,12 +292,12 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
 
 def _force_maps(fit: Learned, plan: FitPlan) -> ForceMaps:
     model: Any = fit.model
-    learned = field_map(model.environment, plan.data)
+    learned = evaluation.field_map(model.environment, plan.data)
     truth = _true_environment(plan)
     return ForceMaps(
         learned,
         sd=None if fit.posterior is None else fit.force_sd(learned),
-        true=None if truth is None else field_map(truth, plan.data).force,
+        true=None if truth is None else evaluation.field_map(truth, plan.data).force,
     )
 
 
@@ -320,19 +313,21 @@ def _force_error(
     if truth is None or not isinstance(fit.model, KnownSwimmer):
         return None
     if maps is None or maps.truth is None:
-        error = force_error_at_samples(fit.model.environment, truth, plan.data)
+        error = evaluation.force_error_at_samples(
+            fit.model.environment, truth, plan.data
+        )
         return {"at the samples": error}
-    return dict(force_errors(maps.learned, maps.truth, maps.learned.regions))
+    return dict(evaluation.force_errors(maps.learned, maps.truth, maps.learned.regions))
 
 
-def _force_lines(fit: Learned, plan: FitPlan) -> dict[str, ForceLine]:
+def _force_lines(fit: Learned, plan: FitPlan) -> dict[str, evaluation.ForceLine]:
     """The force along lines through data that are not planar."""
     model: Any = fit.model
     has_profile = plan.choice.name == PROFILE
     axes = model.environment.along if has_profile else range(plan.data.dim)
     truth = _true_environment(plan)
     return {
-        plan.data.channels[axis]: force_line(
+        plan.data.channels[axis]: evaluation.force_line(
             model.environment, plan.data, axis, posterior=fit.posterior, truth=truth
         )
         for axis in axes

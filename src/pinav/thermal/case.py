@@ -10,20 +10,8 @@ import jax.numpy as jnp
 import msgspec
 
 from pinav.errors import InputError
+from pinav.thermal import case_geometry
 from pinav.thermal.boundaries import AbstractBoundary, AbstractEnds, Sides, outer
-from pinav.thermal.case_geometry import (
-    Grid,
-    Learn,
-    Optimise,
-    Probes,
-    Side,
-    SideTables,
-    Voxels,
-    check_ball,
-    check_point,
-    check_sides,
-    read_boundary,
-)
 from pinav.thermal.case_matter import (
     FieldTable,
     Heating,
@@ -78,7 +66,7 @@ class Case(Strict, frozen=True):
     """One case: tissue, heating and field, and what is asked."""
 
     title: str
-    grid: Grid
+    grid: case_geometry.Grid
     heating: Heating
     field: FieldTable
     tissue: Medium | None = None
@@ -86,23 +74,23 @@ class Case(Strict, frozen=True):
     tissues: dict[str, Medium] = msgspec.field(default_factory=dict)
     target: tuple[str, ...] | FromFile | None = None
     blood_table: Table = msgspec.field(default_factory=dict, name="blood")
-    wall_table: Side = msgspec.field(
+    wall_table: case_geometry.Side = msgspec.field(
         default_factory=lambda: {"temperature": 37.0}, name="wall"
     )
-    sides: SideTables = SideTables()
+    sides: case_geometry.SideTables = case_geometry.SideTables()
     start: Literal["rest", "steady"] | FromFile = "rest"
     eddy_table: Table | None = msgspec.field(default=None, name="eddy")
     damage_table: Table | None = msgspec.field(default=None, name="damage")
     limit: LimitName | None = None
-    probes: Probes | None = None
-    learn: Learn | None = None
-    optimise: Optimise | None = None
+    probes: case_geometry.Probes | None = None
+    learn: case_geometry.Learn | None = None
+    optimise: case_geometry.Optimise | None = None
     step: Time | None = None
 
     def __post_init__(self) -> None:
         # refuses tables that state none
         _ = self.blood, self.eddy, self.damage, self.boundaries(3)
-        if isinstance(self.grid, Voxels):
+        if isinstance(self.grid, case_geometry.Voxels):
             self._check_labels()
         else:
             self._check_ball(self.grid.build())
@@ -118,7 +106,7 @@ class Case(Strict, frozen=True):
     @property
     def wall(self) -> AbstractBoundary:
         """Boundary of all outer sides that the case does not state."""
-        return read_boundary("wall", self.wall_table)
+        return case_geometry.read_boundary("wall", self.wall_table)
 
     @property
     def eddy(self) -> EddySource | None:
@@ -148,7 +136,7 @@ class Case(Strict, frozen=True):
 
     def check_extent(self, grid: AbstractGrid) -> None:
         """Refuse sides, probes and a size that do not go with the cells of a grid."""
-        check_sides(grid, self.sides)
+        case_geometry.check_sides(grid, self.sides)
         self._check_center(grid)
         self._check_size(grid)
         self._check_probes(grid)
@@ -197,7 +185,9 @@ class Case(Strict, frozen=True):
                     f"expected numbers, got the file {file!r}; maps need a grid of "
                     "voxels"
                 )
-        check_ball(grid, self.tumour.radius, self.tumour.center, self.sides)
+        case_geometry.check_ball(
+            grid, self.tumour.radius, self.tumour.center, self.sides
+        )
         self.check_extent(grid)
 
     def _check_labels(self) -> None:
@@ -243,13 +233,13 @@ class Case(Strict, frozen=True):
                 "heating.center: expected none on a sphere or cylinder, which is "
                 "heated about its centre; take a box for another place"
             )
-        check_point("heating.center", center, grid.extent)
+        case_geometry.check_point("heating.center", center, grid.extent)
 
     def _check_probes(self, grid: AbstractGrid) -> None:
         if self.probes is None:
             return
         for point in self.probes.points:
-            check_point("probes.points", point, grid.extent)
+            case_geometry.check_point("probes.points", point, grid.extent)
         if self.probes.every > self.field.duration:
             raise ValueError(
                 f"probes.every: expected within the protocol, <= "
@@ -299,7 +289,7 @@ class Case(Strict, frozen=True):
                 "there, or lower the field"
             )
 
-    def _check_bounds(self, settings: Optimise) -> None:
+    def _check_bounds(self, settings: case_geometry.Optimise) -> None:
         if settings.max_temperature <= self.blood.arterial:
             raise ValueError(
                 f"optimise.max_temperature: expected above the arterial temperature, "

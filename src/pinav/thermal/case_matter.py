@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from pinav.thermal import quantities
+from pinav.thermal import quantities, sources
 from pinav.thermal.perfusion import (
     AbstractPerfusion,
     ConstantPerfusion,
@@ -19,13 +19,6 @@ from pinav.thermal.perfusion import (
 )
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.quantities import Strict
-from pinav.thermal.sources import (
-    AbstractHeating,
-    LinearResponse,
-    LogNormalSizes,
-    TabulatedHeating,
-    check_increasing,
-)
 from pinav.thermal.tissues import Blood, Tissue, preset
 
 PROPERTIES = ("conductivity", "density", "specific_heat", "metabolic")
@@ -182,9 +175,9 @@ class Particles(Strict, frozen=True, tag="particles", tag_field="kind"):
                 "set bound = false, or remove it"
             )
 
-    def heating(self) -> AbstractHeating:
+    def heating(self) -> sources.AbstractHeating:
         viscosity = 1e-3 if self.viscosity is None else self.viscosity
-        response = LinearResponse(
+        response = sources.LinearResponse(
             1e-9 * self.diameter,
             anisotropy=1e3 * self.anisotropy,
             magnetisation=1e3 * self.magnetisation,
@@ -195,7 +188,7 @@ class Particles(Strict, frozen=True, tag="particles", tag_field="kind"):
         )
         if self.spread is None:
             return response
-        return LogNormalSizes(response, self.spread)
+        return sources.LogNormalSizes(response, self.spread)
 
 
 class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
@@ -211,7 +204,7 @@ class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
     scale: quantities.Scale = 1.0
 
     def __post_init__(self) -> None:
-        check_increasing(self, "amplitudes", "frequencies")
+        sources.check_increasing(self, "amplitudes", "frequencies")
         shape = [len(self.frequencies)] * len(self.amplitudes)
         if [len(row) for row in self.slp] != shape:
             raise ValueError(
@@ -220,8 +213,8 @@ class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
                 f"of {[len(row) for row in self.slp]}"
             )
 
-    def heating(self) -> AbstractHeating:
-        return TabulatedHeating(
+    def heating(self) -> sources.AbstractHeating:
+        return sources.TabulatedHeating(
             np.array(self.amplitudes),
             np.array(self.frequencies),
             1e3 * np.array(self.slp),
