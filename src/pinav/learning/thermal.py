@@ -246,10 +246,9 @@ class ThermalFindings:
     @classmethod
     def of(
         cls, fit: ThermalResult, chosen: ThermalChoice, data: Trajectories
-    ) -> "ThermalFindings | None":
-        """The findings of a fit; None where nothing was checked."""
-        if fit.checks is None:
-            return None
+    ) -> "ThermalFindings":
+        """The findings of a fit of which more than one number is asked."""
+        assert fit.checks is not None  # made wherever positions are not exact
         return cls(
             channels=data.channels,
             checks=fit.checks,
@@ -357,7 +356,6 @@ def fit_thermal(
         reference=chosen.reference,
     )
     findings = ThermalFindings.of(fit.thermal, chosen, data)
-    assert findings is not None  # made wherever positions are not exact
     mean = _mean_diffusion(findings)
     numbers = dataclasses.replace(
         fit.hyperparameters, noise=float(np.sqrt(2 * mean.value))

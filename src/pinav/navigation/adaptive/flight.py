@@ -226,9 +226,7 @@ def fly(
         arrival_time=float(now.arrival_time),
         clearance=float(now.clearance),
         consistency=float(np.mean(all_notes.surprise[1:])),
-        changed=int(
-            np.sum(all_notes.changed[:-1])
-        ),  # no command follows the last frame
+        changed=int(np.sum(all_notes.changed[:-1])),  # the last frame has no command
         stalls=int(np.sum(all_notes.stalled)),
         learn_times=all_notes.learn_time[np.isfinite(all_notes.learn_time)],
         command_times=all_notes.command_time[:-1],
