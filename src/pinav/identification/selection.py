@@ -18,6 +18,7 @@ from pinav.fitting import (
 )
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.forces import KernelForce, KernelPotential, NeuralForce
+from pinav.identification import forecast
 from pinav.identification.baselines import explained_variance, least_squares
 from pinav.identification.candidates import (
     drift_only,
@@ -30,12 +31,6 @@ from pinav.identification.candidates import (
 )
 from pinav.identification.drive import RESPONSES
 from pinav.identification.fit import fit_track
-from pinav.identification.forecast import (
-    Displacement,
-    Predictor,
-    cache_by_segment,
-    path_of,
-)
 from pinav.identification.parameters import DELAY, LAG
 from pinav.identification.residual_field import (
     ResidualFit,
@@ -123,9 +118,9 @@ class Selection:
         return self.fits[self.chosen]
 
     @property
-    def predictor(self) -> Predictor:
+    def predictor(self) -> forecast.Predictor:
         """The same with its bands."""
-        return Predictor.of(self.train, self.best, self.wandering)
+        return forecast.Predictor.of(self.train, self.best, self.wandering)
 
     def row(self, name: str) -> Row:
         """A line of the table by its name."""
@@ -163,7 +158,9 @@ class Selection:
         begin = time.perf_counter()
         fit = fit_track(self.train, system, start=start, **options)
         seconds = time.perf_counter() - begin
-        self._add(name, fit.hyperparameters.log_evidence, seconds, path_of(fit.model))
+        self._add(
+            name, fit.hyperparameters.log_evidence, seconds, forecast.path_of(fit.model)
+        )
         return fit
 
     def _response(self) -> str:
@@ -223,7 +220,7 @@ class Selection:
         path = fitted.displacement()
         self._add(LEAST_SQUARES, float("nan"), fitted.seconds, path)
         if self.train.commanded:
-            begin, chosen = time.perf_counter(), path_of(self.best.model)
+            begin, chosen = time.perf_counter(), forecast.path_of(self.best.model)
             weight = stacking_weight(self.train, chosen, path)
             seconds = time.perf_counter() - begin
             self._add(STACKED, float("nan"), seconds, stack(chosen, path, weight))
@@ -233,10 +230,10 @@ class Selection:
         name: str,
         log_evidence: float,
         seconds: float,
-        displacement: Displacement,
+        displacement: forecast.Displacement,
         residual: ResidualFit | None = None,
     ) -> None:
-        displacement, by_horizon = cache_by_segment(displacement), {}
+        displacement, by_horizon = forecast.cache_by_segment(displacement), {}
         for horizon in HORIZONS:
             rollouts = Rollouts.of(self.held_out, horizon)
             by_horizon[f"{horizon:g}"] = (
@@ -277,7 +274,7 @@ def select_model(
     return selection
 
 
-def velocity_r2(track: Track, displacement: Displacement) -> float:
+def velocity_r2(track: Track, displacement: forecast.Displacement) -> float:
     """Explained share of the velocity over two blocks, both components pooled."""
     observed, predicted = [], []
     for piece in track.pieces:

@@ -29,14 +29,7 @@ from pinav.forces import (
     split_structure,
 )
 from pinav.identification import needs_kalman_filter
-from pinav.learning.findings import (
-    Findings,
-    ForceMaps,
-    FoundLaw,
-    FoundStructure,
-    FoundTerm,
-    Rollouts,
-)
+from pinav.learning import findings
 from pinav.learning.learned import Learned
 from pinav.learning.plan import FitPlan
 from pinav.learning.recipes import name_of
@@ -49,7 +42,7 @@ POINTS = 121
 """Points of a profile."""
 
 
-def found_structure(run: Learned) -> FoundStructure | None:
+def found_structure(run: Learned) -> findings.FoundStructure | None:
     """The structure that a fit, or its teacher, found; None without a search."""
     kernels = run if run.teacher is None else run.teacher
     evidence, posterior = kernels.evidence, kernels.posterior
@@ -58,7 +51,7 @@ def found_structure(run: Learned) -> FoundStructure | None:
     model: Any = kernels.model
     force, search = model.environment, evidence.structure
     terms = split_structure(force)[0] if hasattr(force, "terms") else ()
-    return FoundStructure(
+    return findings.FoundStructure(
         tuple(
             _found_term(term, index, posterior, kernels.data)
             for index, term in enumerate(terms)
@@ -74,9 +67,9 @@ def found_structure(run: Learned) -> FoundStructure | None:
 
 def _found_term(
     term: AbstractTerm, index: int, posterior: Posterior, data: Trajectories
-) -> FoundTerm:
+) -> findings.FoundTerm:
     has_profile = isinstance(term, AbstractProfileTerm)
-    return FoundTerm(
+    return findings.FoundTerm(
         term.kind,
         term.latex,
         tuple(derive(posterior, lambda model: _numbers(model, index))),
@@ -93,7 +86,7 @@ def _numbers(model: Any, index: int) -> Float[Array, " number"]:
 
 def _found_law(
     term: AbstractProfileTerm, posterior: Posterior, index: int
-) -> FoundLaw | None:
+) -> findings.FoundLaw | None:
     law = term.law
     if law is None:
         return None
@@ -105,7 +98,9 @@ def _found_law(
 
     names = ("height", *law.constants())
     estimates = derive(posterior, constants)
-    return FoundLaw(law.name, law.latex, dict(zip(names, estimates, strict=True)))
+    return findings.FoundLaw(
+        law.name, law.latex, dict(zip(names, estimates, strict=True))
+    )
 
 
 def _profile(
@@ -230,7 +225,7 @@ FAR_BETTER = 3.0
 """Ratio of errors beyond which a simpler model is recommended."""
 
 
-def account(plan: FitPlan, fit: Learned) -> Findings:
+def account(plan: FitPlan, fit: Learned) -> findings.Findings:
     """The account of a fit: rollouts, errors, the force, and remarks."""
     data, model, evidence = plan.data, fit.model, fit.evidence
     starts = None if evidence is None else evidence.states[:, 0]
@@ -261,7 +256,7 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
             *thermal_remarks(plan.thermal, data),
         )
     commanded = needs_kalman_filter(plan.system)
-    return Findings(
+    return findings.Findings(
         model=fit.choice.name,
         recipe=name_of(plan.recipe),
         outcome=outcome,
@@ -269,7 +264,7 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
         constants=fit.constants,
         remarks=(*sentences, *remarks(data)),
         units=dict(sorted(fit.units.items())),
-        rollouts=Rollouts(
+        rollouts=findings.Rollouts(
             data.channels,
             data.times,
             data.states,
@@ -290,11 +285,11 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
     )
 
 
-def _force_maps(fit: Learned, plan: FitPlan) -> ForceMaps:
+def _force_maps(fit: Learned, plan: FitPlan) -> findings.ForceMaps:
     model: Any = fit.model
     learned = evaluation.field_map(model.environment, plan.data)
     truth = _true_environment(plan)
-    return ForceMaps(
+    return findings.ForceMaps(
         learned,
         sd=None if fit.posterior is None else fit.force_sd(learned),
         true=None if truth is None else evaluation.field_map(truth, plan.data).force,
@@ -307,7 +302,7 @@ def _true_environment(plan: FitPlan) -> AbstractForce | None:
 
 
 def _force_error(
-    fit: Learned, maps: ForceMaps | None, plan: FitPlan
+    fit: Learned, maps: findings.ForceMaps | None, plan: FitPlan
 ) -> dict[str, float] | None:
     truth = _true_environment(plan)
     if truth is None or not isinstance(fit.model, KnownSwimmer):

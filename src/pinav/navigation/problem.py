@@ -17,12 +17,7 @@ from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
-from pinav.navigation.design.candidates import (
-    Experiment,
-    Stage,
-    Suggestion,
-    suggest_next,
-)
+from pinav.navigation.design import candidates
 from pinav.navigation.task.catalogue import Way
 from pinav.navigation.task.steering import SteeredSwimmer, greatest_thrust, physics_only
 from pinav.navigation.task.task import ReachGoal, Rectangle, Task, steered_swimmer
@@ -178,7 +173,7 @@ SAMPLES = 120
 
 def suggest_trajectory(
     problem: NavigationProblem, route: Float[np.ndarray, "time 2"], *, seed: int
-) -> Suggestion | None:
+) -> candidates.Suggestion | None:
     """The trajectory that would tell most about the force along a route.
 
     It is released near the start and observed as the data were, without white noise.
@@ -210,13 +205,15 @@ def suggest_trajectory(
     )
     assert adaptive.known is not None
     fitted = dataclasses.replace(adaptive.known, filters=(adaptive.known.best,))
-    experiment = Experiment(
+    experiment = candidates.Experiment(
         recorded,
         Rectangle(start - problem.goal.tolerance, start + problem.goal.tolerance),
         min(task.time_limit, float(np.median(spans)), SAMPLES * interval),
     )
     key = jax.random.fold_in(jax.random.key(seed), 2)
-    found = suggest_next(Stage(adaptive, experiment, fitted, route), key=key)
+    found = candidates.suggest_next(
+        candidates.Stage(adaptive, experiment, fitted, route), key=key
+    )
     if found is None or task.inertial:
         return found
     # What a belief knows without inertia are velocities; a fit knows forces.

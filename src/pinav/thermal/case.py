@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import msgspec
 
 from pinav.errors import InputError
-from pinav.thermal import case_geometry
+from pinav.thermal import case_geometry, quantities
 from pinav.thermal.boundaries import AbstractBoundary, AbstractEnds, Sides, outer
 from pinav.thermal.case_matter import (
     FieldTable,
@@ -23,15 +23,7 @@ from pinav.thermal.case_matter import (
 )
 from pinav.thermal.dose import DAMAGES, Arrhenius
 from pinav.thermal.grids import AbstractGrid
-from pinav.thermal.quantities import (
-    Length,
-    Place,
-    Strict,
-    Table,
-    Time,
-    explain,
-    read_module,
-)
+from pinav.thermal.quantities import Strict, explain, read_module
 from pinav.thermal.sources import EddySource
 from pinav.thermal.tissues import Blood
 
@@ -48,9 +40,9 @@ USUAL_STEP = 7.5
 class Tumour(Strict, frozen=True):
     """A ball of another tissue; its centre [m] is that of the grid unless given."""
 
-    radius: Length
+    radius: quantities.Length
     tissue: Medium
-    center: tuple[Place, ...] | None = None
+    center: tuple[quantities.Place, ...] | None = None
 
 
 class FromFile(Strict, frozen=True):
@@ -73,19 +65,19 @@ class Case(Strict, frozen=True):
     tumour: Tumour | None = None
     tissues: dict[str, Medium] = msgspec.field(default_factory=dict)
     target: tuple[str, ...] | FromFile | None = None
-    blood_table: Table = msgspec.field(default_factory=dict, name="blood")
+    blood_table: quantities.Table = msgspec.field(default_factory=dict, name="blood")
     wall_table: case_geometry.Side = msgspec.field(
         default_factory=lambda: {"temperature": 37.0}, name="wall"
     )
     sides: case_geometry.SideTables = case_geometry.SideTables()
     start: Literal["rest", "steady"] | FromFile = "rest"
-    eddy_table: Table | None = msgspec.field(default=None, name="eddy")
-    damage_table: Table | None = msgspec.field(default=None, name="damage")
+    eddy_table: quantities.Table | None = msgspec.field(default=None, name="eddy")
+    damage_table: quantities.Table | None = msgspec.field(default=None, name="damage")
     limit: LimitName | None = None
     probes: case_geometry.Probes | None = None
     learn: case_geometry.Learn | None = None
     optimise: case_geometry.Optimise | None = None
-    step: Time | None = None
+    step: quantities.Time | None = None
 
     def __post_init__(self) -> None:
         # refuses tables that state none

@@ -5,14 +5,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from pinav.thermal import quantities
-from pinav.thermal.boundaries import (
-    BOUNDARIES,
-    AbstractBoundary,
-    AbstractEnds,
-    Periodic,
-    Sides,
-)
+from pinav.thermal import boundaries, quantities
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
 from pinav.thermal.quantities import Strict, Table, read_module
 
@@ -107,23 +100,27 @@ class SideTables(Strict, frozen=True):
     def along(self) -> tuple[Across, Across, Across]:
         return self.x, self.y, self.z
 
-    def build(self, wall: AbstractBoundary, axes: int) -> tuple[AbstractEnds, ...]:
+    def build(
+        self, wall: boundaries.AbstractBoundary, axes: int
+    ) -> tuple[boundaries.AbstractEnds, ...]:
         return tuple(
             _ends(f"sides.{name}", ends, wall)
             for name, ends in tuple(zip("xyz", self.along, strict=True))[:axes]
         )
 
 
-def read_boundary(key: str, side: Side) -> AbstractBoundary:
+def read_boundary(key: str, side: Side) -> boundaries.AbstractBoundary:
     """The boundary that a table states."""
-    return read_module(key, BOUNDARIES, side)
+    return read_module(key, boundaries.BOUNDARIES, side)
 
 
-def _ends(key: str, ends: Across, wall: AbstractBoundary) -> AbstractEnds:
+def _ends(
+    key: str, ends: Across, wall: boundaries.AbstractBoundary
+) -> boundaries.AbstractEnds:
     if isinstance(ends, str):
-        return Periodic()
+        return boundaries.Periodic()
     low, high = (None, None) if ends is None else (ends.low, ends.high)
-    return Sides(
+    return boundaries.Sides(
         wall if low is None else read_boundary(f"{key}.low", low),
         wall if high is None else read_boundary(f"{key}.high", high),
     )

@@ -14,18 +14,13 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import EvidenceFit, Outcome
+from pinav.thermal import perfusion
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.case import Case
 from pinav.thermal.case_geometry import Learn
 from pinav.thermal.grids import CartesianGrid
 from pinav.thermal.images import read_frames
 from pinav.thermal.learning import Residuals, learn, read_residuals, visited_range
-from pinav.thermal.perfusion import (
-    AbstractPerfusion,
-    ConstantPerfusion,
-    kernel_perfusion,
-    neural_perfusion,
-)
 from pinav.thermal.readings import Readings, load_probes
 from pinav.thermal.setup import Setup
 from pinav.thermal.sources import ShiftedSource
@@ -159,16 +154,18 @@ class TissueFit:
             advice = ADVICE.get(error.outcome, str(error))
             raise FitError(advice, error.outcome) from error
 
-    def _first_law(self, kind: str, index: int, data: Readings) -> AbstractPerfusion:
+    def _first_law(
+        self, kind: str, index: int, data: Readings
+    ) -> perfusion.AbstractPerfusion:
         name, arterial = self.names[index], self.setup.arterial
         rest = perfusion_at_rest(self.setup, name)
         if kind == "constant":
-            return ConstantPerfusion(jnp.asarray(rest))
+            return perfusion.ConstantPerfusion(jnp.asarray(rest))
         span = (arterial, max(self._hottest(name, data), arterial + 1.0))
         if kind == "kernels":
-            return kernel_perfusion(rest, span)
+            return perfusion.kernel_perfusion(rest, span)
         key = jax.random.fold_in(jax.random.key(self.settings.seed), index)
-        return neural_perfusion(rest, span, key=key)
+        return perfusion.neural_perfusion(rest, span, key=key)
 
     def movable(self) -> Bioheat:
         """The model, its first source one that can be shifted if that is learned."""
@@ -237,7 +234,7 @@ def perfusion_at_rest(setup: Setup, name: str) -> float:
 
 def mean_perfusion(setup: Setup, name: str, celsius: float) -> float:
     """Perfusion of a tissue at a temperature [kg m⁻³ s⁻¹], on average over it."""
-    law: AbstractPerfusion = setup.body.law(name)(setup.model)
+    law: perfusion.AbstractPerfusion = setup.body.law(name)(setup.model)
     flow = law(jnp.full(setup.model.grid.shape, celsius))
     fraction = setup.body.fractions[name]
     return float(jnp.sum(flow * fraction) / jnp.sum(fraction))

@@ -20,13 +20,7 @@ from pinav.navigation.adaptive.flight import true_force
 from pinav.navigation.adaptive.steering import TO_THE_END, AdaptiveController
 from pinav.navigation.adaptive.strategies import MEAN_FORCE, with_known
 from pinav.navigation.belief.belief import Belief, Frame
-from pinav.navigation.design.candidates import (
-    AbstractDesign,
-    CandidateTrajectories,
-    Experiment,
-    Stage,
-    Suggestion,
-)
+from pinav.navigation.design import candidates
 from pinav.navigation.maps import Course, ForceMaps
 from pinav.navigation.task.task import ReachGoal
 from pinav.navigation.trials.metrics import quantiles
@@ -97,8 +91,8 @@ class Campaign:
 
 def run_campaign(
     adaptive: AdaptiveController,
-    design: AbstractDesign,
-    experiment: Experiment,
+    design: candidates.AbstractDesign,
+    experiment: candidates.Experiment,
     *,
     accuracy: float,
     most: int,
@@ -123,7 +117,7 @@ def run_campaign(
     for count in range(most):
         choose, noise = jax.random.split(jax.random.fold_in(key, count))
         way = decisions[-1].way
-        stage = Stage(adaptive, experiment, belief, way, count)
+        stage = candidates.Stage(adaptive, experiment, belief, way, count)
         chosen = design.choose(stage, key=choose)
         frames, path = record(experiment, chosen, key=noise)
         belief = learn(adaptive, belief, frames)
@@ -135,7 +129,10 @@ def run_campaign(
 
 
 def record(
-    experiment: Experiment, candidate: CandidateTrajectories, *, key: PRNGKeyArray
+    experiment: candidates.Experiment,
+    candidate: candidates.CandidateTrajectories,
+    *,
+    key: PRNGKeyArray,
 ) -> tuple[list[Frame], Float[np.ndarray, "time 2"]]:
     """A trajectory of the true swimmer, until it leaves the arena.
 
@@ -360,7 +357,7 @@ class DesignResult:
     bounds: dict[str, tuple[Float[np.ndarray, " _"], ...]] = dataclasses.field(
         default_factory=dict
     )
-    next: Suggestion | None = None
+    next: candidates.Suggestion | None = None
 
 
 def _first_below(campaign: Campaign) -> float:
