@@ -14,7 +14,7 @@ from pinav.evaluation import normal_quantile
 from pinav.identification import Rollouts, Track, tracks
 from pinav.identification.running import RunningFit, forecast
 from pinav.identification.running.bank import Bank
-from pinav.identification.tracks import after, commands_of
+from pinav.identification.tracks import commands_of, cut_track
 from pinav.recordings import read_recording
 
 ROOT = Path(__file__).parents[1]
@@ -33,7 +33,7 @@ KINDS = ("running", "running, last 30 %", "frozen")
 
 def starts(track: Track, begin: float) -> dict[int, int]:
     """Last sample of each rollout of 10 s from a time on, by the first one."""
-    part = after(track, begin)
+    part = cut_track(track, lambda times: times >= begin)
     before = len(track.pieces[0].times) - len(part.pieces[0].times)
     places = Rollouts.of(part, 10.0)
     pairs = zip(places.first + before, places.last + before, strict=True)

@@ -30,7 +30,7 @@ from pinav.identification import (
     with_slow_drift,
 )
 from pinav.identification.baselines import restoring_force
-from pinav.identification.estimates import speed as speed_of
+from pinav.identification.estimates import speeds
 from pinav.identification.findings import interval, positive_interval
 from pinav.identification.rollouts import errors
 from pinav.identification.selection import split
@@ -183,13 +183,14 @@ def test_speed_against_frequency():
             if track.duration < 20:
                 continue
             found = fit_track(track, candidate)
-            speed, sd = speed_of(found, np.array([9.0]))
-            if sd[0] < 0.5 * speed[0]:
-                gains.setdefault(groups[0], []).append((speed[0] / 9, sd[0] / 9))
+            (speed,) = speeds(found, np.array([9.0]))
+            if speed.sd < 0.5 * speed.value:
+                gain = speed.value / 9, speed.sd / 9
+                gains.setdefault(groups[0], []).append(gain)
                 corner = estimates(found)["corner"]
                 print(
-                    f"{groups[0]}, {track.name}: {speed[0] / 9:.2f} ± "
-                    f"{1.96 * sd[0] / 9:.2f} um per cycle at 9 Hz, corner "
+                    f"{groups[0]}, {track.name}: {gain[0]:.2f} ± "
+                    f"{1.96 * gain[1]:.2f} um per cycle at 9 Hz, corner "
                     f"{corner.value:.2f} {positive_interval(corner)}"
                 )
     medians = {group: float(np.median([g for g, _ in v])) for group, v in gains.items()}

@@ -12,8 +12,12 @@ from pinav.commands.design.job import sections
 from pinav.navigation import Suggestion
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.motion import OverdampedMotion
-from pinav.navigation.design.campaign import Campaign, Decision
-from pinav.navigation.design.result import CampaignSummary, DesignResult
+from pinav.navigation.design.campaign import (
+    Campaign,
+    CampaignSummary,
+    Decision,
+    DesignResult,
+)
 from pinav.report import sections_text
 
 

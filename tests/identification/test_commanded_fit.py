@@ -8,24 +8,10 @@ import numpy as np
 import pytest
 from tests.identification.conftest import as_recording
 
+from pinav import fitting, identification
 from pinav.errors import InputError
 from pinav.evaluation import predict
-from pinav.fitting import (
-    KernelGrid,
-    Outcome,
-    kernel_environment,
-    model_evidence,
-    neural_environment,
-)
 from pinav.forces import KernelForce, NeuralForce, ShearFlow
-from pinav.identification import (
-    fit_commanded,
-    fit_track,
-    gain_matrix,
-    system_of,
-    tracks,
-    with_learned,
-)
 from pinav.systems import FreeNumber
 
 pytestmark = pytest.mark.slow
@@ -60,20 +46,24 @@ def recording(seed=0, *, duration=300.0, step=0.1, strength=1.0, wandering=0.5):
     return as_recording((times, seen, {"frequency": frequency, "heading": heading}))
 
 
-GRID = KernelGrid(across=5, margin=2.0)
+GRID = fitting.KernelGrid(across=5, margin=2.0)
 
-CANDIDATE = with_learned(gain_matrix(), "delay", "propulsion.delay")
+CANDIDATE = identification.with_learned(
+    identification.gain_matrix(), "delay", "propulsion.delay"
+)
 
 
 def identified(data):
     """The system that identification finds, which knows of no field."""
-    fit = fit_track(tracks(data)[0], CANDIDATE)
-    return system_of(fit, jitter=0.05, name="robot", units=data.units), fit
+    fit = identification.fit_track(identification.tracks(data)[0], CANDIDATE)
+    return identification.system_of(
+        fit, jitter=0.05, name="robot", units=data.units
+    ), fit
 
 
 def with_a_field(system, data):
-    kernels = kernel_environment(KernelForce, data, GRID, dim=2)
-    return fit_commanded(system, data, kernels, refine=None)
+    kernels = fitting.kernel_environment(KernelForce, data, GRID, dim=2)
+    return identification.fit_commanded(system, data, kernels, refine=None)
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +100,7 @@ def error_and_deviation(fit, data):
 
 def test_a_field_is_found_beside_commands_and_wandering(trapped):
     data, _, fit = trapped
-    assert fit.outcome is Outcome.CONVERGED
+    assert fit.outcome is fitting.Outcome.CONVERGED
     error, sd = error_and_deviation(fit, data)
     truth = field(data.states[0][::40])
     assert np.sqrt(np.mean(error**2)) < 0.35 * np.sqrt(np.mean(truth**2))
@@ -122,7 +112,7 @@ def test_a_field_is_found_beside_commands_and_wandering(trapped):
 
 def test_the_wandering_velocity_leaves_the_field_its_part(trapped):
     data, system, fit = trapped
-    alone = fit_commanded(system, data, None)
+    alone = identification.fit_commanded(system, data, None)
     assert evidence(fit) - evidence(alone) > 20
     (with_field, without) = (
         [f.constants[f"wandering.{name}"].value for name in ("still", "driven")]
@@ -134,20 +124,20 @@ def test_the_wandering_velocity_leaves_the_field_its_part(trapped):
 
 
 def evidence(fit):
-    return model_evidence(fit.linear, fit.hyperparameters).log_evidence
+    return fitting.model_evidence(fit.linear, fit.hyperparameters).log_evidence
 
 
 def test_where_there_is_no_field_none_is_found():
     data = recording(1, strength=0.0, duration=120.0)
     system, _ = identified(data)
-    alone = fit_commanded(system, data, None)
+    alone = identification.fit_commanded(system, data, None)
     assert evidence(with_a_field(system, data)) < evidence(alone) + 2.0
 
 
 def test_the_evidence_without_a_field_is_that_of_the_candidate():
     data = recording(2, duration=60.0)
     system, track_fit = identified(data)
-    alone = fit_commanded(system, data, None)
+    alone = identification.fit_commanded(system, data, None)
     # priors stand about the estimates here, about the track's scales there
     assert evidence(alone) == pytest.approx(
         track_fit.hyperparameters.log_evidence, abs=8.0
@@ -172,11 +162,11 @@ def test_the_posterior_of_a_track_is_over_the_numbers_of_its_swimmer():
 
 def test_networks_are_refused(short):
     data, system = short
-    network = neural_environment(
+    network = fitting.neural_environment(
         NeuralForce, data, key=jax.random.key(0), width=4, dim=2
     )
     with pytest.raises(InputError, match="choose kernel-force"):
-        fit_commanded(system, data, network)
+        identification.fit_commanded(system, data, network)
 
 
 def test_an_open_number_that_is_not_learned_here_is_refused(short):
@@ -188,4 +178,4 @@ def test_an_open_number_that_is_not_learned_here_is_refused(short):
         learn=(FreeNumber("flow.rate"),),
     )
     with pytest.raises(InputError, match=r"learn: flow\.rate cannot be learned"):
-        fit_commanded(opened, data, None)
+        identification.fit_commanded(opened, data, None)

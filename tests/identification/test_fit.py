@@ -36,8 +36,6 @@ from pinav.identification.tracks import (
     COMPILATION,
     PER_BLOCK,
     PER_SAMPLE,
-    after,
-    before,
     one_track,
     shared_sizes,
 )
@@ -219,12 +217,11 @@ def test_a_split_keeps_all_samples_and_their_order(track):
     counts = [len(part.pieces[0].times) for part in (train, held_out, track)]
     assert counts[0] + counts[1] == counts[2]
     assert train.width == held_out.width == track.width
-    assert before(track, track.span[1] - 0.1).duration > 80
     for fraction in (0.0, 1.0, -1.0):
         with pytest.raises(InputError, match="split fraction: expected between 0 and"):
             split(track, fraction)
     with pytest.raises(InputError, match="expected 8 samples or more on both"):
-        after(track, track.span[1] - 0.1)
+        split(track, 0.999)
 
 
 def test_tracks_want_samples_of_positions_alone(synthetic, paper_trajectories):

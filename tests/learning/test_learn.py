@@ -81,7 +81,7 @@ def test_a_potential_that_diverged_names_the_model_that_turns(monkeypatch, model
     class Diverged:
         outcome = Outcome.DIVERGED
 
-    monkeypatch.setattr(learning, "fit_bayes", lambda *_, **__: Diverged)
+    monkeypatch.setattr(learning.fitting, "fit_bayes", lambda *_, **__: Diverged)
     truth = barrier_crossings(jax.random.key(0))
     data = simulate(truth, key=jax.random.key(0))
     recipe = Bayes(structure="free")

@@ -48,7 +48,6 @@ def test_rollouts_confirm_that_a_fit_converged_or_say_the_likely_cause(monkeypat
     assert sentence.startswith("The likely cause of the failure: the motion is chaotic")
     assert likely_cause(data, model, "converged", far) == ()
     assert likely_cause(data, model, "stalled", near) == ()
-    data = simulate(scenario("paper"))
     assert confirm_outcome("converged", 1e-9, data, {"total": 0.5}) == "stalled"
     assert confirm_outcome("converged", 1e-9, data, {"total": 1e-5}) == "converged"
     assert confirm_outcome("misfit", 1e-9, data, {"total": 0.5}) == "misfit"

@@ -1,5 +1,7 @@
 """Files that grow, are rotated and truncated; sockets that close; addresses."""
 
+import functools
+import math
 import os
 import socket
 import threading
@@ -11,7 +13,8 @@ from pinav.errors import InputError
 from pinav.live import sources
 
 
-def lines_of(source, looks=6):
+def lines_of(source, looks=6, most=math.inf, answer=lambda: None):
+    """Lines and texts of some looks, or until there are so many; each is answered."""
     buffer, lines, texts = sources.LineBuffer(), [], []
     for _ in range(looks):
         reading = source.read(0.01)
@@ -19,6 +22,10 @@ def lines_of(source, looks=6):
         buffer, more = buffer.after(reading.data)
         lines += more
         texts += [reading.text] if reading.text else []
+        if more:
+            answer()
+        if len(lines) >= most:
+            break
     return lines, texts
 
 
@@ -86,15 +93,8 @@ def test_a_socket_is_tried_again_and_answered():
         source = sources.SocketSource(*server.getsockname())
         sink = sources.sink_of(None, source)
         assert sink is source
-        buffer, lines, texts, ends = sources.LineBuffer(), [], [], time.monotonic() + 5
-        while len(lines) < 2 and time.monotonic() < ends:
-            reading = source.read(0.05)
-            buffer = sources.LineBuffer() if reading.fresh else buffer
-            buffer, more = buffer.after(reading.data)
-            lines += more
-            texts += [reading.text] if reading.text else []
-            if more:
-                sink.write(b"answer\n")
+        answer = functools.partial(sink.write, b"answer\n")
+        lines, texts = lines_of(source, looks=500, most=2, answer=answer)
         thread.join(5)
         source.close()
     assert lines == [b"one", b"two"]

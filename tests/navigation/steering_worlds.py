@@ -15,7 +15,8 @@ from pinav.forces import LinearDrag, UniformFlow, ZeroForce
 from pinav.navigation import task
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.control.controller import AbstractController
-from pinav.navigation.predictors import AbstractPredictor
+from pinav.navigation.planning.plan import time_to_go
+from pinav.navigation.predictors import AbstractPredictor, tabulate_model
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
@@ -106,6 +107,13 @@ def swimming(drift=(0.0, 0.0), **changes):
         "time_limit": limit,
     }
     return open_water(drift=drift, **options | changes)
+
+
+def planned(task, **settings):
+    """The time to go of a task by what is true in it."""
+    points = {2: 41, 3: 9}[task.dim]
+    tables = tabulate_model(task, task.truth, margin=0.01, points=points)
+    return time_to_go(task, task.truth, tables=tables, **settings)
 
 
 def drifted_time(way, drift, tolerance):

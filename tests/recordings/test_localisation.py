@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.identification.conftest import wander
 
 from pinav.recordings.localisation import localisation
 
@@ -74,11 +75,7 @@ def test_motion_that_changes_from_row_to_row_is_no_diffusion(interval):
     """A velocity with a memory of 1 s: its steps are no parabola over four rows."""
     random = np.random.default_rng(1)
     times = interval * np.arange(3000)
-    decay = np.exp(-interval)
-    kicks = random.standard_normal((3000, 2))
-    velocity = [0.3 * kicks[0]]
-    for kick in kicks[1:]:
-        velocity.append(decay * velocity[-1] + 0.3 * np.sqrt(1 - decay**2) * kick)
+    velocity = 0.3 * wander(random.standard_normal((3000, 2)), times)
     path = interval * np.cumsum(velocity, axis=0)
     found = localisation([times], [path + 0.2 * random.standard_normal(path.shape)])
     np.testing.assert_allclose(found.deviation, 0.2, rtol=0.1)

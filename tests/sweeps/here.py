@@ -30,6 +30,6 @@ class Client:
         return Answered(attempt(version, order))
 
 
-def here():
-    """The cluster, as `map_cells` opens one."""
-    return contextlib.nullcontext(Cluster(Client(), "this process"))
+def here(client=None):
+    """The cluster of a client, as `map_cells` opens one."""
+    return contextlib.nullcontext(Cluster(client or Client(), "this process"))

@@ -94,10 +94,7 @@ def test_what_died_attempts_left_decides_whether_a_cell_is_tried(
                 (store.begin(cell) / "trace.txt").write_text(words)
             return super().submit(function, version, order)
 
-    def workers():
-        return contextlib.nullcontext(sweeps.Cluster(Dying(), "mortal ones"))
-
-    (outcome,), table = sweep(tmp_path, [cell], workers)
+    (outcome,), table = sweep(tmp_path, [cell], lambda: here(Dying()))
     assert outcome.failure == failure
     assert table == (["7.0"] if not failure else [""])
     assert outcome.again == bool(failure)  # by --resume, with a better machine
@@ -213,7 +210,7 @@ def test_cells_of_one_shape_go_to_one_worker(tmp_path):
             places.setdefault(cell.shape, set()).update(workers)
             return super().submit(function, version, order)
 
-    sweep(tmp_path, cells, lambda: contextlib.nullcontext(sweeps.Cluster(Two(), "two")))
+    sweep(tmp_path, cells, lambda: here(Two()))
     assert sorted(map(len, places.values())) == [1, 1]
 
 
@@ -240,27 +237,19 @@ def test_no_sweep_has_no_status(tmp_path):
         sweeps.sweep_status(tmp_path)
 
 
-@pytest.mark.parametrize(("place", "text"), [("sweep.json", "{"), ("cell", "{")])
-def test_damaged_files_are_named(place, text, tmp_path):
-    cells = cells_of("square", 1)
-    sweep(tmp_path, cells)
-    store = sweeps.CellStore.of_run(tmp_path)
-    if place == "cell":
-        (store.folder(cells[0]) / "outcome.json").write_text(text)
-    else:
-        (store.path / place).write_text(text)
-    with pytest.raises(InputError, match=r"cannot be read .* continue with --resume"):
-        sweeps.sweep_status(tmp_path)
-
-
-def test_what_is_damaged_of_a_cell_is_named(tmp_path):
+@pytest.mark.parametrize("name", ["sweep.json", "outcome.json"])
+def test_damaged_files_are_named(name, tmp_path):
     (cell,) = cells_of("square", 1)
     sweep(tmp_path, [cell])
     store = sweeps.CellStore.of_run(tmp_path)
+    folder = store.path if name == "sweep.json" else store.folder(cell)
+    (folder / name).write_text("{")
+    with pytest.raises(InputError, match=r"cannot be read .* continue with --resume"):
+        sweeps.sweep_status(tmp_path)
     (store.folder(cell) / "row.json").write_text("{")
-    for name in ("row.json", "absent.json"):
+    for result in ("row.json", "absent.json"):
         with pytest.raises(InputError, match=r"cannot be read .* delete .*--resume"):
-            store.read_result(cell, name, dict)
+            store.read_result(cell, result, dict)
     (store.folder(cell) / "outcome.json").unlink()
     with pytest.raises(InputError, match="is damaged; delete it and continue"):
         store.outcome(cell)

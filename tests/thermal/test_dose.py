@@ -52,15 +52,6 @@ def test_a_segment_does_not_depend_on_its_direction_or_division():
     assert float(parts) == pytest.approx(float(whole), rel=1e-12)
 
 
-def test_lumped_tissue_at_its_printed_dose():
-    """The rise crosses 43 °C; the dose is that of quadrature."""
-    times = np.linspace(0.0, 1800.0, 3601)
-    rises = [exact.lumped_rise(float(t), exact.SET_S, 3e4) for t in times]
-    temperatures = jnp.asarray(37 + np.array(rises))
-    dose = cem43_segment(temperatures[:-1], temperatures[1:], 0.5).sum()
-    assert float(dose) == pytest.approx(12.8317342298, rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("damage", "printed"),
     [

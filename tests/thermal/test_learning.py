@@ -14,7 +14,7 @@ from pinav.thermal.learning import learn, perfusion_curve, visited_range
 from pinav.thermal.perfusion import kernel_perfusion, lang, neural_perfusion
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.readings import Readings, load_probes, save_probes, simulate_probes
-from pinav.thermal.rosenbrock import Rosenbrock
+from pinav.thermal.steppers import Rosenbrock
 from pinav.thermal.tissues import Tissue
 
 STEPPER = Rosenbrock(20.0)

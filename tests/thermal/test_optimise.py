@@ -18,8 +18,8 @@ from pinav.thermal import design
 from pinav.thermal.grids import RadialGrid
 from pinav.thermal.optimise import optimise
 from pinav.thermal.protocols import HfLimit, Piecewise
-from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.sources import LinearResponse, ParticleSource
+from pinav.thermal.steppers import Rosenbrock
 
 pytestmark = pytest.mark.slow
 

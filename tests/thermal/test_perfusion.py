@@ -23,8 +23,8 @@ from pinav.thermal.perfusion import (
 )
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.readings import Readings
-from pinav.thermal.rosenbrock import refuse_jumps
 from pinav.thermal.sources import eddy_power
+from pinav.thermal.steppers import refuse_jumps
 from pinav.thermal.tissues import PRESETS, Blood, Tissue, mix, preset
 
 BLOOD, TISSUE = Blood(), Tissue(0.49, 1090.0, 3421.0)

@@ -18,11 +18,10 @@ from pinav.thermal.dose import value_exceeded_by
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import RegionalPerfusion, lang
 from pinav.thermal.protocols import Piecewise, plan_steps
-from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import default_stepper, probes_at, run, solve
 from pinav.thermal.sources import EddySource, PowerSource
 from pinav.thermal.starts import AT_REST, HeatState
-from pinav.thermal.steppers import RKL2
+from pinav.thermal.steppers import RKL2, Rosenbrock
 from pinav.thermal.tissues import Blood, Tissue, mix
 
 

@@ -9,7 +9,7 @@ from validation.heat import exact
 from validation.heat.checks import Check, table
 from validation.heat.checks import powers as switched
 from validation.heat.checks import reference_model as medium
-from validation.heat.exact import SET_S, Medium
+from validation.heat.exact import SET_S
 from validation.heat.exact.controls import discrete_eigenmode_rate, on_off_cycle
 from validation.heat.verification import CASES, CLOSED, STEADY, muscle_sink, two_shells
 from validation.heat.waveform import Waveform
@@ -18,10 +18,9 @@ from pinav.report import as_text
 from pinav.thermal.boundaries import Insulated, around
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import lang
-from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import solve
 from pinav.thermal.starts import HeatState
-from pinav.thermal.steppers import RKL2
+from pinav.thermal.steppers import RKL2, Rosenbrock
 from pinav.thermal.tissues import Tissue
 
 UNIFORM = medium(RadialGrid.slab(0.01, 3), 3e4, CLOSED)
@@ -140,28 +139,20 @@ def test_a_cut_cell_needs_its_share():
 
 @pytest.mark.slow
 def test_decay_in_the_box_at_every_stage():
-    """Trap: perfusion frozen over a call cools the tissue below its arteries."""
-    x = (np.arange(64) - 32) * 1e-3
-    start = np.exp(-(x[:, None] ** 2 + x[None] ** 2) / 0.004**2)
-    own = Medium(0.52, 1079.0 * 3540.0, 0.01 * 1060.0 * 3617.0)
-    true = exact.periodic_box(start, np.zeros_like(start), 150.0, own, 1e-3)
-    grid = CartesianGrid.cubes((64, 64), 1e-3)
-    tissue = Tissue(0.52, 1079.0, 3540.0)
+    """Trap: perfusion frozen over a call cools the tissue below its arteries.
+
+    The decay itself is among the cases: perfusion of the start alone misses by 0.4 K.
+    """
+    grid, tissue = CartesianGrid.cubes((64, 64), 1e-3), Tissue(0.52, 1079.0, 3540.0)
+    warm = 37 + jnp.exp(-((grid.distances() / 0.004) ** 2))
     model = medium(grid, 0.0, around(grid, Insulated()), 10.6, tissue)
-    begin = HeatState(jnp.asarray(0.0), jnp.asarray(37 + start), jnp.zeros(grid.shape))
-    off = switched((0, 150), [0.0])
-    once = solve(model, off, start=begin)
-    assert max_error(once, true) < 1.5e-3
-    many = begin
+    once = solve(model, switched((0, 150), [0.0]), start=HeatState.at(warm)).final
+    many = HeatState.at(warm)
     for k in range(1, 4):
         many = solve(model, switched((0, 50 * k), [0.0]), start=many).final
-    assert np.asarray(many.temperature) == pytest.approx(
-        np.asarray(once.final.temperature), abs=1e-4
-    )
-    assert float(once.final.temperature.min()) > 37 - 1e-6
-    frozen = 36.6312  # what perfusion taken from the start alone would give
-    assert rise(once)[32, 32] == pytest.approx(float(true[32, 32]), abs=1.5e-3)
-    assert float(true[32, 32]) + 37 - frozen > 0.4
+    found = np.asarray(once.temperature)
+    assert np.asarray(many.temperature) == pytest.approx(found, abs=1e-4)
+    assert found.min() > 37 - 1e-6
 
 
 @pytest.mark.slow

@@ -23,7 +23,6 @@ from pinav.thermal.boundaries import (
 from pinav.thermal.dose import LIVER_DAMAGE
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import RegionalPerfusion, lang
-from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import solve
 from pinav.thermal.sources import EddySource, axis_distance
 from pinav.thermal.starts import (
@@ -32,6 +31,7 @@ from pinav.thermal.starts import (
     find_steady_state,
     steady_state,
 )
+from pinav.thermal.steppers import Rosenbrock
 
 ENDS = (Sides(Insulated(), Robin(10.0, 25.0)),)
 

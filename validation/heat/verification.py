@@ -40,11 +40,10 @@ from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import ConstantPerfusion, RegionalPerfusion, lang
 from pinav.thermal.protocols import plan_steps
 from pinav.thermal.quantities import Number
-from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import run, solve
 from pinav.thermal.sources import LinearResponse, PowerSource
 from pinav.thermal.starts import HeatState
-from pinav.thermal.steppers import RKL2
+from pinav.thermal.steppers import RKL2, Rosenbrock
 from pinav.thermal.tissues import Blood, Tissue, mix
 
 STEADY = 4e4

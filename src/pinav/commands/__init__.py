@@ -111,7 +111,7 @@ DESIGN = _command(
     "design",
     "choose which trajectories to record until a way is known",
     title="Design of experiments",
-    result="pinav.navigation.design.result:DesignResult",
+    result="pinav.navigation.design.campaign:DesignResult",
     sections=".job",
 )
 LIVE = _command("live", "estimate and steer at a rig that is running", resumable=True)

@@ -8,11 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
-from pinav.identification.forecast import (
-    Displacement,
-    command_vector,
-    integrate_held,
-)
+from pinav.identification.forecast import Displacement, command_vector, integrate_held
 from pinav.identification.tracks import Track, commands_of
 from pinav.trajectories import Trajectory
 
@@ -154,16 +150,14 @@ def restoring_force(train: Track, held_out: Track) -> RestoringForce:
     _, without = _regress(columns[:, :3], steps)
     count = len(steps)
     gain = 0.5 * count * (np.linalg.slogdet(without)[1] - np.linalg.slogdet(full)[1])
-    force = RestoringForce(
+    offset, memory, pull = weights[0], weights[1:3].T, weights[3:].T
+    return RestoringForce(
         interval=INTERVAL,
-        pull=weights[3:].T,
-        memory=weights[1:3].T,
-        offset=weights[0],
+        pull=pull,
+        memory=memory,
+        offset=offset,
         nats=float(gain - 0.5 * 4 * np.log(count)),
-        explained=float("nan"),
-    )
-    return eqx.tree_at(
-        lambda f: f.explained, force, _share_of_variance(force, held_out)
+        explained=_share_of_variance(offset, memory, pull, held_out),
     )
 
 
@@ -185,22 +179,27 @@ def _regress(columns: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.nda
     return weights, left.T @ left / len(steps)
 
 
-def _share_of_variance(force: RestoringForce, held_out: Track) -> float:
+def _share_of_variance(
+    offset: np.ndarray, memory: np.ndarray, pull: np.ndarray, held_out: Track
+) -> float:
     """Share of the variance of displacements over the horizon, from rollouts."""
-    ahead = round(HORIZON / force.interval)
+    ahead = round(HORIZON / INTERVAL)
     displacements, predicted = [], []
     for piece in held_out.pieces:
         path = _resample(piece.times, piece.states)
         for start in range(1, len(path) - ahead):
             before, here = path[start - 1], path[start]
             for _ in range(ahead):
-                step = force.offset + force.memory @ (here - before) + force.pull @ here
+                step = offset + memory @ (here - before) + pull @ here
                 before, here = here, here + step
             displacements.append(path[start + ahead] - path[start])
             predicted.append(here - path[start])
-    if len(displacements) < 2:
+    return explained_variance(np.array(displacements), np.array(predicted))
+
+
+def explained_variance(observed: np.ndarray, predicted: np.ndarray) -> float:
+    """Explained share of the variance of all columns; NaN for fewer than two rows."""
+    if len(observed) < 2:
         return float("nan")
-    observed = np.array(displacements)
-    error = observed - np.array(predicted)
     spread = ((observed - observed.mean(axis=0)) ** 2).sum()
-    return float(1.0 - (error**2).sum() / max(spread, 1e-30))
+    return float(1 - ((observed - predicted) ** 2).sum() / max(spread, 1e-30))

@@ -17,13 +17,7 @@ from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
 from pinav.forces import RollingPropulsion, UniformFlow, ZeroFlow, ZeroForce
 from pinav.identification.drive import RESPONSES
-from pinav.identification.parameters import (
-    DRIFT,
-    GAIN,
-    ROLLING,
-    Parameter,
-    Scale,
-)
+from pinav.identification.parameters import DRIFT, GAIN, ROLLING, Parameter, Scale
 from pinav.systems import (
     Flat,
     FreeNumber,

@@ -23,12 +23,7 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import FitError, InputError
-from pinav.fitting import (
-    EvidenceFit,
-    LinearFit,
-    Outcome,
-    ravel_model,
-)
+from pinav.fitting import EvidenceFit, LinearFit, Outcome, ravel_model
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.evidence.quadratic import (
     FlatBlock,
@@ -52,12 +47,7 @@ from pinav.forces import (
 )
 from pinav.identification.drive import is_open
 from pinav.identification.fit import CandidateSearch, stated_coordinates
-from pinav.identification.likelihood import (
-    Design,
-    Field,
-    path_displacement,
-    whiten,
-)
+from pinav.identification.likelihood import Design, Field, path_displacement, whiten
 from pinav.identification.parameters import DRIFT, GAIN, Prior
 from pinav.identification.tracks import Blocks, Track, one_track, round_up_to
 from pinav.systems import System
@@ -199,10 +189,7 @@ class _Problem:
     """The linear problem at given noise, and the search for the noise."""
 
     def __init__(
-        self,
-        system: System,
-        track: Track,
-        environment: AbstractLearnedForce | None,
+        self, system: System, track: Track, environment: AbstractLearnedForce | None
     ) -> None:
         if not isinstance(system.swimmer, OverdampedSwimmer):
             raise InputError(
@@ -346,7 +333,7 @@ def _result(
         problem.swimmer, learned, spread, conditional_mean, alone
     )
     quadratic, _, information = problem.quadratic(learned)
-    log_prior = _log_prior(problem.search, learned)
+    log_prior, _ = problem.search.log_prior(learned)
     linear = LinearFit(
         quadratic=quadratic,
         weights=problem.weights,
@@ -365,10 +352,3 @@ def _result(
         goodness=None,
         linear=linear,
     )
-
-
-def _log_prior(search: CandidateSearch, learned: np.ndarray) -> float:
-    sd = search.prior.sd[search.places]
-    offset = (learned - search.prior.mean[search.places]) / sd
-    constant = np.log(sd).sum() + 0.5 * len(sd) * np.log(2 * np.pi)
-    return float(-0.5 * offset @ offset - constant)

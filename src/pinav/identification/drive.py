@@ -18,20 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from pinav.actuation import (
-    AbstractResponse,
-    HeldProgramme,
-    LinearResponse,
-    SaturatingResponse,
-    SlippingResponse,
-    StepOutResponse,
-)
+from pinav import actuation
 from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_arrays
 from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
 from pinav.forces import RollingPropulsion, ZeroFlow, ZeroForce
 from pinav.identification.parameters import (
-    DRIFT,
     GAIN,
     ROLLING,
     Coordinates,
@@ -42,11 +34,11 @@ from pinav.identification.parameters import (
 from pinav.identification.tracks import Blocks
 from pinav.systems import FreeNumber, LogNormal, Normal, System
 
-RESPONSES: dict[str, AbstractResponse] = {
-    "linear": LinearResponse(),
-    "saturating": SaturatingResponse(1.0),
-    "slipping": SlippingResponse(1.0, 0.5),
-    "step-out": StepOutResponse(1.0),
+RESPONSES: dict[str, actuation.AbstractResponse] = {
+    "linear": actuation.LinearResponse(),
+    "saturating": actuation.SaturatingResponse(1.0),
+    "slipping": actuation.SlippingResponse(1.0, 0.5),
+    "step-out": actuation.StepOutResponse(1.0),
 }
 """Responses to high frequencies, with placeholders for their numbers."""
 
@@ -58,16 +50,17 @@ def response_name(swimmer: Swimmer | OverdampedSwimmer) -> str:
 
 
 class AbstractDrive(eqx.Module):
-    """Displacements of a swimmer as a function of the numbers of its propulsion."""
+    """Displacements of a swimmer as a function of the numbers of its propulsion.
 
-    @property
-    @abc.abstractmethod
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The numbers in which displacements are not linear."""
+    Attributes:
+        parameters: the numbers in which displacements are not linear.
+    """
 
-    @abc.abstractmethod
+    parameters: eqx.AbstractVar[tuple[Parameter, ...]]
+
     def coordinates(self, swimmer: OverdampedSwimmer) -> Coordinates:
         """Coordinates of its parameters in a swimmer."""
+        return coordinates_of(self.parameters, swimmer)
 
     @abc.abstractmethod
     def displacements(
@@ -101,28 +94,23 @@ class RollingDrive(AbstractDrive):
     """
 
     response: Int[Array, ""]
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return ROLLING
+    parameters: tuple[Parameter, ...] = eqx.field(static=True, default=ROLLING)
 
     @classmethod
     def of(cls, swimmer: Swimmer | OverdampedSwimmer) -> "RollingDrive":
         """The drive of a swimmer."""
-        return cls(jnp.asarray(list(RESPONSES).index(response_name(swimmer))))
-
-    def coordinates(self, swimmer: Swimmer | OverdampedSwimmer) -> Coordinates:
-        return rolling_coordinates(swimmer)
+        place = list(RESPONSES).index(response_name(swimmer))
+        return cls(response=jnp.asarray(place))
 
     def displacements(
         self, coordinates: Float[Array, "4"], blocks: Blocks
     ) -> Float[Array, "sample 2"]:
         along: Any = blocks  # as JAX arrays
-        programme = HeldProgramme(along.times, along.frequency, along.heading)
+        programme = actuation.HeldProgramme(along.times, along.frequency, along.heading)
         return self.cycles(coordinates, programme)
 
     def cycles(
-        self, coordinates: Float[Array, "4"], programme: HeldProgramme
+        self, coordinates: Float[Array, "4"], programme: actuation.HeldProgramme
     ) -> Float[Array, "sample 2"]:
         """Integral of the response along the heading, delayed and lagged."""
         corner, residual, delay, lag = coordinates
@@ -182,7 +170,7 @@ def gain_basis(ndim: int) -> Float[np.ndarray, "number 2 2"]:
     return axes if ndim else axes.sum(axis=0, keepdims=True)
 
 
-class SwitchedResponse(AbstractResponse):
+class SwitchedResponse(actuation.AbstractResponse):
     """Any of the responses, by a number that may be traced: one compilation for all.
 
     Attributes:
@@ -205,12 +193,9 @@ class SwitchedResponse(AbstractResponse):
 
 
 def _with_numbers(
-    response: AbstractResponse, log_corner: Array, logit_residual: Array
-) -> AbstractResponse:
-    values = {
-        "corner": jnp.exp(log_corner),
-        "residual": jax.nn.sigmoid(logit_residual),
-    }
+    response: actuation.AbstractResponse, log_corner: Array, logit_residual: Array
+) -> actuation.AbstractResponse:
+    values = {"corner": jnp.exp(log_corner), "residual": jax.nn.sigmoid(logit_residual)}
     names = {field.name for field in dataclasses.fields(response)}
     return dataclasses.replace(response, **{n: values[n] for n in values if n in names})
 
@@ -222,19 +207,11 @@ class OtherDrive(AbstractDrive):
     """
 
     swimmer: OverdampedSwimmer
-    numbers: tuple[Parameter, ...] = eqx.field(static=True)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return self.numbers
+    parameters: tuple[Parameter, ...] = eqx.field(static=True)
 
     @classmethod
     def of(cls, system: System) -> "OtherDrive":
-        """The drive of a system.
-
-        Raises:
-            InputError: an open number has no prior, or is no single number.
-        """
+        """The drive of a system."""
         numbers = [n for n in system.learn if n.path.startswith("propulsion.")]
         parameters = tuple(_parameter(number, system) for number in numbers)
         swimmer = eqx.tree_at(
@@ -242,10 +219,7 @@ class OtherDrive(AbstractDrive):
             system.swimmer,
             (ZeroForce(), ZeroForce(), ZeroFlow()),
         )
-        return cls(swimmer, parameters)
-
-    def coordinates(self, swimmer: OverdampedSwimmer) -> Coordinates:
-        return coordinates_of(self.parameters, swimmer)
+        return cls(swimmer=swimmer, parameters=parameters)
 
     def displacements(
         self, coordinates: Float[Array, " parameter"], blocks: Blocks
@@ -308,8 +282,3 @@ def integrate_between(
     steps = velocity * jnp.diff(knots)[:, None]
     path = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
     return path[jnp.searchsorted(knots, times)]
-
-
-def drift_basis(system: System) -> Float[np.ndarray, "2 2"]:
-    """Drift by each number of an open drift, zeros where it is not open."""
-    return np.eye(2) if is_open(system, DRIFT) else np.zeros((2, 2))

@@ -1,23 +1,18 @@
 """Numbers of a fitted swimmer: of its constants, and with a meaning of their own."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.fitting import Estimate, EvidenceFit, Posterior, ravel_model
+from pinav.fitting.bayes.parameters import derive
 from pinav.fitting.engine.local_model import selected_entries
-from pinav.forces import (
-    RollingPropulsion,
-    UniformFlow,
-    heading_offset,
-    mean_gain,
-)
+from pinav.forces import RollingPropulsion, UniformFlow, heading_offset, mean_gain
 from pinav.identification.parameters import (
     ABOUT_GAIN,
     DRIFTS,
@@ -145,8 +140,8 @@ def estimates(fit: EvidenceFit) -> dict[str, Estimate]:
     """Quantities with a meaning, by name, with their standard deviations."""
     quantities: dict[str, Estimate] = {}
     if isinstance(fit.model.propulsion, RollingPropulsion):
-        rows = zip(ABOUT_GAIN, *_with_deviation(fit, _about_gain), strict=True)
-        quantities |= {one.name: Estimate(float(v), float(sd)) for one, v, sd in rows}
+        rows = zip(ABOUT_GAIN, derive(fit.posterior, _about_gain), strict=True)
+        quantities |= {one.name: estimate for one, estimate in rows}
     several = [(f"{one.path}[{index}]", one.name) for index, one in enumerate(DRIFTS)]
     several += [(parameter.path, parameter.name) for parameter in PARAMETERS]
     known = fit.constants
@@ -160,30 +155,11 @@ def _about_gain(swimmer: OverdampedSwimmer) -> Float[Array, "3"]:
     return jnp.stack([mean_gain(gain), ratio, heading_offset(gain)])
 
 
-def speed(
-    fit: EvidenceFit, frequency: Float[np.ndarray, " place"]
-) -> tuple[Float[np.ndarray, " place"], Float[np.ndarray, " place"]]:
-    """Speed along the command by frequency [Hz], with its standard deviation."""
+def speeds(fit: EvidenceFit, frequency: Float[np.ndarray, " place"]) -> list[Estimate]:
+    """Speed along the command at each frequency [Hz]."""
 
     def law(swimmer: OverdampedSwimmer) -> Float[Array, " place"]:
         propulsion: Any = swimmer.propulsion
         return _about_gain(swimmer)[0] * propulsion.response(jnp.asarray(frequency))
 
-    return _with_deviation(fit, law)
-
-
-def _with_deviation(
-    fit: EvidenceFit, quantities: Callable[[OverdampedSwimmer], Array]
-) -> tuple[Float[np.ndarray, " quantity"], Float[np.ndarray, " quantity"]]:
-    """Quantities of a fitted swimmer, and their deviations to first order."""
-    posterior = fit.posterior
-
-    def of_parameters(theta: Array) -> Array:
-        return quantities(posterior.free(theta))
-
-    with jax.enable_x64(new_val=True):
-        theta = jnp.asarray(posterior.mean)
-        values, slopes = of_parameters(theta), jax.jacfwd(of_parameters)(theta)
-    slopes = np.asarray(slopes)
-    variance = np.einsum("qp,pr,qr->q", slopes, posterior.covariance, slopes)
-    return np.asarray(values), np.sqrt(np.maximum(variance, 0.0))
+    return derive(fit.posterior, law)

@@ -21,18 +21,9 @@ from pinav.fitting import (
 )
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import NoWeights
+from pinav.identification import likelihood
 from pinav.identification.drive import fitted_coordinates, is_open
-from pinav.identification.estimates import (
-    constants_of,
-    learned_numbers,
-    posterior_over,
-)
-from pinav.identification.likelihood import (
-    CommandedPath,
-    Design,
-    Field,
-    value_and_slope,
-)
+from pinav.identification.estimates import constants_of, learned_numbers, posterior_over
 from pinav.identification.parameters import (
     BLOCK_NOISE,
     CORNER,
@@ -49,6 +40,9 @@ from pinav.identification.parameters import (
 )
 from pinav.identification.tracks import Blocks, Track
 from pinav.systems import System
+
+Learned = Float[np.ndarray, " learned"]
+"""Coordinates of the parameters that are learned."""
 
 
 def fit_track(
@@ -68,7 +62,7 @@ def fit_track(
         FitError: the likelihood is not finite at any start.
     """
     with jax.enable_x64(new_val=True):
-        design = Design.of(system, Blocks.of(track))
+        design = likelihood.Design.of(system, Blocks.of(track))
         prior = Prior.of(track, design.parameters)
         search = CandidateSearch(system, design, prior, wandering_gain=wandering_gain)
         # Starts that coincide are searched once.
@@ -95,7 +89,7 @@ WHITE = ("wandering.memory", BLOCK_NOISE)
 """Noise that is small where the velocity of a track is nearly white."""
 
 
-def stated_coordinates(system: System, design: Design) -> Coordinates:
+def stated_coordinates(system: System, design: likelihood.Design) -> Coordinates:
     """Coordinates that a system states; NaN for noise of which it says nothing."""
     drive: Any = system.swimmer
     return np.concatenate([design.drive.coordinates(drive), stated_noise(system)])
@@ -112,7 +106,7 @@ class CandidateSearch:
     def __init__(
         self,
         system: System,
-        design: Design,
+        design: likelihood.Design,
         prior: Prior,
         *,
         wandering_gain: bool = False,
@@ -127,9 +121,9 @@ class CandidateSearch:
         stated = stated_coordinates(system, design)
         self.base = np.where(np.isfinite(stated), stated, prior.mean)
         self.evaluations = 0
-        self.field: Field | None = None
+        self.field: likelihood.Field | None = None
         self.known, self.known_field = {}, self.field
-        self.latest: tuple[bytes, CommandedPath] | None = None
+        self.latest: tuple[bytes, likelihood.CommandedPath] | None = None
 
     def begins(self, start: EvidenceFit | None) -> list[np.ndarray]:
         """Starts of the search: the prior, or where a simpler candidate ended.
@@ -161,7 +155,7 @@ class CandidateSearch:
         """The parameters that a simpler candidate has learned, too."""
         return [p for p in self.learned if p.path in start.constants]
 
-    def sizes(self, start: EvidenceFit | None) -> Float[np.ndarray, " learned"]:
+    def sizes(self, start: EvidenceFit | None) -> Learned:
         """Scale of each parameter: its sd in a simpler candidate, or of its prior."""
         sizes = self.prior.sd.copy()
         if start is not None:
@@ -184,29 +178,32 @@ class CandidateSearch:
         """Number of open numbers of gain and drift, by their paths."""
         return {GAIN: int(self.present[:4].sum()), DRIFT: int(self.present[4:].sum())}
 
-    def theta(self, learned: Float[np.ndarray, " learned"]) -> np.ndarray:
+    def theta(self, learned: Learned) -> np.ndarray:
         """All nonlinear parameters."""
         theta = self.base.copy()
         theta[self.places] = learned
         return theta
 
-    def __call__(
-        self, learned: Float[np.ndarray, " learned"]
-    ) -> tuple[float, Float[np.ndarray, " learned"]]:
+    def __call__(self, learned: Learned) -> tuple[float, Learned]:
         """Negative log posterior density and its gradient."""
         (value, _), slope = self._evaluate(learned)
-        mean, sd = self.prior.mean[self.places], self.prior.sd[self.places]
-        offset = (learned - mean) / sd
-        value = float(value) + 0.5 * float(offset @ offset)
-        value += float(np.log(sd).sum()) + 0.5 * len(sd) * math.log(2 * math.pi)
-        slope = np.asarray(slope)[self.places] + offset / sd
+        log_prior, by_prior = self.log_prior(learned)
+        value = float(value) - log_prior
+        slope = np.asarray(slope)[self.places] - by_prior
         if not (math.isfinite(value) and np.isfinite(slope).all()):
             # A large number makes L-BFGS shorten its step, infinity would end the
             # search.
-            return 1e30, np.zeros_like(offset)
+            return 1e30, np.zeros_like(slope)
         return value, slope
 
-    def _evaluate(self, learned: Float[np.ndarray, " learned"]) -> Any:
+    def log_prior(self, learned: Learned) -> tuple[float, Learned]:
+        """Log density of the prior and its gradient."""
+        sd = self.prior.sd[self.places]
+        offset = (learned - self.prior.mean[self.places]) / sd
+        constant = np.log(sd).sum() + 0.5 * len(sd) * math.log(2 * math.pi)
+        return float(-0.5 * offset @ offset - constant), -offset / sd
+
+    def _evaluate(self, learned: Learned) -> Any:
         """Result of `value_and_slope`, computed once for curvatures and derivatives."""
         if self.known_field is not self.field:
             self.known, self.known_field = {}, self.field
@@ -215,14 +212,14 @@ class CandidateSearch:
             self.evaluations += 1
             theta = self.theta(learned)
             path = self._commanded_path(theta[: len(self.design.drive.parameters)])
-            self.known[key] = value_and_slope(
+            self.known[key] = likelihood.value_and_slope(
                 theta, path, self.design.still, self.field
             )
         return self.known[key]
 
     def _commanded_path(
         self, coordinates: Float[np.ndarray, " parameter"]
-    ) -> CommandedPath:
+    ) -> likelihood.CommandedPath:
         """The path at a point, kept for the next one: the noise alone may differ."""
         key = coordinates.tobytes()
         if self.latest is None or self.latest[0] != key:
@@ -230,10 +227,8 @@ class CandidateSearch:
         return self.latest[1]
 
     def descend(
-        self,
-        begin: Float[np.ndarray, " learned"],
-        sizes: Float[np.ndarray, " learned"] | None = None,
-    ) -> tuple[Float[np.ndarray, " learned"], float]:
+        self, begin: Learned, sizes: Learned | None = None
+    ) -> tuple[Learned, float]:
         """The nearest maximum of the posterior, and minus its logarithm."""
         units = self.prior.sd[self.places] if sizes is None else sizes
         bounds = self.prior.bounds()[self.places]
@@ -254,7 +249,7 @@ class CandidateSearch:
         return end.x * units, float(end.fun) if end.fun < 1e29 else math.inf
 
     def laplace(
-        self, learned: Float[np.ndarray, " learned"]
+        self, learned: Learned
     ) -> tuple[Float[np.ndarray, "learned learned"], float]:
         """Covariance about the maximum, and the logarithm of its volume.
 
@@ -275,21 +270,14 @@ class CandidateSearch:
         volume = np.log(sd).sum() + 0.5 * np.log(2 * math.pi / values).sum()
         return sd[:, None] * (vectors / values @ vectors.T) * sd, float(volume)
 
-    def _curvature(
-        self,
-        learned: Float[np.ndarray, " learned"],
-        step: Float[np.ndarray, " learned"],
-    ) -> Float[np.ndarray, " learned"]:
+    def _curvature(self, learned: Learned, step: Learned) -> Learned:
         """A row of the curvature, over a step along one parameter."""
         # Differences of gradients, not of values: values lose half of their digits.
         return (self(learned + step)[1] - self(learned - step)[1]) / (2 * step.max())
 
     def _curvature_of_interval(
-        self,
-        learned: Float[np.ndarray, " learned"],
-        index: int,
-        row: Float[np.ndarray, " learned"],
-    ) -> Float[np.ndarray, " learned"]:
+        self, learned: Learned, index: int, row: Learned
+    ) -> Learned:
         """A row of the curvature, over a step as long as the deviation that it makes.
 
         The corner of a response is where its law bends most: a curvature within a
@@ -308,9 +296,7 @@ class CandidateSearch:
             row = self._curvature(learned, step)
         return row
 
-    def result(
-        self, learned: Float[np.ndarray, " learned"], value: float, system: System
-    ) -> EvidenceFit:
+    def result(self, learned: Learned, value: float, system: System) -> EvidenceFit:
         """Evidence and posterior about the maximum."""
         spread, volume = self.laplace(learned)
         _, information = self._coefficients(learned)
@@ -350,7 +336,7 @@ class CandidateSearch:
         return np.diag(fraction * self.prior.sd[self.places])
 
     def slopes(
-        self, learned: Float[np.ndarray, " learned"], of: Callable[[np.ndarray], Any]
+        self, learned: Learned, of: Callable[[np.ndarray], Any]
     ) -> Float[np.ndarray, "value learned"]:
         """Derivatives of a vector by what is learned, by central differences."""
         columns = [
@@ -358,16 +344,14 @@ class CandidateSearch:
         ]
         return np.stack(columns, axis=1)
 
-    def _coefficients(
-        self, learned: Float[np.ndarray, " learned"]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _coefficients(self, learned: Learned) -> tuple[np.ndarray, np.ndarray]:
         (_, (best, information)), _ = self._evaluate(learned)
         return np.asarray(best), np.asarray(information)
 
     def joint_posterior(
         self,
         swimmer: Swimmer | OverdampedSwimmer,
-        learned: Float[np.ndarray, " learned"],
+        learned: Learned,
         spread: Float[np.ndarray, "learned learned"],
         linear_mean: Callable[[np.ndarray], np.ndarray],
         alone: Float[np.ndarray, "linear linear"],

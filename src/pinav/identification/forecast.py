@@ -18,19 +18,16 @@ from pinav.identification.drive import (
     rolling_coordinates,
 )
 from pinav.identification.estimates import drift_of, entries, gain_of
-from pinav.identification.kalman import (
-    Disturbance,
-    State,
-    begin,
-    predict,
-    transitions,
-)
+from pinav.identification.kalman import Disturbance, State, begin, predict, transitions
 from pinav.identification.likelihood import disturbance_of
 from pinav.identification.parameters import DRIFT, GAIN, ROLLING, Coordinates
 from pinav.identification.tracks import Track, commands_of, round_up_to
 from pinav.trajectories import Trajectory
 
-Displacement = Callable[[Trajectory], Float[np.ndarray, "time 2"]]
+Vectors = Float[np.ndarray, "time 2"]
+"""A vector at each sample of a segment."""
+
+Displacement = Callable[[Trajectory], Vectors]
 """Predicted path of a segment, up to a constant [L]."""
 
 
@@ -60,7 +57,7 @@ def cycles(
     swimmer: OverdampedSwimmer,
     piece: Trajectory,
     coordinates: Coordinates | None = None,
-) -> Float[np.ndarray, "time 2"]:
+) -> Vectors:
     """Integral of the delayed response of a rolling swimmer along the heading."""
     at = rolling_coordinates(swimmer) if coordinates is None else coordinates
     with jax.enable_x64(new_val=True):
@@ -86,7 +83,7 @@ def integrate_held(velocity: np.ndarray, times: np.ndarray) -> np.ndarray:
 def path_of(swimmer: OverdampedSwimmer) -> Displacement:
     """Displacements by gain and drift alone."""
 
-    def displacement(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+    def displacement(piece: Trajectory) -> Vectors:
         along = cycles(swimmer, piece) @ gain_of(swimmer).T
         return along + np.outer(piece.times - piece.times[0], drift_of(swimmer))
 
@@ -95,9 +92,9 @@ def path_of(swimmer: OverdampedSwimmer) -> Displacement:
 
 def cache_by_segment(displacement: Displacement) -> Displacement:
     """The same displacement, computed once for each segment that lives as long."""
-    known: dict[int, Float[np.ndarray, "time 2"]] = {}
+    known: dict[int, Vectors] = {}
 
-    def path(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+    def path(piece: Trajectory) -> Vectors:
         if id(piece) not in known:
             known[id(piece)] = displacement(piece)
         return known[id(piece)]
@@ -134,22 +131,19 @@ class FrameJitter(eqx.Module):
             along.append((scatter[:, 0] * cosine + scatter[:, 1] * sine)[on])
             across.append((scatter[:, 1] * cosine - scatter[:, 0] * sine)[on])
             rest.append(scatter[~on].ravel())
-        variances = [_mean_square(np.concatenate(v)) for v in (along, across, rest)]
+        scatters = [np.concatenate(parts) for parts in (along, across, rest)]
+        variances = [float(np.mean(v**2)) if len(v) else 0.0 for v in scatters]
         driven = np.array(variances[:2])
-        still = variances[2] if sum(map(len, rest)) else float(driven.min())
+        still = variances[2] if len(scatters[2]) else float(driven.min())
         return cls(driven if driven.any() else np.full(2, still), still)
 
-    def variance(self, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+    def variance(self, piece: Trajectory) -> Vectors:
         """Variance of each coordinate at each sample."""
         frequency, heading = commands_of(piece)
         squares = np.stack([np.cos(heading), np.sin(heading)], axis=1) ** 2
         along, across = self.driven
         rolling = along * squares + across * (1 - squares)
         return np.where(frequency[:, None] > 0, rolling, self.still)
-
-
-def _mean_square(values: np.ndarray) -> float:
-    return float(np.mean(values**2)) if len(values) else 0.0
 
 
 def _running_mean(times: np.ndarray, values: np.ndarray, width: float) -> np.ndarray:
@@ -170,11 +164,11 @@ class Forecast(eqx.Module):
     """
 
     piece: Trajectory
-    path: Float[np.ndarray, "time 2"]
+    path: Vectors
     slopes: Float[np.ndarray, "time 2 unknown"]
     covariance: Float[np.ndarray, "unknown unknown"]
-    beyond: Float[np.ndarray, "time 2"]
-    frame: Float[np.ndarray, "time 2"]
+    beyond: Vectors
+    frame: Vectors
     disturbance: Disturbance
     turned: Complex[np.ndarray, " time"]
 
@@ -293,7 +287,7 @@ class Predictor(eqx.Module):
         covariance = known.posterior.covariance[np.ix_(several, several)]
         return np.concatenate(columns, axis=2), covariance
 
-    def _beyond(self, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+    def _beyond(self, piece: Trajectory) -> Vectors:
         """Displacement by the excess of the frequency over all that was fitted [L]."""
         frequency, heading = commands_of(piece)
         # Beyond the fastest command of the fit the response is extrapolated.

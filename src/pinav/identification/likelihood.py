@@ -17,17 +17,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from pinav.identification.drive import AbstractDrive, drift_basis, drive_of
+from pinav.identification.drive import AbstractDrive, drive_of, is_open
 from pinav.identification.kalman import (
     Disturbance,
     Innovations,
-    Transition,
     innovations,
     transitions,
 )
 from pinav.identification.parameters import (
     BLOCK_NOISE,
     DISTURBANCE,
+    DRIFT,
     NOISE_PLACES,
     Parameter,
 )
@@ -58,40 +58,6 @@ def in_plane(vectors: Float[Array, "*shape 2"]) -> Complex[Array, "*shape"]:
 def apart(points: Complex[Array, " row *column"]) -> Float[Array, " twice *column"]:
     """Complex numbers as real ones: x of all, and then y of all."""
     return jnp.concatenate([points.real, points.imag])
-
-
-class Drive(eqx.Module):
-    """Motion of the blocks of a track, as far as the noise depends on it."""
-
-    times: Float[Array, " block"]
-    frequency: Float[Array, " block"]
-    cycles: Complex[Array, " block"]
-
-
-def innovations_of_columns(
-    theta: Array, columns: Array, drive: Drive, blocks: Any
-) -> Innovations:
-    """Innovations of columns given at each block, x + iy."""
-    disturbance = disturbance_of(theta)
-    present = (blocks.counts > 0).astype(drive.times.dtype)
-    transition = transitions_of(disturbance, drive, steps_within(blocks))
-    return innovations(columns, present, blocks.begins, transition, disturbance.noise)
-
-
-def transitions_of(
-    disturbance: Disturbance, drive: Drive, within: Float[Array, " step"]
-) -> Transition:
-    """From each block to the next; `within` is 1 for the steps within a segment."""
-    # Between segments any positive step does: the filter begins anew there.
-    steps = jnp.where(within > 0, jnp.diff(drive.times), 1.0)
-    strength = disturbance.wandering.strength(rolling_about(drive.frequency))
-    return transitions(steps, strength, disturbance, jnp.diff(drive.cycles))
-
-
-def steps_within(blocks: Any) -> Float[Array, " step"]:
-    """1 for each step within a segment of `Blocks`."""
-    present = (blocks.counts[1:] > 0).astype(blocks.counts.dtype)
-    return present * (1 - blocks.begins[1:])
 
 
 def rolling_about(frequency: Float[Array, " block"]) -> Float[Array, " step"]:
@@ -132,9 +98,21 @@ class Regressors(NamedTuple):
     drifts: Float[Array, "2 2"]
 
     @property
-    def drive(self) -> Drive:
-        """Commands and cycles of the blocks."""
-        return Drive(self.times, self.frequency, in_plane(self.cycles))
+    def steps_within(self) -> Float[Array, " step"]:
+        """1 for each step within a segment."""
+        present = (self.counts[1:] > 0).astype(self.counts.dtype)
+        return present * (1 - self.begins[1:])
+
+    def filter(self, theta: Array, columns: Complex[Array, "block _"]) -> Innovations:
+        """Innovations of columns given at each block, x + iy, at this noise."""
+        disturbance = disturbance_of(theta)
+        # Between segments any positive step does: the filter begins anew there.
+        steps = jnp.where(self.steps_within > 0, jnp.diff(self.times), 1.0)
+        strength = disturbance.wandering.strength(rolling_about(self.frequency))
+        cycles = jnp.diff(in_plane(self.cycles))
+        transition = transitions(steps, strength, disturbance, cycles)
+        present = (self.counts > 0).astype(self.times.dtype)
+        return innovations(columns, present, self.begins, transition, disturbance.noise)
 
     def combine(
         self, columns: Complex[Array, "*shape 3"]
@@ -179,7 +157,7 @@ class Design(eqx.Module):
             counts=jnp.asarray(blocks.counts),
             begins=jnp.asarray(blocks.begins),
             gains=jnp.asarray(drive.gains(system)),
-            drifts=jnp.asarray(drift_basis(system)),
+            drifts=float(is_open(system, DRIFT)) * jnp.eye(2),
         )
         return cls(jax.tree.map(jnp.asarray, blocks), still, drive)
 
@@ -324,14 +302,14 @@ def whiten(
     weights = in_plane(jnp.swapaxes(field.columns, 1, 2))
     given = jnp.concatenate([along, elapsed], axis=1).astype(weights.dtype)
     columns = jnp.concatenate([observed[:, None], given, weights], axis=1)
-    filtered = innovations_of_columns(theta, columns, regressors.drive, regressors)
+    filtered = regressors.filter(theta, columns)
     rows = regressors.combine(filtered.columns[:, 1:4])
     return Whitened(
         rows=apart(rows),
         field=apart(filtered.columns[:, 4:]),
         target=apart(filtered.columns[:, 0]),
         log_variance=jnp.sum(filtered.log_variance),
-        count=jnp.sum(steps_within(regressors)),
+        count=jnp.sum(regressors.steps_within),
     )
 
 

@@ -19,17 +19,9 @@ from pinav.fitting.engine.evidence_fit import evidence_fit, iterate
 from pinav.fitting.engine.problem import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
+from pinav.identification import likelihood
 from pinav.identification.drive import fitted_coordinates
 from pinav.identification.forecast import Displacement, integrate_held, path_of
-from pinav.identification.likelihood import (
-    Design,
-    Drive,
-    apart,
-    in_plane,
-    innovations_of_columns,
-    path_displacement,
-    whiten,
-)
 from pinav.identification.rollouts import Errors, Rollouts
 from pinav.identification.tracks import Blocks, Track
 from pinav.systems import System
@@ -78,7 +70,8 @@ def fit_residual(
         )
         gain = model_evidence(field.linear, field.hyperparameters).log_evidence
         normalisation = design.num_free * np.log(2 * np.pi)
-        nothing = -0.5 * (normalisation + design.squares_without())
+        target = design.residuals.project(design.residuals.target)
+        nothing = -0.5 * (normalisation + float(jnp.sum(target**2)))
         return ResidualFit(
             swimmer=design.swimmer(base.model, field.model),
             log_evidence=base.hyperparameters.log_evidence + float(gain - nothing),
@@ -90,18 +83,19 @@ class FilteredDisplacement(eqx.Module):
 
     theta: Float[Array, " parameter"]
     blocks: Blocks
-    drive: Drive
+    regressors: likelihood.Regressors
     target: Float[Array, " row"]
     basis: Float[Array, "row coefficient"]
 
     def displacement(self, environment: Any) -> Float[Array, " row"]:
         """Integral of the environment's velocity along the path, filtered."""
-        moved = path_displacement(
+        moved = likelihood.path_displacement(
             lambda t, x: environment(t, x, jnp.zeros_like(x)), self.blocks
         )
-        columns = in_plane(moved)[:, None]
-        filtered = innovations_of_columns(self.theta, columns, self.drive, self.blocks)
-        return apart(filtered.columns[:, 0])
+        filtered = self.regressors.filter(
+            self.theta, likelihood.in_plane(moved)[:, None]
+        )
+        return likelihood.apart(filtered.columns[:, 0])
 
     def __call__(self, environment: Any) -> Float[Array, " row"]:
         """Displacements by the environment less the observed ones."""
@@ -121,23 +115,20 @@ class _BaseDesign(eqx.Module):
     @classmethod
     def of(cls, track: Track, system: System, base: EvidenceFit) -> "_BaseDesign":
         blocks, theta = Blocks.of(track), jnp.asarray(fitted_coordinates(base))
-        design = Design.of(system, blocks)
+        design = likelihood.Design.of(system, blocks)
         regressors = design.regressors(theta)
-        whitened = whiten(theta, regressors)
+        whitened = likelihood.whiten(theta, regressors)
         rows = np.asarray(whitened.rows)
         present = np.any(rows != 0, axis=0)
         residuals = FilteredDisplacement(
             theta=theta,
             blocks=design.blocks,
-            drive=regressors.drive,
+            regressors=regressors,
             target=whitened.target,
             basis=jnp.asarray(np.linalg.qr(rows[:, present])[0]),
         )
         num_free = 2 * int(whitened.count) - int(present.sum())
         return cls(rows[:, present], residuals, num_free, int(present[:4].sum()))
-
-    def squares_without(self) -> float:
-        return float(jnp.sum(self.residuals.project(self.residuals.target) ** 2))
 
     def swimmer(
         self, swimmer: OverdampedSwimmer, environment: Any

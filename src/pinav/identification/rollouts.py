@@ -8,8 +8,7 @@ from jaxtyping import Float, Int
 
 from pinav.evaluation import normal_quantile
 from pinav.fitting import EvidenceFit
-from pinav.identification.estimates import drift_of, gain_of
-from pinav.identification.estimates import speed as speed_of
+from pinav.identification.estimates import drift_of, gain_of, speeds
 from pinav.identification.forecast import Displacement, Forecast, Predictor, cycles
 from pinav.identification.tracks import Track, commands_of, pairs_apart
 from pinav.recordings import image_positions
@@ -208,12 +207,6 @@ def stacking_weight(track: Track, ours: Displacement, theirs: Displacement) -> f
     apart = (changes_along(track, rollouts, ours) - other) / length
     observed = changes_along(track, rollouts, lambda piece: piece.states)
     wanted = (observed - other) / length
-    return _shrink_weight(apart, wanted)
-
-
-def _shrink_weight(
-    apart: Float[np.ndarray, "rollout 2"], wanted: Float[np.ndarray, "rollout 2"]
-) -> float:
     squares = float(np.sum(apart**2))
     if squares == 0:
         return 0.5
@@ -315,4 +308,6 @@ class SpeedLaw(eqx.Module):
             frequency.append(commands_of(piece)[0][first][rolling])
         several = np.concatenate(frequency)
         places = np.linspace(0, max(float(several.max()), 1e-3), 60)
-        return cls(several, np.concatenate(speed), places, *speed_of(fit, places))
+        law = speeds(fit, places)
+        fitted, sd = (np.array([getattr(v, n) for v in law]) for n in ("value", "sd"))
+        return cls(several, np.concatenate(speed), places, fitted, sd)

@@ -8,7 +8,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import (
@@ -19,7 +18,8 @@ from pinav.fitting import (
 )
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.forces import KernelForce, KernelPotential, NeuralForce
-from pinav.identification.baselines import least_squares
+from pinav.identification import forecast
+from pinav.identification.baselines import explained_variance, least_squares
 from pinav.identification.candidates import (
     drift_only,
     gain_matrix,
@@ -31,12 +31,6 @@ from pinav.identification.candidates import (
 )
 from pinav.identification.drive import RESPONSES
 from pinav.identification.fit import fit_track
-from pinav.identification.forecast import (
-    Displacement,
-    Predictor,
-    cache_by_segment,
-    path_of,
-)
 from pinav.identification.parameters import DELAY, LAG
 from pinav.identification.residual_field import (
     ResidualFit,
@@ -53,7 +47,7 @@ from pinav.identification.rollouts import (
     stack,
     stacking_weight,
 )
-from pinav.identification.tracks import Track, after, before, pairs_apart
+from pinav.identification.tracks import Track, cut_track, pairs_apart
 from pinav.settings import FRACTION
 from pinav.systems import System
 
@@ -124,9 +118,9 @@ class Selection:
         return self.fits[self.chosen]
 
     @property
-    def predictor(self) -> Predictor:
+    def predictor(self) -> forecast.Predictor:
         """The same with its bands."""
-        return Predictor.of(self.train, self.best, self.wandering)
+        return forecast.Predictor.of(self.train, self.best, self.wandering)
 
     def row(self, name: str) -> Row:
         """A line of the table by its name."""
@@ -164,7 +158,9 @@ class Selection:
         begin = time.perf_counter()
         fit = fit_track(self.train, system, start=start, **options)
         seconds = time.perf_counter() - begin
-        self._add(name, fit.hyperparameters.log_evidence, seconds, path_of(fit.model))
+        self._add(
+            name, fit.hyperparameters.log_evidence, seconds, forecast.path_of(fit.model)
+        )
         return fit
 
     def _response(self) -> str:
@@ -224,25 +220,20 @@ class Selection:
         path = fitted.displacement()
         self._add(LEAST_SQUARES, float("nan"), fitted.seconds, path)
         if self.train.commanded:
-            self._stack_with(path)
-
-    def _stack_with(self, other: Displacement) -> None:
-        """The average of the chosen candidate and least squares; never chosen."""
-        begin = time.perf_counter()
-        chosen = path_of(self.best.model)
-        weight = stacking_weight(self.train, chosen, other)
-        seconds = time.perf_counter() - begin
-        self._add(STACKED, float("nan"), seconds, stack(chosen, other, weight))
+            begin, chosen = time.perf_counter(), forecast.path_of(self.best.model)
+            weight = stacking_weight(self.train, chosen, path)
+            seconds = time.perf_counter() - begin
+            self._add(STACKED, float("nan"), seconds, stack(chosen, path, weight))
 
     def _add(
         self,
         name: str,
         log_evidence: float,
         seconds: float,
-        displacement: Displacement,
+        displacement: forecast.Displacement,
         residual: ResidualFit | None = None,
     ) -> None:
-        displacement, by_horizon = cache_by_segment(displacement), {}
+        displacement, by_horizon = forecast.cache_by_segment(displacement), {}
         for horizon in HORIZONS:
             rollouts = Rollouts.of(self.held_out, horizon)
             by_horizon[f"{horizon:g}"] = (
@@ -263,7 +254,8 @@ def split(track: Track, fraction: float) -> tuple[Track, Track]:
     FRACTION.check("split fraction", fraction)
     first, last = track.span
     moment = first + fraction * (last - first)
-    return before(track, moment), after(track, moment)
+    train = cut_track(track, lambda times: times < moment)
+    return train, cut_track(track, lambda times: times >= moment)
 
 
 def select_model(
@@ -282,7 +274,7 @@ def select_model(
     return selection
 
 
-def velocity_r2(track: Track, displacement: Displacement) -> float:
+def velocity_r2(track: Track, displacement: forecast.Displacement) -> float:
     """Explained share of the velocity over two blocks, both components pooled."""
     observed, predicted = [], []
     for piece in track.pieces:
@@ -291,16 +283,7 @@ def velocity_r2(track: Track, displacement: Displacement) -> float:
         interval = (piece.times[last] - piece.times[first])[:, None]
         observed.append((piece.states[last] - piece.states[first]) / interval)
         predicted.append((path[last] - path[first]) / interval)
-    return _r2(np.concatenate(observed), np.concatenate(predicted))
-
-
-def _r2(
-    observed: Float[np.ndarray, "n 2"], predicted: Float[np.ndarray, "n 2"]
-) -> float:
-    if len(observed) < 2:
-        return float("nan")
-    spread = float(((observed - observed.mean(axis=0)) ** 2).sum())
-    return 1 - float(((observed - predicted) ** 2).sum()) / max(spread, 1e-30)
+    return explained_variance(np.concatenate(observed), np.concatenate(predicted))
 
 
 GRID = KernelGrid(across=6, margin=2.0)

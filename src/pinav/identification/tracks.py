@@ -105,11 +105,7 @@ def _names(recording: Trajectories, *, pooled: bool) -> list[str]:
 
 
 def one_track(data: Trajectories, name: str) -> Track:
-    """All trajectories as the segments of one track, one after the other in time.
-
-    Raises:
-        InputError: the channels are not x and y, or nothing is long enough to fit.
-    """
+    """All trajectories as the segments of one track, one after the other in time."""
     _check_planar(data)
     seen = sorted(map(_drop_unseen, data), key=lambda piece: float(piece.times[0]))
     long = [piece for piece in seen if len(piece.times) >= LEAST_SAMPLES]
@@ -246,17 +242,12 @@ def pairs_apart(
     return first, later[first]
 
 
-def before(track: Track, time: float) -> Track:
-    """The part of a track before a time; blocks keep their length."""
-    return _cut(track, lambda times: times < time)
+def cut_track(track: Track, kept: Callable[[np.ndarray], np.ndarray]) -> Track:
+    """The part of a track at the times that are kept; blocks keep their length.
 
-
-def after(track: Track, time: float) -> Track:
-    """The part of a track from a time on; blocks keep their length."""
-    return _cut(track, lambda times: times >= time)
-
-
-def _cut(track: Track, kept: Callable[[np.ndarray], np.ndarray]) -> Track:
+    Raises:
+        InputError: it is too short.
+    """
     cut = [_keep_rows(piece, kept(piece.times)) for piece in track.pieces]
     long = tuple(piece for piece in cut if len(piece.times) >= LEAST_SAMPLES)
     if not long:
@@ -301,13 +292,8 @@ class Blocks(NamedTuple):
         begins[first[:-1]] = 1.0
         counts[: first[-1]] = np.bincount(index)
 
-        def pad(name: str) -> np.ndarray:
-            values = [
-                piece.commands.get(name, np.zeros_like(piece.times))
-                for piece in track.pieces
-            ]
-            return np.pad(np.concatenate(values), (0, samples - length))
-
+        commands = zip(*map(commands_of, track.pieces), strict=True)
+        padded = [np.pad(np.concatenate(c), (0, samples - length)) for c in commands]
         times = np.concatenate(_times_in_turn(track.pieces))
         # Time goes on in the padding, so that no interval vanishes.
         later = times.max() + 1.0 + np.arange(samples - length)
@@ -315,8 +301,8 @@ class Blocks(NamedTuple):
         return cls(
             times=np.concatenate([times, later]),
             positions=np.pad(states, ((0, samples - length), (0, 0))),
-            frequency=pad("frequency"),
-            heading=pad("heading"),
+            frequency=padded[0],
+            heading=padded[1],
             real=np.arange(samples) < length,
             block=np.pad(index, (0, samples - length)),
             counts=counts,

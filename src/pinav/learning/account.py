@@ -7,17 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from pinav import evaluation
 from pinav.dynamics import Swimmer
-from pinav.evaluation import (
-    ForceLine,
-    field_map,
-    force_error_at_samples,
-    force_errors,
-    force_line,
-    predict,
-    restart_errors,
-    score,
-)
 from pinav.fitting import (
     Outcome,
     Posterior,
@@ -38,14 +29,7 @@ from pinav.forces import (
     split_structure,
 )
 from pinav.identification import needs_kalman_filter
-from pinav.learning.findings import (
-    Findings,
-    ForceMaps,
-    FoundLaw,
-    FoundStructure,
-    FoundTerm,
-    Rollouts,
-)
+from pinav.learning import findings
 from pinav.learning.learned import Learned
 from pinav.learning.plan import FitPlan
 from pinav.learning.recipes import name_of
@@ -58,7 +42,7 @@ POINTS = 121
 """Points of a profile."""
 
 
-def found_structure(run: Learned) -> FoundStructure | None:
+def found_structure(run: Learned) -> findings.FoundStructure | None:
     """The structure that a fit, or its teacher, found; None without a search."""
     kernels = run if run.teacher is None else run.teacher
     evidence, posterior = kernels.evidence, kernels.posterior
@@ -67,7 +51,7 @@ def found_structure(run: Learned) -> FoundStructure | None:
     model: Any = kernels.model
     force, search = model.environment, evidence.structure
     terms = split_structure(force)[0] if hasattr(force, "terms") else ()
-    return FoundStructure(
+    return findings.FoundStructure(
         tuple(
             _found_term(term, index, posterior, kernels.data)
             for index, term in enumerate(terms)
@@ -83,9 +67,9 @@ def found_structure(run: Learned) -> FoundStructure | None:
 
 def _found_term(
     term: AbstractTerm, index: int, posterior: Posterior, data: Trajectories
-) -> FoundTerm:
+) -> findings.FoundTerm:
     has_profile = isinstance(term, AbstractProfileTerm)
-    return FoundTerm(
+    return findings.FoundTerm(
         term.kind,
         term.latex,
         tuple(derive(posterior, lambda model: _numbers(model, index))),
@@ -102,7 +86,7 @@ def _numbers(model: Any, index: int) -> Float[Array, " number"]:
 
 def _found_law(
     term: AbstractProfileTerm, posterior: Posterior, index: int
-) -> FoundLaw | None:
+) -> findings.FoundLaw | None:
     law = term.law
     if law is None:
         return None
@@ -114,12 +98,14 @@ def _found_law(
 
     names = ("height", *law.constants())
     estimates = derive(posterior, constants)
-    return FoundLaw(law.name, law.latex, dict(zip(names, estimates, strict=True)))
+    return findings.FoundLaw(
+        law.name, law.latex, dict(zip(names, estimates, strict=True))
+    )
 
 
 def _profile(
     term: AbstractProfileTerm, posterior: Posterior, index: int, data: Trajectories
-) -> ForceLine:
+) -> evaluation.ForceLine:
     """The profile over the coordinates that were observed, with its deviation."""
     samples = jnp.asarray(data.positions[data.observed[..., :2].all(-1)])
     coordinates = np.asarray(jax.vmap(term.coordinates)(samples))
@@ -131,7 +117,7 @@ def _profile(
         return jax.vmap(model.environment.terms[index].profile)(jnp.asarray(places))
 
     values = derive(posterior, profile)
-    return ForceLine(
+    return evaluation.ForceLine(
         places + float(term.offset),
         np.array([one.value for one in values]),
         np.array([one.sd for one in values]),
@@ -223,7 +209,9 @@ def simpler_model(
         return ()
     total = rmse["total"]
     for name, model in simpler_models(plan.system.swimmer, plan.data).items():
-        simple = score(*predict(model, plan.data), plan.data).total
+        simple = evaluation.score(
+            *evaluation.predict(model, plan.data), plan.data
+        ).total
         if FAR_BETTER * simple < total or not np.isfinite(total):
             return (
                 f"The fit failed: its rollouts miss the data by {total:.2g}, those of "
@@ -237,12 +225,12 @@ FAR_BETTER = 3.0
 """Ratio of errors beyond which a simpler model is recommended."""
 
 
-def account(plan: FitPlan, fit: Learned) -> Findings:
+def account(plan: FitPlan, fit: Learned) -> findings.Findings:
     """The account of a fit: rollouts, errors, the force, and remarks."""
     data, model, evidence = plan.data, fit.model, fit.evidence
     starts = None if evidence is None else evidence.states[:, 0]
-    predictions, outcomes = predict(model, data, starts=starts)
-    rmse = score(predictions, outcomes, data).by_name()
+    predictions, outcomes = evaluation.predict(model, data, starts=starts)
+    rmse = evaluation.score(predictions, outcomes, data).by_name()
     maps = lines = None
     if isinstance(model, KnownSwimmer):
         maps = _force_maps(fit, plan) if data.dim == 2 else None
@@ -268,7 +256,7 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
             *thermal_remarks(plan.thermal, data),
         )
     commanded = needs_kalman_filter(plan.system)
-    return Findings(
+    return findings.Findings(
         model=fit.choice.name,
         recipe=name_of(plan.recipe),
         outcome=outcome,
@@ -276,7 +264,7 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
         constants=fit.constants,
         remarks=(*sentences, *remarks(data)),
         units=dict(sorted(fit.units.items())),
-        rollouts=Rollouts(
+        rollouts=findings.Rollouts(
             data.channels,
             data.times,
             data.states,
@@ -289,7 +277,7 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
         iterations=None if evidence is None else evidence.iterations,
         support=None if evidence is None else evidence.support,
         losses=losses,
-        restarts=restart_errors(model, data) if commanded else None,
+        restarts=evaluation.restart_errors(model, data) if commanded else None,
         structure=found_structure(fit),
         thermal=fit.thermal,
         force=maps,
@@ -297,14 +285,14 @@ def account(plan: FitPlan, fit: Learned) -> Findings:
     )
 
 
-def _force_maps(fit: Learned, plan: FitPlan) -> ForceMaps:
+def _force_maps(fit: Learned, plan: FitPlan) -> findings.ForceMaps:
     model: Any = fit.model
-    learned = field_map(model.environment, plan.data)
+    learned = evaluation.field_map(model.environment, plan.data)
     truth = _true_environment(plan)
-    return ForceMaps(
+    return findings.ForceMaps(
         learned,
         sd=None if fit.posterior is None else fit.force_sd(learned),
-        true=None if truth is None else field_map(truth, plan.data).force,
+        true=None if truth is None else evaluation.field_map(truth, plan.data).force,
     )
 
 
@@ -314,30 +302,28 @@ def _true_environment(plan: FitPlan) -> AbstractForce | None:
 
 
 def _force_error(
-    fit: Learned, maps: ForceMaps | None, plan: FitPlan
+    fit: Learned, maps: findings.ForceMaps | None, plan: FitPlan
 ) -> dict[str, float] | None:
     truth = _true_environment(plan)
     if truth is None or not isinstance(fit.model, KnownSwimmer):
         return None
     if maps is None or maps.truth is None:
-        error = force_error_at_samples(fit.model.environment, truth, plan.data)
+        error = evaluation.force_error_at_samples(
+            fit.model.environment, truth, plan.data
+        )
         return {"at the samples": error}
-    return dict(force_errors(maps.learned, maps.truth, maps.learned.regions))
+    return dict(evaluation.force_errors(maps.learned, maps.truth, maps.learned.regions))
 
 
-def _force_lines(fit: Learned, plan: FitPlan) -> dict[str, ForceLine]:
+def _force_lines(fit: Learned, plan: FitPlan) -> dict[str, evaluation.ForceLine]:
     """The force along lines through data that are not planar."""
     model: Any = fit.model
     has_profile = plan.choice.name == PROFILE
     axes = model.environment.along if has_profile else range(plan.data.dim)
     truth = _true_environment(plan)
     return {
-        plan.data.channels[axis]: force_line(
-            model.environment,
-            plan.data,
-            axis,
-            posterior=fit.posterior,
-            truth=truth,
+        plan.data.channels[axis]: evaluation.force_line(
+            model.environment, plan.data, axis, posterior=fit.posterior, truth=truth
         )
         for axis in axes
     }

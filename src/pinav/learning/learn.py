@@ -9,19 +9,8 @@ from typing import Any
 import jax
 import msgspec
 
+from pinav import fitting
 from pinav.errors import FitError
-from pinav.fitting import (
-    AbstractCheckpoint,
-    EvidenceFit,
-    EvidenceProgress,
-    FitProgress,
-    Outcome,
-    fit_bayes,
-    fit_structured,
-    is_network,
-    is_worth_a_search,
-    may_turn,
-)
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.summary import MIXTURE
 from pinav.fitting.evidence.model_evidence import model_evidence
@@ -39,14 +28,7 @@ from pinav.learning.learned import (
 )
 from pinav.learning.matching import Losses, matching
 from pinav.learning.plan import FitPlan, choose_system, plan_fit
-from pinav.learning.recipes import (
-    SUITED,
-    Bayes,
-    Curriculum,
-    Langevin,
-    Paper,
-    Recipe,
-)
+from pinav.learning.recipes import SUITED, Bayes, Curriculum, Langevin, Paper, Recipe
 from pinav.learning.thermal import fit_thermal
 from pinav.systems import System
 from pinav.trajectories import Trajectories
@@ -71,7 +53,7 @@ class RoundProgress:
     field: bool = True
 
 
-Progress = EvidenceProgress | FitProgress | RoundProgress
+Progress = fitting.EvidenceProgress | fitting.FitProgress | RoundProgress
 
 OnProgress = Callable[[Progress], None]
 
@@ -86,7 +68,7 @@ def learn(
     seed: int = 0,
     width: int = 32,
     depth: int = 2,
-    checkpoint: AbstractCheckpoint | None = None,
+    checkpoint: fitting.AbstractCheckpoint | None = None,
     on_progress: OnProgress | None = None,
 ) -> Learned:
     """Learn the unknown force on a swimmer, as `pinav fit` does.
@@ -143,14 +125,10 @@ def open_run(path: Path | str) -> Learned:
 def infer(
     plan: FitPlan,
     *,
-    checkpoint: AbstractCheckpoint | None = None,
+    checkpoint: fitting.AbstractCheckpoint | None = None,
     on_progress: OnProgress | None = None,
 ) -> Learned:
-    """The fit of a plan, without an account of it; see `learn`.
-
-    Raises:
-        FitError: the fit diverged, or the data do not determine it.
-    """
+    """The fit of a plan, without an account of it; see `learn`."""
     model: Any = build(plan.choice, plan.system.swimmer, plan.summary)
     header = ModelHeader(plan.choice, plan.summary)
     if isinstance(plan.recipe, Langevin):
@@ -179,21 +157,23 @@ def _infer_force(
         "on_step": on_progress,
         "throw": False,
     }
-    weighs = plan.is_open and may_turn(model)
+    weighs = plan.is_open and fitting.may_turn(model)
     teacher = search = None
-    if recipe.structure == "search" and (weighs or is_worth_a_search(model, plan.data)):
+    if recipe.structure == "search" and (
+        weighs or fitting.is_worth_a_search(model, plan.data)
+    ):
         budget = math.inf if recipe.budget is None else recipe.budget
-        structured = fit_structured(
+        structured = fitting.fit_structured(
             model, plan.data, weigh_rotation=plan.is_open, budget=budget, **options
         )
         result, teacher = structured.fit, structured.teacher
-        if not is_network(model) or teacher is not None:
+        if not fitting.is_network(model) or teacher is not None:
             search = SearchResult(
                 structured.gain, structured.rotation, structured.trace
             )
     else:
-        result = fit_bayes(model, plan.data, **options)
-    if result.outcome is Outcome.DIVERGED:
+        result = fitting.fit_bayes(model, plan.data, **options)
+    if result.outcome is fitting.Outcome.DIVERGED:
         force = as_learned_force(model.environment)
         gradient = force is not None and force.is_conservative
         raise FitError(DIVERGED + (NO_GRADIENT if gradient else ""))
@@ -212,7 +192,7 @@ def _infer_force(
 
 def _fit_commanded(
     plan: FitPlan, environment: AbstractForce, on_progress: OnProgress | None
-) -> tuple[EvidenceFit, float | None]:
+) -> tuple[fitting.EvidenceFit, float | None]:
     """Fit a field beside commands and a wandering velocity; its evidence over none."""
     field, support = as_learned_force(environment), None
 
@@ -238,14 +218,14 @@ def _fit_commanded(
     return dataclasses.replace(result, hyperparameters=chosen), support
 
 
-def _log_evidence(fit: EvidenceFit) -> float:
+def _log_evidence(fit: fitting.EvidenceFit) -> float:
     return model_evidence(fit.linear, fit.hyperparameters).log_evidence
 
 
 def _match(
     plan: FitPlan,
     model: Any,
-    checkpoint: AbstractCheckpoint | None,
+    checkpoint: fitting.AbstractCheckpoint | None,
     on_progress: OnProgress | None,
 ) -> Learned:
     assert isinstance(plan.recipe, Curriculum | Paper)
@@ -257,7 +237,7 @@ def _match(
         checkpoint=checkpoint,
         on_chunk=on_progress,
     )
-    if result.outcome is Outcome.DIVERGED:
+    if result.outcome is fitting.Outcome.DIVERGED:
         raise FitError(DIVERGED)
     return Learned(
         None,

@@ -18,13 +18,7 @@ from pinav.codec import decode_blank, encode
 from pinav.dynamics import AbstractDynamics, with_dtype
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap, exact_forces, require_x64
-from pinav.fitting import (
-    AbstractLearned,
-    Estimate,
-    EvidenceFit,
-    Posterior,
-    is_network,
-)
+from pinav.fitting import AbstractLearned, Estimate, EvidenceFit, Posterior, is_network
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.summary import DataSummary, KnownSwimmer, ModelChoice
 from pinav.forces import as_learned_force, split_structure
@@ -336,11 +330,7 @@ class Learned(AbstractLearned):
 
 
 def read_header(content: Mapping[str, Any]) -> ModelHeader:
-    """The header of a model file; long arrays in it are zero, as the file has them.
-
-    Raises:
-        InputError: another version wrote it.
-    """
+    """The header of a model file; long arrays in it are zero, as the file has them."""
     own = {name: part for name, part in content.items() if name != "pinav"}
     try:
         header = decode_blank(ModelHeader, own)

@@ -106,11 +106,7 @@ def matching(
             steps = DEFECT_STEPS * max_steps
             root = prior_root(model, data) if linear else None
             first = defect_recipe(
-                data,
-                rates=rates,
-                prior_root=root,
-                substeps=substeps,
-                max_steps=steps,
+                data, rates=rates, prior_root=root, substeps=substeps, max_steps=steps
             )
             recipes = (first, *recipes) if linear else (first, first, *recipes)
     coarse, fine = (

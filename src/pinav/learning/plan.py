@@ -19,11 +19,7 @@ from pinav.fitting.environments.summary import (
     summarise_for_matching,
 )
 from pinav.forces import KernelPotential, LinearDrag
-from pinav.identification import (
-    needs_kalman_filter,
-    record_commands,
-    trajectories_of,
-)
+from pinav.identification import needs_kalman_filter, record_commands, trajectories_of
 from pinav.learning.matching import check_starts
 from pinav.learning.recipes import (
     SUITED,
@@ -190,12 +186,7 @@ def plan_fit(
 def suitable_recipe(
     asked: Suited, model: str, system: System, *, thermal: bool
 ) -> Inferring | Matching:
-    """The recipe that suits the data.
-
-    Raises:
-        InputError: the paths are Brownian and the system has inertia, or `noise` is
-            given to a recipe that does not use it.
-    """
+    """The recipe that suits the data."""
     if thermal and system.order == 2:
         raise InputError(
             "the positions look like Brownian motion (second differences "

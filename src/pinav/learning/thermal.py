@@ -180,10 +180,7 @@ def _observation(
 
 
 def _reference(
-    recipe: Langevin,
-    system: System,
-    axes: tuple[KernelAxis, ...],
-    data: Trajectories,
+    recipe: Langevin, system: System, axes: tuple[KernelAxis, ...], data: Trajectories
 ) -> SlowReference:
     name = str(recipe.reference)
     _check_names("reference", (name,), system)
@@ -249,10 +246,9 @@ class ThermalFindings:
     @classmethod
     def of(
         cls, fit: ThermalResult, chosen: ThermalChoice, data: Trajectories
-    ) -> "ThermalFindings | None":
-        """The findings of a fit; None where nothing was checked."""
-        if fit.checks is None:
-            return None
+    ) -> "ThermalFindings":
+        """The findings of a fit of which more than one number is asked."""
+        assert fit.checks is not None  # made wherever positions are not exact
         return cls(
             channels=data.channels,
             checks=fit.checks,
@@ -360,7 +356,6 @@ def fit_thermal(
         reference=chosen.reference,
     )
     findings = ThermalFindings.of(fit.thermal, chosen, data)
-    assert findings is not None  # made wherever positions are not exact
     mean = _mean_diffusion(findings)
     numbers = dataclasses.replace(
         fit.hyperparameters, noise=float(np.sqrt(2 * mean.value))

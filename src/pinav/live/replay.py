@@ -7,53 +7,32 @@ from pathlib import Path
 import numpy as np
 
 from pinav.identification.tracks import Track, commands_of
-from pinav.live.messages import (
-    VERSION,
-    Bye,
-    Frame,
-    FromPinav,
-    Hello,
-    Limits,
-    State,
-    encode,
-)
+from pinav.live import messages
 from pinav.live.session import Session
-
-
-def frames_of(track: Track) -> Iterator[Frame]:
-    """The frames of a track, in the order of time."""
-    seq = 0
-    for piece in track.pieces:
-        columns = (piece.times, *piece.states.T, *commands_of(piece))
-        for t, x, y, frequency, heading in zip(*map(np.asarray, columns), strict=True):
-            yield Frame(
-                seq=seq,
-                t=float(t),
-                x=float(x),
-                y=float(y),
-                frequency=max(float(frequency), 0.0),
-                heading=float(heading),
-            )
-            seq += 1
 
 
 def lines_of(track: Track, units: str) -> Iterator[bytes]:
     """Hello, frames and bye of a track, as lines without newlines."""
     steps = np.concatenate([np.diff(piece.times) for piece in track.pieces])
     fastest = max(float(commands_of(piece)[0].max()) for piece in track.pieces)
-    yield encode(
-        Hello(
-            version=VERSION,
+    yield messages.encode(
+        messages.Hello(
+            version=messages.VERSION,
             session=track.name[:200],
             step=float(np.median(steps)),
             units=units,
-            limits=Limits(frequency=max(fastest, 1e-3)),
+            limits=messages.Limits(frequency=max(fastest, 1e-3)),
             clock="of the recording",
         )
     ).rstrip()
-    for frame in frames_of(track):
-        yield encode(frame).rstrip()
-    yield encode(Bye(reason="end of the recording")).rstrip()
+    pieces = [(p.times, *p.states.T, *commands_of(p)) for p in track.pieces]
+    columns = (np.concatenate(parts).tolist() for parts in zip(*pieces, strict=True))
+    for seq, (t, x, y, frequency, heading) in enumerate(zip(*columns, strict=True)):
+        frame = messages.Frame(
+            seq=seq, t=t, x=x, y=y, frequency=max(frequency, 0.0), heading=heading
+        )
+        yield messages.encode(frame).rstrip()
+    yield messages.encode(messages.Bye(reason="end of the recording")).rstrip()
 
 
 def lines_in(path: Path) -> Iterator[bytes]:
@@ -66,7 +45,7 @@ def lines_in(path: Path) -> Iterator[bytes]:
 
 def replay(
     session: Session, lines: Iterator[bytes], speed: float | None = None
-) -> Iterator[tuple[FromPinav, float]]:
+) -> Iterator[tuple[messages.FromPinav, float]]:
     """Answers to lines, each with its seconds; the clock only sets the pace."""
     begin, origin = time.monotonic(), None
     for line in lines:
@@ -75,7 +54,7 @@ def replay(
         took = time.perf_counter() - before
         session = outcome.session
         for answer in outcome.answers:
-            if speed is not None and isinstance(answer, State):
+            if speed is not None and isinstance(answer, messages.State):
                 origin = answer.t if origin is None else origin
                 due = begin + (answer.t - origin) / speed
                 time.sleep(max(due - time.monotonic(), 0.0))

@@ -109,7 +109,7 @@ class RollerPilot(AbstractPilot):
             count, begun = count + 1, time
         pilot = dataclasses.replace(self, probe=np.array([count, begun]))
         frequency = PROBE_PART * hello.limits.frequency
-        heading = _wrap(float(count) * GOLDEN)
+        heading = math.remainder(float(count) * GOLDEN, 2 * math.pi)
         advice = Advice(frequency, heading, intent)
         return pilot._filter(estimator, advice, hello, time)
 
@@ -129,11 +129,7 @@ class RollerPilot(AbstractPilot):
         return dataclasses.replace(self, best=best, stalls=self.stalls + 1)
 
     def _steer(
-        self,
-        estimator: DriveEstimator,
-        position: Point,
-        hello: Hello,
-        time: float,
+        self, estimator: DriveEstimator, position: Point, hello: Hello, time: float
     ) -> Advice:
         fit, now = estimator.fit, estimator.known
         assert now is not None
@@ -167,11 +163,7 @@ class RollerPilot(AbstractPilot):
         return forecast(fit, times, np.zeros(2), np.zeros(2)).displacement[-1]
 
     def _filter(
-        self,
-        estimator: DriveEstimator,
-        advice: Advice,
-        hello: Hello,
-        time: float,
+        self, estimator: DriveEstimator, advice: Advice, hello: Hello, time: float
     ) -> tuple["RollerPilot", Advice]:
         """The advice, or else what the last filter gives in its place."""
         where = estimator.whereabouts(time)
@@ -236,7 +228,3 @@ def _tangent(start: Point, goal: Point, centre: Point, radius: float) -> Point:
     # A little beyond the point of contact, so that the next tangent leads on.
     ends = [centre + (end - centre) * 1.05 for end in ends]
     return min(ends, key=lambda end: length + math.dist(end, goal))
-
-
-def _wrap(angle: float) -> float:
-    return math.remainder(angle, 2 * math.pi)

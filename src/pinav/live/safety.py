@@ -125,10 +125,7 @@ class Outlook(eqx.Module):
 
     def _approaches(
         self, firsts: np.ndarray, escapes: np.ndarray, ahead: float
-    ) -> tuple[
-        Float[np.ndarray, "*plan piece"],
-        Float[np.ndarray, "*plan piece"],
-    ]:
+    ) -> tuple[Float[np.ndarray, "*plan piece"], Float[np.ndarray, "*plan piece"]]:
         """Distance of each piece of the paths from the nearest disc [L], and its sd."""
         times = np.append(0.0, self.step + np.linspace(0.0, ahead, CHECKS + 1))
         firsts, escapes = np.broadcast_arrays(firsts, escapes)

@@ -300,11 +300,7 @@ class SocketSink(AbstractSink):
 
 
 def sink_of(text: str | None, source: AbstractSource, token: str = "") -> AbstractSink:
-    """The sink that an argument names; the source by default.
-
-    Raises:
-        InputError: it is no usable address.
-    """
+    """The sink that an argument names; the source by default."""
     if text is None:
         return source
     address = address_of(text, token)

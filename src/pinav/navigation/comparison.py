@@ -1,9 +1,9 @@
 """Plans with a learned model, tried in closed loop beside others, and results."""
 
 import dataclasses
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import jax
 import numpy as np
@@ -210,22 +210,14 @@ class OnlineNavigation(AbstractNavigation):
 
 
 def navigate(
-    fit: AbstractLearned,
-    way: Way,
-    *,
-    samples: int = 8,
-    seeds: int = 20,
-    seed: int = 0,
+    fit: AbstractLearned, way: Way, *, samples: int = 8, seeds: int = 20, seed: int = 0
 ) -> Navigation:
     """Go a way through the force that a fit has learned.
 
     Args:
-        fit: the fit.
-        way: the way.
         samples: models drawn from the posterior, whose spread makes uncertain regions
             cost more; 0 takes the model for true.
         seeds: closed loops with each model, each with its own noise.
-        seed: seed of all noise.
 
     Raises:
         InputError: the fit is not of a swimmer in the plane or in space, or the goal
@@ -247,9 +239,7 @@ def compare_models(
     Physics alone and, where it is known, the truth are tried beside the learned model.
 
     Args:
-        problem: the task, and what is known of it.
         seeds: closed loops with each model, each with its own noise.
-        seed: seed of all noise.
         attempts: takes the names of models and tries them elsewhere; here unless given.
 
     Raises:
@@ -275,15 +265,17 @@ def compare_models(
             partial(try_model, problem, LEARNED, seeds, seed, steered),
             *(partial(try_model, problem, name, seeds, seed) for name in others),
         ]
-        *tried, suggestion = map_on_cores(_call, [*jobs, suggest], title="loops")
+        jobs = [*jobs, suggest]
+        *tried, suggestion = map_on_cores(operator.call, jobs, title="loops")
     episodes = {name: loops for name, loops in tried if isinstance(loops, Episodes)}
+    compute = run(task, steered, key=jax.random.key(seed)).compute
     return Navigation(
         truth=problem.truth,
         plan=_planned_way(plan, route, way),
         controllers={name: summary(loops, task) for name, loops in episodes.items()},
         regret=_regrets(episodes),
         refused={name: reason for name, reason in tried if isinstance(reason, str)},
-        computing=_computing_times(task, steered, seed),
+        computing=ComputingTimes(float(compute[0]), float(np.median(compute[1:]))),
         units=dict(problem.fit.units),
         thrust=problem.thrust,
         delay=task.delay,
@@ -308,10 +300,6 @@ def try_model(
     except InputError as error:
         return name, str(error)
     return name, problem.attempt(steering, episode_keys(seed, seeds))
-
-
-def _call(job: Callable[[], Any]) -> Any:
-    return job()
 
 
 def plan_of(steered: AbstractController) -> TimeToGo:
@@ -358,14 +346,6 @@ def _regrets(episodes: Mapping[str, Episodes]) -> dict[str, Interval]:
         for name, loops in episodes.items()
         if name != ORACLE
     }
-
-
-def _computing_times(
-    task: Task, steering: AbstractController, seed: int
-) -> ComputingTimes:
-    """Time that one command takes to compute [s], and the first one."""
-    compute = run(task, steering, key=jax.random.key(seed)).compute
-    return ComputingTimes(float(compute[0]), float(np.median(compute[1:])))
 
 
 def _positions(task: Task, route: Route) -> Float[np.ndarray, "time dim"]:

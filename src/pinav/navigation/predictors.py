@@ -14,15 +14,7 @@ from jaxtyping import Array, Float
 from pinav.arguments import Scalar, State, Vector, on_device
 from pinav.dynamics import Swimmer
 from pinav.errors import InputError
-from pinav.navigation.tables import (
-    FieldTable,
-    Grid,
-    at_rest,
-    force_spread,
-    sample_times,
-    tabulate,
-    tabulate_over_time,
-)
+from pinav.navigation import tables
 from pinav.navigation.task.steering import (
     AbstractActuator,
     Command,
@@ -53,7 +45,7 @@ class InertialTable(AbstractPredictor):
         table: acceleration at rest [L T⁻²] and drag [T⁻¹], of `tabulate`.
     """
 
-    table: FieldTable
+    table: tables.FieldTable
     actuator: AbstractActuator
 
     def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
@@ -77,7 +69,7 @@ class OverdampedTable(AbstractPredictor):
         table: velocity without thrust [L T⁻¹] and mobility, of `tabulate`.
     """
 
-    table: FieldTable
+    table: tables.FieldTable
     actuator: AbstractActuator
 
     def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
@@ -203,7 +195,7 @@ class TimeCost(eqx.Module):
     arena: Rectangle
     margin: Scalar
     steepness: float
-    spread: FieldTable
+    spread: tables.FieldTable
     risk_aversion: Scalar
 
     def clearance(self, x: Vector) -> Float[Array, ""]:
@@ -253,7 +245,7 @@ HEADINGS = 24
 class TabulatedModel(eqx.Module):
     """A model of the swimmer on a task's arena, as tables."""
 
-    table: FieldTable
+    table: tables.FieldTable
     predictor: InertialTable | OverdampedTable
     control_map: ControlMap
     time_cost: TimeCost
@@ -272,7 +264,6 @@ def tabulate_model(
 
     Args:
         task: the arena, the walls, the limits; its truth is not used.
-        model: what is believed.
         samples: of the posterior of the model, none or at least two: their spread makes
             uncertain regions cost more.
         margin: from walls, over which time costs more [L]; half the tolerance or what
@@ -285,14 +276,18 @@ def tabulate_model(
         InputError: the model is not finite on the arena; fewer than two samples.
     """
     usual = 81 if task.dim == 2 else 41
-    grid = Grid.over(task.arena, usual if points is None else points, margin=2)
-    table = tabulate_over_time(model, grid, task.time_limit, times)
+    grid = tables.Grid.over(task.arena, usual if points is None else points, margin=2)
+    table = tables.tabulate_over_time(model, grid, task.time_limit, times)
     inertial = isinstance(model.dynamics, Swimmer)
     predictor = (InertialTable if inertial else OverdampedTable)(table, model.actuator)
     drive = ControlMap.of(model.actuator, task.limits, task.dim)
-    at_times = sample_times(at_rest((*samples, model)[0]), grid, task.time_limit, times)
+    at_times = tables.sample_times(
+        tables.at_rest((*samples, model)[0]), grid, task.time_limit, times
+    )
     if samples:
-        spread = force_spread([tabulate(one, grid, at_times) for one in samples])
+        spread = tables.force_spread(
+            [tables.tabulate(one, grid, at_times) for one in samples]
+        )
         thrust = greatest_rate(table, drive, inertial=inertial)
         spread = eqx.tree_at(lambda s: s.values, spread, spread.values / thrust)
     else:
@@ -324,7 +319,7 @@ def noise_margin(task: Task) -> float:
 
 
 def greatest_rate(
-    table: FieldTable, drive: ControlMap, *, inertial: bool
+    table: tables.FieldTable, drive: ControlMap, *, inertial: bool
 ) -> Float[Array, ""]:
     """Greatest acceleration, or velocity, that thrust gives."""
     thrusts = drive.thrusts(HEADINGS)

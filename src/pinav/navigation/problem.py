@@ -7,11 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from pinav.dynamics import (
-    AbstractDynamics,
-    AbstractSwimmer,
-    takes_commands,
-)
+from pinav.dynamics import AbstractDynamics, AbstractSwimmer, takes_commands
 from pinav.errors import InputError
 from pinav.evaluation import enclosing_cube
 from pinav.fitting import AbstractLearned, Posterior
@@ -21,12 +17,7 @@ from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
-from pinav.navigation.design.candidates import (
-    Experiment,
-    Stage,
-    Suggestion,
-    suggest_next,
-)
+from pinav.navigation.design import candidates
 from pinav.navigation.task.catalogue import Way
 from pinav.navigation.task.steering import SteeredSwimmer, greatest_thrust, physics_only
 from pinav.navigation.task.task import ReachGoal, Rectangle, Task, steered_swimmer
@@ -46,7 +37,6 @@ class NavigationProblem:
 
     Attributes:
         task: its truth is that of the system, or the model where there is none.
-        fit: the fit of the model.
         samples: draws of the posterior; none where the fit has no posterior.
         truth: name of the system whose environment is the truth, where it is known.
         posterior: that of the fit, where further trajectories can be suggested.
@@ -66,10 +56,7 @@ class NavigationProblem:
         """The problem of going a way through the force that a fit has learned.
 
         Args:
-            fit: the fit.
-            way: the way.
             samples: models drawn from the posterior; 0 takes the model for true.
-            seed: seed of these draws.
 
         Raises:
             InputError: the fit is not of a swimmer in the plane or in space, or the way
@@ -128,12 +115,7 @@ class NavigationProblem:
         return [LEARNED, PHYSICS, *([ORACLE] if self.truth is not None else [])]
 
     def controller_with(self, name: str) -> AbstractController:
-        """The controller that takes a model for true.
-
-        Raises:
-            InputError: start or goal are in a wall or outside the arena, or the goal
-                cannot be reached with this thrust, as far as the model knows.
-        """
+        """The controller that takes a model for true."""
         if name == LEARNED:
             return controller(self.task, self.model, samples=self.samples)
         model = physics_only(self.model) if name == PHYSICS else self.task.truth
@@ -148,8 +130,6 @@ class NavigationProblem:
         """Closed loops of a controller, one for each key, over the possible truths.
 
         Args:
-            steering: what decides.
-            keys: random keys of all loops.
             numbers: which of them are done, ascending; all unless given.
         """
         truths = self.truths[: len(keys)]
@@ -193,7 +173,7 @@ SAMPLES = 120
 
 def suggest_trajectory(
     problem: NavigationProblem, route: Float[np.ndarray, "time 2"], *, seed: int
-) -> Suggestion | None:
+) -> candidates.Suggestion | None:
     """The trajectory that would tell most about the force along a route.
 
     It is released near the start and observed as the data were, without white noise.
@@ -203,9 +183,6 @@ def suggest_trajectory(
     Returns:
         The trajectory; none where the fit has no evidence that one could improve, or
         every candidate leaves the arena.
-
-    Raises:
-        InputError: the model changes in time.
     """
     task, fit = problem.task, problem.fit
     if problem.posterior is None:
@@ -228,13 +205,15 @@ def suggest_trajectory(
     )
     assert adaptive.known is not None
     fitted = dataclasses.replace(adaptive.known, filters=(adaptive.known.best,))
-    experiment = Experiment(
+    experiment = candidates.Experiment(
         recorded,
         Rectangle(start - problem.goal.tolerance, start + problem.goal.tolerance),
         min(task.time_limit, float(np.median(spans)), SAMPLES * interval),
     )
     key = jax.random.fold_in(jax.random.key(seed), 2)
-    found = suggest_next(Stage(adaptive, experiment, fitted, route), key=key)
+    found = candidates.suggest_next(
+        candidates.Stage(adaptive, experiment, fitted, route), key=key
+    )
     if found is None or task.inertial:
         return found
     # What a belief knows without inertia are velocities; a fit knows forces.

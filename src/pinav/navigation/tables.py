@@ -33,7 +33,6 @@ class Grid(eqx.Module):
     Attributes:
         lower: the first point [L].
         spacing: between neighbours along each axis [L].
-        shape: how many points along each axis.
     """
 
     lower: Vector
@@ -45,7 +44,6 @@ class Grid(eqx.Module):
         """The grid that spans a rectangle, from edge to edge and `margin` cells more.
 
         Args:
-            region: what is spanned.
             count: points along its longer side, at least 4.
             margin: cells beyond each edge.
 
@@ -175,7 +173,6 @@ def tabulate(
 
     Args:
         model: whose propulsion commands replace.
-        grid: where.
         times: when [T], equally spaced from 0; one time where nothing changes.
 
     Raises:
@@ -271,9 +268,6 @@ def tabulate_over_time(
 
     Where nothing changes but the flow that carries a swimmer, the flow is all that is
     evaluated at each time: kernels are many, and their force stays the same.
-
-    Raises:
-        InputError: a value is not finite.
     """
     moments, still = sample_times(model, grid, until, count), at_rest(model)
     if len(moments) == 1 or len(sample_times(still, grid, until, count)) > 1:

@@ -33,12 +33,7 @@ class _Piece(NamedTuple):
 
 
 def assemble(tracks: Tracks, source: Source, format: str) -> Trajectories:
-    """The trajectories of a recording, in um and s with y up where scales are known.
-
-    Raises:
-        InputError: rows contradict each other, or nothing is long enough to be a
-            trajectory.
-    """
+    """The trajectories of a recording, in um and s with y up where scales are known."""
     reading = source.reading
     tracks, faults = _sound(in_known_units(tracks, reading), source)
     tracks = _select(tracks, reading, source.stem)

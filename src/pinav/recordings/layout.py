@@ -119,8 +119,6 @@ def table_of(
 
     Args:
         place: word for a row in messages.
-        names: names of the columns, where those of the header are not unique.
-        faults: collects bad rows; the first one is refused if None.
     """
     number, first = rows[0]
     header = [str(c or "").strip() for c in first] if names is None else list(names)

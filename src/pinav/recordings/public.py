@@ -36,7 +36,6 @@ class PublicRecording(NamedTuple):
 
     Attributes:
         path: path of the file in the GitHub repository.
-        sha256: checksum of the file.
         file: name of the table that is written.
         rate: frames per second [1/s].
     """
@@ -162,11 +161,7 @@ PUBLIC = (
 
 
 def public_recording(name: str) -> PublicRecording:
-    """The public recording of that name.
-
-    Raises:
-        InputError: there is none.
-    """
+    """The public recording of that name."""
     for recording in PUBLIC:
         if recording.name == name:
             return recording
@@ -178,7 +173,6 @@ def fetch_recording(name: str, folder: Path, source: Path | None = None) -> Path
     """Write a public recording into a new folder of its name, and return the file.
 
     Args:
-        folder: parent of the new folder.
         source: the authors' file, if at hand; downloaded otherwise.
 
     Raises:

@@ -8,6 +8,7 @@ from pinav.errors import InputError
 from pinav.reading import PLAIN, Reading
 from pinav.recordings.assembly import assemble
 from pinav.recordings.command_log import read_log, with_commands
+from pinav.recordings.formats import trackmate
 from pinav.recordings.formats.arrays import IdTracker, TRex
 from pinav.recordings.formats.column_map import MappedTable
 from pinav.recordings.formats.geff import Geff
@@ -15,12 +16,6 @@ from pinav.recordings.formats.magscope import MagScope
 from pinav.recordings.formats.matlab import Matlab, UTrack
 from pinav.recordings.formats.poses import DeepLabCut, Sleap
 from pinav.recordings.formats.tables import DESCRIBED, IMAGEJ, SFI, MTrackJ, Tidy
-from pinav.recordings.formats.trackmate import (
-    Icy,
-    TrackMateCSV,
-    TrackMateProject,
-    TrackMateXML,
-)
 from pinav.recordings.rows import COMMAND_UNITS
 from pinav.recordings.source import AbstractFormat, DataFrame, Source
 from pinav.recordings.table import example_of_columns, likely_columns
@@ -30,10 +25,10 @@ FORMATS: tuple[AbstractFormat, ...] = (
     IdTracker(),
     Geff(),
     Tidy(),
-    TrackMateCSV(),
-    TrackMateProject(),
-    Icy(),
-    TrackMateXML(),
+    trackmate.TrackMateCSV(),
+    trackmate.TrackMateProject(),
+    trackmate.Icy(),
+    trackmate.TrackMateXML(),
     MagScope(),
     *DESCRIBED,
     SFI(),

@@ -135,15 +135,12 @@ def in_known_units(tracks: Tracks, reading: Reading) -> Tracks:
 
     What the user states of a unit stands above what the file says. `mpp` says that an
     unknown unit is the pixel.
-
-    Raises:
-        InputError: a stated unit measures something else.
     """
-    scale, length_unit = units.stated_length(reading.units) or (
+    scale, length_unit = units.stated(reading.units, "x") or (
         1.0,
         "px" if tracks.length_unit == "?" and reading.mpp else tracks.length_unit,
     )
-    factor, time_unit = units.stated_duration(reading.units) or (1.0, tracks.time_unit)
+    factor, time_unit = units.stated(reading.units, "t") or (1.0, tracks.time_unit)
     return dataclasses.replace(
         tracks,
         x=scale * tracks.x,

@@ -15,17 +15,7 @@ from typing import Any, Literal, Protocol, final, runtime_checkable
 import numpy as np
 
 from pinav.errors import InputError
-from pinav.recordings.layout import (
-    COMMENTS,
-    cells_of,
-    delimiter_of,
-    header_text,
-    is_number,
-    read_delimited,
-    rows_above_header,
-    rows_of_comments,
-    sheet_table,
-)
+from pinav.recordings import layout
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.table import Table
 
@@ -188,12 +178,12 @@ class Source:
         if self.reading.skip is not None:
             return self.reading.skip
         text = self.text[:20_000].splitlines()
-        if text and text[0].startswith(COMMENTS):
-            return rows_of_comments(text)
-        spaced = not any(map(delimiter_of, text))
-        return rows_above_header(
+        if text and text[0].startswith(layout.COMMENTS):
+            return layout.rows_of_comments(text)
+        spaced = not any(map(layout.delimiter_of, text))
+        return layout.rows_above_header(
             [
-                cells_of(line) if spaced or delimiter_of(line) else [line]
+                layout.cells_of(line) if spaced or layout.delimiter_of(line) else [line]
                 for line in text
             ]
         )
@@ -205,8 +195,8 @@ class Source:
             return list(self.table().columns)
         if self.kind == "workbook" or not self.first_lines:
             return []
-        names = cells_of(header_text(self.first_lines[0]))
-        if all(map(is_number, names)):
+        names = layout.cells_of(layout.header_text(self.first_lines[0]))
+        if all(map(layout.is_number, names)):
             return [str(index) for index in range(len(names))]
         return names
 
@@ -220,7 +210,7 @@ class Source:
             return self._count_rows(_array(self.content))
         if self.kind == "workbook":
             sheet, skip = self.reading.sheet, self.reading.skip
-            return sheet_table(self.content, sheet, skip, self.faults)
+            return layout.sheet_table(self.content, sheet, skip, self.faults)
         if self.kind == "text":
             return self.read_text_table(skip=self.skip)
         raise InputError(
@@ -232,7 +222,7 @@ class Source:
         self, *, skip: int = 0, below: int = 0, names: Sequence[str] | None = None
     ) -> Table:
         """The table of a text file; arguments as of `read_delimited`."""
-        return read_delimited(
+        return layout.read_delimited(
             self.text, skip=skip, below=below, names=names, faults=self.faults
         )
 

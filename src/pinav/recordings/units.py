@@ -1,7 +1,7 @@
 """Units that files are written in, and those that recordings are read into."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 
 from pinav.errors import InputError
 
@@ -111,26 +111,13 @@ def command(name: str, target: str, unit: str) -> float:
     return known[word]
 
 
-def stated_length(units: Mapping[str, str] | None) -> tuple[float, str] | None:
-    """Factor and unit of positions as the user states them, if at all."""
-    return _conversion(units, "x", length, (*_MICROMETRES, "px"))
-
-
-def stated_duration(units: Mapping[str, str] | None) -> tuple[float, str] | None:
-    """Factor and unit of times as the user states them, if at all."""
-    return _conversion(units, "t", duration, (*_SECONDS, "frame"))
-
-
-def _conversion(
-    units: Mapping[str, str] | None,
-    name: str,
-    read: Callable[[str], tuple[float, str]],
-    known: Sequence[str],
-) -> tuple[float, str] | None:
+def stated(units: Mapping[str, str] | None, name: str) -> tuple[float, str] | None:
+    """Factor and unit that the user states of positions (x) or times (t), if any."""
     if units is None or name not in units:
         return None
-    factor, unit = read(units[name])
+    factor, unit = (length if name == "x" else duration)(units[name])
     if unit == "?":
+        known = (*_MICROMETRES, "px") if name == "x" else (*_SECONDS, "frame")
         raise InputError(
             f"units: expected {name} in one of {', '.join(known)}; got {units[name]!r}"
         )

@@ -62,7 +62,6 @@ class Cell(msgspec.Struct, frozen=True):
         Args:
             command: "module:name".
             settings: a struct of numbers, words, and sequences and structs of them.
-            system: name of the system, or the path of the data.
             others: the fields `seed`, `label` and `shape`.
         """
         content = without_none(msgspec.to_builtins(settings, enc_hook=str))
@@ -181,31 +180,18 @@ class CellStore:
     def outcome_of(self, name: str) -> CellOutcome | None:
         """What became of the cell of that name; none where it is not done."""
         folder = self.path / name
-        try:
-            content = (folder / OUTCOME_FILE).read_bytes()
-            return msgspec.json.decode(content, type=CellOutcome)
-        except FileNotFoundError:
-            if folder.exists():
-                raise InputError(
-                    f"{folder} is damaged; delete it and continue with --resume"
-                ) from None
+        if not folder.exists():
             return None
-        except (OSError, msgspec.DecodeError) as error:
+        if not (folder / OUTCOME_FILE).exists():
             raise InputError(
-                f"{folder / OUTCOME_FILE} cannot be read ({error}); delete {folder} "
-                "and continue with --resume"
-            ) from error
+                f"{folder} is damaged; delete it and continue with --resume"
+            )
+        return _read(folder / OUTCOME_FILE, CellOutcome, f"delete {folder}")
 
     def read_result(self, cell: Cell, name: str, kind: type[Result]) -> Result:
         """What a finished cell has written as JSON."""
         folder = self.folder(cell)
-        try:
-            return msgspec.json.decode((folder / name).read_bytes(), type=kind)
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-            raise InputError(
-                f"{folder / name} cannot be read ({error}); delete {folder} and "
-                "continue with --resume"
-            ) from error
+        return _read(folder / name, kind, f"delete {folder}")
 
     def wait_for(self, cell: Cell) -> CellOutcome | None:
         """The outcome of a cell that a worker says is done.
@@ -232,14 +218,7 @@ class CellStore:
     def read_plan(self) -> Plan | None:
         """The table of cells; none where there is none."""
         file = self.path / SWEEP_FILE
-        try:
-            return msgspec.json.decode(file.read_bytes(), type=Plan)
-        except FileNotFoundError:
-            return None
-        except (OSError, msgspec.DecodeError) as error:
-            raise InputError(
-                f"{file} cannot be read ({error}); delete it and continue with --resume"
-            ) from error
+        return _read(file, Plan, "delete it") if file.exists() else None
 
     def begin(self, cell: Cell) -> Path:
         """A folder for an attempt; `publish` makes its part `result` the cell's."""
@@ -257,8 +236,7 @@ class CellStore:
         result = attempt / RESULT
         write_whole(result / CELL_FILE, lambda file: file.write(cell.text.encode()))
         write_whole(
-            result / OUTCOME_FILE,
-            lambda file: file.write(msgspec.json.encode(outcome)),
+            result / OUTCOME_FILE, lambda file: file.write(msgspec.json.encode(outcome))
         )
         try:
             os.rename(result, self.folder(cell))
@@ -298,6 +276,16 @@ class CellStore:
                     self.forget(cell)
                     self.discard(cell)
         (self.path / SWEEP_FILE).unlink(missing_ok=True)
+
+
+def _read(file: Path, kind: type[Result], remedy: str) -> Result:
+    """The content of a file as JSON."""
+    try:
+        return msgspec.json.decode(file.read_bytes(), type=kind)
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{file} cannot be read ({error}); {remedy} and continue with --resume"
+        ) from error
 
 
 @contextlib.contextmanager

@@ -41,8 +41,6 @@ def map_cells(
     The caller holds the folder (`claim`). Without a cell to do, no worker is started.
 
     Args:
-        cells: the table.
-        title: of the progress bar.
         on_done: told of each cell when it is done now.
 
     Returns:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from pinav.errors import InputError
+from pinav.thermal import quantities
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.case import Case, FromFile
 from pinav.thermal.case_geometry import Box, Meshed, Voxels
@@ -33,27 +34,16 @@ from pinav.thermal.perfusion import (
     mass_perfusion,
     perfusion_factor,
 )
-from pinav.thermal.quantities import (
-    Concentration,
-    Conductivity,
-    Density,
-    Field,
-    Magnitude,
-    Metabolic,
-    PowerDensity,
-    SpecificHeat,
-    within,
-)
 from pinav.thermal.tissues import Blood, Tissue, mix
 
 KINDS = {
-    "conductivity": Conductivity,
-    "density": Density,
-    "specific_heat": SpecificHeat,
-    "metabolic": Metabolic,
-    "perfusion": Magnitude,
-    "concentration": Concentration,
-    "absorption": PowerDensity,
+    "conductivity": quantities.Conductivity,
+    "density": quantities.Density,
+    "specific_heat": quantities.SpecificHeat,
+    "metabolic": quantities.Metabolic,
+    "perfusion": quantities.Magnitude,
+    "concentration": quantities.Concentration,
+    "absorption": quantities.PowerDensity,
 }
 """Numbers that a map may hold, of the same ranges as those of a table."""
 
@@ -70,8 +60,8 @@ class Body(eqx.Module):
         image: labels, where the cells are voxels.
     """
 
-    fractions: dict[str, Field]
-    target: Field
+    fractions: dict[str, quantities.Field]
+    target: quantities.Field
     middle: tuple[float, ...] | None = None
     radius: float | None = None
     image: Image | None = None
@@ -83,12 +73,7 @@ class Body(eqx.Module):
 
 
 def build_body(case: Case, folder: Path) -> tuple[Bioheat, Body]:
-    """The tissues and target of a case, and the model of them without sources.
-
-    Raises:
-        InputError: a name or a unit is unknown, a perfusion implausible, or a file
-            cannot be read, is not of these voxels, or holds what no tissue has.
-    """
+    """The tissues and target of a case, and the model of them without sources."""
     if isinstance(case.grid, Voxels):
         return _voxel_body(case, case.grid, folder)
     return _ball_body(case, case.grid)
@@ -191,7 +176,7 @@ class _Files:
         inside = values[mask]
         for extreme in (inside.min(), inside.max()) if inside.size else ():
             try:
-                within(kind, KINDS[kind], float(extreme))
+                quantities.within(kind, KINDS[kind], float(extreme))
             except ValueError as error:
                 words = str(error).removeprefix(f"{kind}: ")
                 raise InputError(f"{path}: {words}") from error

@@ -10,22 +10,8 @@ import jax.numpy as jnp
 import msgspec
 
 from pinav.errors import InputError
-from pinav.thermal.boundaries import AbstractBoundary, AbstractEnds, outer
-from pinav.thermal.case_geometry import (
-    Ends,
-    Grid,
-    Learn,
-    Optimise,
-    Place,
-    Probes,
-    Side,
-    SideTables,
-    Voxels,
-    check_ball,
-    check_point,
-    check_sides,
-    read_boundary,
-)
+from pinav.thermal import case_geometry, quantities
+from pinav.thermal.boundaries import AbstractBoundary, AbstractEnds, Sides, outer
 from pinav.thermal.case_matter import (
     FieldTable,
     Heating,
@@ -37,14 +23,7 @@ from pinav.thermal.case_matter import (
 )
 from pinav.thermal.dose import DAMAGES, Arrhenius
 from pinav.thermal.grids import AbstractGrid
-from pinav.thermal.quantities import (
-    Length,
-    Strict,
-    Table,
-    Time,
-    explain,
-    read_module,
-)
+from pinav.thermal.quantities import Strict, explain, read_module
 from pinav.thermal.sources import EddySource
 from pinav.thermal.tissues import Blood
 
@@ -61,9 +40,9 @@ USUAL_STEP = 7.5
 class Tumour(Strict, frozen=True):
     """A ball of another tissue; its centre [m] is that of the grid unless given."""
 
-    radius: Length
+    radius: quantities.Length
     tissue: Medium
-    center: tuple[Place, ...] | None = None
+    center: tuple[quantities.Place, ...] | None = None
 
 
 class FromFile(Strict, frozen=True):
@@ -79,31 +58,31 @@ class Case(Strict, frozen=True):
     """One case: tissue, heating and field, and what is asked."""
 
     title: str
-    grid: Grid
+    grid: case_geometry.Grid
     heating: Heating
     field: FieldTable
     tissue: Medium | None = None
     tumour: Tumour | None = None
     tissues: dict[str, Medium] = msgspec.field(default_factory=dict)
     target: tuple[str, ...] | FromFile | None = None
-    blood_table: Table = msgspec.field(default_factory=dict, name="blood")
-    wall_table: Side = msgspec.field(
+    blood_table: quantities.Table = msgspec.field(default_factory=dict, name="blood")
+    wall_table: case_geometry.Side = msgspec.field(
         default_factory=lambda: {"temperature": 37.0}, name="wall"
     )
-    sides: SideTables = SideTables()
+    sides: case_geometry.SideTables = case_geometry.SideTables()
     start: Literal["rest", "steady"] | FromFile = "rest"
-    eddy_table: Table | None = msgspec.field(default=None, name="eddy")
-    damage_table: Table | None = msgspec.field(default=None, name="damage")
+    eddy_table: quantities.Table | None = msgspec.field(default=None, name="eddy")
+    damage_table: quantities.Table | None = msgspec.field(default=None, name="damage")
     limit: LimitName | None = None
-    probes: Probes | None = None
-    learn: Learn | None = None
-    optimise: Optimise | None = None
-    step: Time | None = None
+    probes: case_geometry.Probes | None = None
+    learn: case_geometry.Learn | None = None
+    optimise: case_geometry.Optimise | None = None
+    step: quantities.Time | None = None
 
     def __post_init__(self) -> None:
         # refuses tables that state none
         _ = self.blood, self.eddy, self.damage, self.boundaries(3)
-        if isinstance(self.grid, Voxels):
+        if isinstance(self.grid, case_geometry.Voxels):
             self._check_labels()
         else:
             self._check_ball(self.grid.build())
@@ -119,7 +98,7 @@ class Case(Strict, frozen=True):
     @property
     def wall(self) -> AbstractBoundary:
         """Boundary of all outer sides that the case does not state."""
-        return read_boundary("wall", self.wall_table)
+        return case_geometry.read_boundary("wall", self.wall_table)
 
     @property
     def eddy(self) -> EddySource | None:
@@ -148,12 +127,8 @@ class Case(Strict, frozen=True):
         return self.sides.build(self.wall, axes)
 
     def check_extent(self, grid: AbstractGrid) -> None:
-        """Refuse sides, probes and a size that do not go with the cells of a grid.
-
-        Raises:
-            ValueError: they do not.
-        """
-        check_sides(grid, self.sides)
+        """Refuse sides, probes and a size that do not go with the cells of a grid."""
+        case_geometry.check_sides(grid, self.sides)
         self._check_center(grid)
         self._check_size(grid)
         self._check_probes(grid)
@@ -168,11 +143,10 @@ class Case(Strict, frozen=True):
     @property
     def _outside(self) -> list[float]:
         """Temperatures behind the sides that have one [°C], and of the arteries."""
-        stated = [one for one in self.sides.along if isinstance(one, Ends)]
-        tables = [side for one in stated for side in (one.low, one.high)]
-        sides = [read_boundary("sides", one) for one in tables if one is not None]
+        pairs = [one for one in self.boundaries(3) if isinstance(one, Sides)]
         one = jnp.ones(())
-        walls = [side.passage(one, one) for side in (self.wall, *sides)]
+        sides = self.wall, *(side for pair in pairs for side in (pair.low, pair.high))
+        walls = [side.passage(one, one) for side in sides]
         outside = [float(wall.outside) for wall in walls if wall.conductance > 0]
         return [float(self.blood.arterial), *outside]
 
@@ -203,7 +177,9 @@ class Case(Strict, frozen=True):
                     f"expected numbers, got the file {file!r}; maps need a grid of "
                     "voxels"
                 )
-        check_ball(grid, self.tumour.radius, self.tumour.center, self.sides)
+        case_geometry.check_ball(
+            grid, self.tumour.radius, self.tumour.center, self.sides
+        )
         self.check_extent(grid)
 
     def _check_labels(self) -> None:
@@ -249,13 +225,13 @@ class Case(Strict, frozen=True):
                 "heating.center: expected none on a sphere or cylinder, which is "
                 "heated about its centre; take a box for another place"
             )
-        check_point("heating.center", center, grid.extent)
+        case_geometry.check_point("heating.center", center, grid.extent)
 
     def _check_probes(self, grid: AbstractGrid) -> None:
         if self.probes is None:
             return
         for point in self.probes.points:
-            check_point("probes.points", point, grid.extent)
+            case_geometry.check_point("probes.points", point, grid.extent)
         if self.probes.every > self.field.duration:
             raise ValueError(
                 f"probes.every: expected within the protocol, <= "
@@ -305,7 +281,7 @@ class Case(Strict, frozen=True):
                 "there, or lower the field"
             )
 
-    def _check_bounds(self, settings: Optimise) -> None:
+    def _check_bounds(self, settings: case_geometry.Optimise) -> None:
         if settings.max_temperature <= self.blood.arterial:
             raise ValueError(
                 f"optimise.max_temperature: expected above the arterial temperature, "

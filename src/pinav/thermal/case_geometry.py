@@ -5,30 +5,9 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from pinav.thermal.boundaries import (
-    BOUNDARIES,
-    AbstractBoundary,
-    AbstractEnds,
-    Periodic,
-    Sides,
-)
+from pinav.thermal import boundaries, quantities
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
-from pinav.thermal.quantities import (
-    NOISIEST,
-    Cells,
-    Celsius,
-    Edge,
-    Fraction,
-    Length,
-    Noise,
-    Place,
-    Reference,
-    Seed,
-    Strict,
-    Table,
-    Time,
-    read_module,
-)
+from pinav.thermal.quantities import Strict, Table, read_module
 
 Point = tuple[float, ...]
 """One coordinate along each axis [m]."""
@@ -37,8 +16,8 @@ Point = tuple[float, ...]
 class Sphere(Strict, frozen=True, tag="sphere", tag_field="kind"):
     """A sphere, everything a function of the radius [m]."""
 
-    radius: Length
-    cells: Cells
+    radius: quantities.Length
+    cells: quantities.Cells
 
     def build(self) -> RadialGrid:
         return RadialGrid.sphere(self.radius, self.cells)
@@ -54,8 +33,8 @@ class Cylinder(Sphere, frozen=True, tag="cylinder", tag_field="kind"):
 class Box(Strict, frozen=True, tag="box", tag_field="kind"):
     """Two or three axes with cells of a size [m], the same along all unless given."""
 
-    cells: tuple[Cells, ...]
-    size: Length | tuple[Length, ...]
+    cells: tuple[quantities.Cells, ...]
+    size: quantities.Length | tuple[quantities.Length, ...]
 
     def __post_init__(self) -> None:
         if len(self.cells) not in (2, 3):
@@ -86,7 +65,7 @@ class Voxels(Strict, frozen=True, tag="voxels", tag_field="kind"):
     """
 
     labels: str
-    size: tuple[Edge, ...] | None = None
+    size: tuple[quantities.Edge, ...] | None = None
 
 
 Meshed = Sphere | Cylinder | Box
@@ -121,23 +100,27 @@ class SideTables(Strict, frozen=True):
     def along(self) -> tuple[Across, Across, Across]:
         return self.x, self.y, self.z
 
-    def build(self, wall: AbstractBoundary, axes: int) -> tuple[AbstractEnds, ...]:
+    def build(
+        self, wall: boundaries.AbstractBoundary, axes: int
+    ) -> tuple[boundaries.AbstractEnds, ...]:
         return tuple(
             _ends(f"sides.{name}", ends, wall)
             for name, ends in tuple(zip("xyz", self.along, strict=True))[:axes]
         )
 
 
-def read_boundary(key: str, side: Side) -> AbstractBoundary:
+def read_boundary(key: str, side: Side) -> boundaries.AbstractBoundary:
     """The boundary that a table states."""
-    return read_module(key, BOUNDARIES, side)
+    return read_module(key, boundaries.BOUNDARIES, side)
 
 
-def _ends(key: str, ends: Across, wall: AbstractBoundary) -> AbstractEnds:
+def _ends(
+    key: str, ends: Across, wall: boundaries.AbstractBoundary
+) -> boundaries.AbstractEnds:
     if isinstance(ends, str):
-        return Periodic()
+        return boundaries.Periodic()
     low, high = (None, None) if ends is None else (ends.low, ends.high)
-    return Sides(
+    return boundaries.Sides(
         wall if low is None else read_boundary(f"{key}.low", low),
         wall if high is None else read_boundary(f"{key}.high", high),
     )
@@ -146,8 +129,8 @@ def _ends(key: str, ends: Across, wall: AbstractBoundary) -> AbstractEnds:
 class Probes(Strict, frozen=True):
     """Where [m] and how often [s] temperature is read."""
 
-    points: tuple[tuple[Place, ...], ...]
-    every: Time = 10.0
+    points: tuple[tuple[quantities.Place, ...], ...]
+    every: quantities.Time = 10.0
 
     def __post_init__(self) -> None:
         if len(set(self.points)) < len(self.points):
@@ -231,9 +214,9 @@ class Frames(Strict, frozen=True):
     """
 
     readings: str
-    noise: Annotated[float, Meta(gt=0, le=NOISIEST)] | str
+    noise: Annotated[float, Meta(gt=0, le=quantities.NOISIEST)] | str
     quantity: Literal["temperature", "rise", "phase"] = "temperature"
-    every: Time | None = None
+    every: quantities.Time | None = None
     turn: Annotated[float, Meta(gt=0, le=1e4)] | None = None
     drift: Literal["none", "constant", "linear"] = "linear"
     magnet: Annotated[float, Meta(ge=0.01, le=30)] | None = None
@@ -265,11 +248,11 @@ class Learn(Strict, frozen=True):
     kind: Literal["kernels", "network", "constant"] = "kernels"
     data: str | None = None
     thermometry: Frames | None = None
-    noise: Noise = 0.1
-    seed: Seed = 0
+    noise: quantities.Noise = 0.1
+    seed: quantities.Seed = 0
     power_scale: bool = False
     spot: bool = False
-    until: Time | None = None
+    until: quantities.Time | None = None
     truth: str | None = None
     held_out: tuple[Annotated[float, Meta(gt=0, le=100)], ...] = ()
 
@@ -305,10 +288,10 @@ class Optimise(Strict, frozen=True):
     until then say what the tissue is like.
     """
 
-    largest: Reference
-    start: Fraction = 0.5
-    max_temperature: Celsius = 47.0
+    largest: quantities.Reference
+    start: quantities.Fraction = 0.5
+    max_temperature: quantities.Celsius = 47.0
     healthy_dose: Annotated[float, Meta(gt=0, le=1e9)] | None = None
     margin: Annotated[float, Meta(ge=0, le=10)] = 0.003
     placement: Annotated[int, Meta(ge=2, le=100)] | None = None
-    after: Time | None = None
+    after: quantities.Time | None = None

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from pinav.thermal import quantities, sources
 from pinav.thermal.perfusion import (
     AbstractPerfusion,
     ConstantPerfusion,
@@ -17,31 +18,7 @@ from pinav.thermal.perfusion import (
     mass_perfusion,
 )
 from pinav.thermal.protocols import Piecewise
-from pinav.thermal.quantities import (
-    Amplitude,
-    Celsius,
-    Concentration,
-    Conductivity,
-    Density,
-    Frequency,
-    Length,
-    Magnitude,
-    Metabolic,
-    Place,
-    PowerDensity,
-    Reference,
-    Scale,
-    SpecificHeat,
-    Strict,
-    Time,
-)
-from pinav.thermal.sources import (
-    AbstractHeating,
-    LinearResponse,
-    LogNormalSizes,
-    TabulatedHeating,
-    check_increasing,
-)
+from pinav.thermal.quantities import Strict
 from pinav.thermal.tissues import Blood, Tissue, preset
 
 PROPERTIES = ("conductivity", "density", "specific_heat", "metabolic")
@@ -56,9 +33,9 @@ class Flow(Strict, frozen=True):
     """
 
     law_name: str | None = msgspec.field(default=None, name="law")
-    value: Magnitude | None = None
-    temperatures: tuple[Celsius, ...] = ()
-    values: tuple[Magnitude, ...] = ()
+    value: quantities.Magnitude | None = None
+    temperatures: tuple[quantities.Celsius, ...] = ()
+    values: tuple[quantities.Magnitude, ...] = ()
     file: str | None = None
     unit: str | None = None
 
@@ -102,10 +79,10 @@ class Medium(Strict, frozen=True):
     perfusion: Flow
     label: Annotated[int, Meta(ge=0, le=LARGEST_LABEL)] | None = None
     preset: str | None = None
-    conductivity: Conductivity | str | None = None
-    density: Density | str | None = None
-    specific_heat: SpecificHeat | str | None = None
-    metabolic: Metabolic | str | None = None
+    conductivity: quantities.Conductivity | str | None = None
+    density: quantities.Density | str | None = None
+    specific_heat: quantities.SpecificHeat | str | None = None
+    metabolic: quantities.Metabolic | str | None = None
 
     @property
     def file(self) -> str | None:
@@ -146,10 +123,10 @@ class Power(Strict, frozen=True, tag="power", tag_field="kind"):
     `width` [m] a Gaussian everywhere, about the tumour unless a `center` [m] is given.
     """
 
-    density: PowerDensity
-    reference: Reference
-    width: Length | None = None
-    center: tuple[Place, ...] | None = None
+    density: quantities.PowerDensity
+    reference: quantities.Reference
+    width: quantities.Length | None = None
+    center: tuple[quantities.Place, ...] | None = None
     edge_weighted: bool = False
 
     def __post_init__(self) -> None:
@@ -166,8 +143,8 @@ class Absorption(Strict, frozen=True, tag="sar", tag_field="kind"):
     """A file of SAR [W/kg] at a reference amplitude [A/m], times a scale."""
 
     file: str
-    reference: Reference
-    scale: Scale = 1.0
+    reference: quantities.Reference
+    scale: quantities.Scale = 1.0
 
 
 class Particles(Strict, frozen=True, tag="particles", tag_field="kind"):
@@ -179,16 +156,16 @@ class Particles(Strict, frozen=True, tag="particles", tag_field="kind"):
     and the viscosity [Pa s] of the carrier of free particles.
     """
 
-    concentration: Concentration | str
+    concentration: quantities.Concentration | str
     diameter: Annotated[float, Meta(ge=1, le=1000)]
     bound: bool = True
     spread: Annotated[float, Meta(gt=0, le=1)] | None = None
-    scale: Scale = 1.0
+    scale: quantities.Scale = 1.0
     anisotropy: Annotated[float, Meta(ge=0.1, le=1000)] = 23.0
     magnetisation: Annotated[float, Meta(ge=1, le=2000)] = 446.0
     attempt_time: Annotated[float, Meta(ge=1e-13, le=1e-7)] = 1e-9
     coating: Annotated[float, Meta(ge=0, le=1000)] = 2.0
-    solid_density: Density = 5180.0
+    solid_density: quantities.Density = 5180.0
     viscosity: Annotated[float, Meta(gt=0, le=1e6)] | None = None
 
     def __post_init__(self) -> None:
@@ -198,9 +175,9 @@ class Particles(Strict, frozen=True, tag="particles", tag_field="kind"):
                 "set bound = false, or remove it"
             )
 
-    def heating(self) -> AbstractHeating:
+    def heating(self) -> sources.AbstractHeating:
         viscosity = 1e-3 if self.viscosity is None else self.viscosity
-        response = LinearResponse(
+        response = sources.LinearResponse(
             1e-9 * self.diameter,
             anisotropy=1e3 * self.anisotropy,
             magnetisation=1e3 * self.magnetisation,
@@ -211,7 +188,7 @@ class Particles(Strict, frozen=True, tag="particles", tag_field="kind"):
         )
         if self.spread is None:
             return response
-        return LogNormalSizes(response, self.spread)
+        return sources.LogNormalSizes(response, self.spread)
 
 
 class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
@@ -220,14 +197,14 @@ class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
     One row for each amplitude [A/m], one column for each frequency [Hz].
     """
 
-    concentration: Concentration | str
-    amplitudes: tuple[Reference, ...]
-    frequencies: tuple[Frequency, ...]
+    concentration: quantities.Concentration | str
+    amplitudes: tuple[quantities.Reference, ...]
+    frequencies: tuple[quantities.Frequency, ...]
     slp: tuple[tuple[Annotated[float, Meta(ge=0, le=1e5)], ...], ...]
-    scale: Scale = 1.0
+    scale: quantities.Scale = 1.0
 
     def __post_init__(self) -> None:
-        check_increasing(self, "amplitudes", "frequencies")
+        sources.check_increasing(self, "amplitudes", "frequencies")
         shape = [len(self.frequencies)] * len(self.amplitudes)
         if [len(row) for row in self.slp] != shape:
             raise ValueError(
@@ -236,8 +213,8 @@ class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
                 f"of {[len(row) for row in self.slp]}"
             )
 
-    def heating(self) -> AbstractHeating:
-        return TabulatedHeating(
+    def heating(self) -> sources.AbstractHeating:
+        return sources.TabulatedHeating(
             np.array(self.amplitudes),
             np.array(self.frequencies),
             1e3 * np.array(self.slp),
@@ -270,12 +247,12 @@ class FieldTable(Strict, frozen=True):
     and `off` [s] make bursts of the one amplitude until the last time.
     """
 
-    frequency: Frequency
+    frequency: quantities.Frequency
     times: tuple[Annotated[float, Meta(ge=0, le=1e7)], ...]
-    amplitudes: tuple[Amplitude, ...] = ()
-    ramp: tuple[Amplitude, ...] = ()
-    on: Time | None = None
-    off: Time | None = None
+    amplitudes: tuple[quantities.Amplitude, ...] = ()
+    ramp: tuple[quantities.Amplitude, ...] = ()
+    on: quantities.Time | None = None
+    off: quantities.Time | None = None
 
     def __post_init__(self) -> None:
         self._check_times()

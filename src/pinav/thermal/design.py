@@ -4,7 +4,6 @@ A design variable is a few numbers between 0 and 1 that change a run; an objecti
 constrained quantity is a differentiable function of the run and its solution.
 """
 
-import itertools
 from collections.abc import Callable
 
 import equinox as eqx
@@ -146,7 +145,6 @@ def free_amplitudes(
 
     Args:
         largest: $H_{max}$ [A m⁻¹], positive.
-        count: number of intervals.
         first: $H_j/H_{max}$ to start from, the same in all.
         before: number of intervals at the begin that keep their amplitudes.
 
@@ -219,10 +217,7 @@ def shells(
     Each has the same total, in kilograms of particles, or watts.
     """
     edges = np.linspace(0.0, radius, count + 1)
-    balls = [model.grid.ball(float(r)) if r > 0 else None for r in edges]
-    rows = []
-    for inner, outer in itertools.pairwise(balls):
-        assert outer is not None
-        shell = outer if inner is None else outer - inner
-        rows.append(shell * (total / jnp.sum(shell * model.grid.volumes)))
-    return jnp.stack(rows)
+    balls = [model.grid.ball(float(r)) for r in edges[1:]]
+    shells = jnp.diff(jnp.stack([jnp.zeros_like(balls[0]), *balls]), axis=0)
+    volumes = model.grid.volumes
+    return jax.vmap(lambda shell: shell * (total / jnp.sum(shell * volumes)))(shells)

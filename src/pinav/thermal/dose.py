@@ -37,8 +37,6 @@ def cem43_segment(
     $4^{T-43}/\ln 4$ below, split at 43 °C and at the cut-off; exact.
 
     Args:
-        begin: temperature at the begin [°C].
-        end: temperature at the end [°C].
         duration: of the segment [s].
         cutoff: temperature [°C] below which nothing counts.
     """

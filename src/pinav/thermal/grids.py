@@ -388,9 +388,7 @@ class ResistanceScale(eqx.Module):
 
     @classmethod
     def of(
-        cls,
-        edges: Float[np.ndarray, " face"],
-        conductivity: Float[np.ndarray, " cell"],
+        cls, edges: Float[np.ndarray, " face"], conductivity: Float[np.ndarray, " cell"]
     ) -> "ResistanceScale":
         resistivity, sizes = 1 / np.asarray(conductivity, float), np.diff(edges)
         faces = np.append(0.0, np.cumsum(resistivity * sizes))

@@ -163,11 +163,12 @@ def simulate(
     times, heated = np.asarray(solution.times), end_of_heating(protocol)
     index = int(np.abs(times - heated).argmin())
     highest = float(solution.hottest.max())
-    fields = (
-        _along_radius(setup, model, protocol, seen)
-        if setup.body.target.ndim == 1
-        else _on_planes(setup, times, seen)
-    )
+    if setup.body.target.ndim > 1:
+        fields = _on_planes(setup, times, seen)
+    else:
+        radius, profiles = np.asarray(model.grid.distances()), seen["field"]
+        balance = radial_balance(setup, model, protocol)
+        fields = {"radius": radius, "profiles": profiles, "balance": balance}
     return HeatedRun(
         title=setup.title,
         T_max=highest,
@@ -211,16 +212,6 @@ def _follow(setup: Setup, model: Bioheat, protocol: Piecewise) -> Solution:
         start=setup.start,
         damage=setup.damage,
     )
-
-
-def _along_radius(
-    setup: Setup, model: Bioheat, protocol: Piecewise, seen: dict[str, np.ndarray]
-) -> dict[str, PyTree]:
-    return {
-        "radius": np.asarray(model.grid.distances()),
-        "profiles": seen["field"],
-        "balance": radial_balance(setup, model, protocol),
-    }
 
 
 def _on_planes(

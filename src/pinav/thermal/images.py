@@ -203,11 +203,7 @@ def phase_turn(field: Number, echo: Number, coefficient: Number = -1e-8) -> floa
 def read_frames(
     frames: Frames, labels: Image | None, arterial: float, folder: Path
 ) -> Readings:
-    """Frames of thermometry that a case names.
-
-    Raises:
-        InputError: a file cannot be read, or holds what no thermometer says.
-    """
+    """Frames of thermometry that a case names."""
     if labels is None:
         raise InputError(
             "learn.thermometry: expected a grid of voxels, got another; take data, a "

@@ -12,15 +12,9 @@ from jaxtyping import Array, Float
 from pinav.fitting import EvidenceFit, Outcome
 from pinav.fitting.bayes.parameters import derive
 from pinav.fitting.engine.posterior import Estimate, Posterior
+from pinav.thermal import learning
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.heated_run import FOLLOWED, AbstractHeatResult, Watched
-from pinav.thermal.learning import (
-    PerfusionCurve,
-    Residuals,
-    Voxels,
-    perfusion_curve,
-    visited_range,
-)
 from pinav.thermal.protocols import plan_steps
 from pinav.thermal.readings import Readings
 from pinav.thermal.setup import Setup
@@ -205,7 +199,7 @@ class LearnedTissue(AbstractHeatResult):
     relative: bool
     log_evidence: float | None
     constants: dict[str, Estimate]
-    laws: dict[str, PerfusionCurve]
+    laws: dict[str, learning.PerfusionCurve]
     constant_residual: float
     held_out: tuple[HeldOut, ...]
     quantities: tuple[LearnedQuantity, ...]
@@ -274,16 +268,16 @@ class _Comparison(NamedTuple):
     scaled: Float[np.ndarray, "time place"]
 
     @classmethod
-    def of(cls, residuals: Residuals, model: Bioheat) -> "_Comparison":
+    def of(cls, residuals: learning.Residuals, model: Bioheat) -> "_Comparison":
         predicted, read = map(np.asarray, residuals.correct(model))
         return cls(predicted, read, (predicted - read) * np.asarray(residuals.weights))
 
 
 def _frames(
-    setup: Setup, residuals: Residuals, comparison: _Comparison
+    setup: Setup, residuals: learning.Residuals, comparison: _Comparison
 ) -> FittedFrames:
     predicted, corrected = comparison.predicted, comparison.read
-    assert isinstance(residuals.observe, Voxels)
+    assert isinstance(residuals.observe, learning.Voxels)
     grid, cells = setup.model.grid, np.asarray(residuals.observe.cells)
 
     def image(values: np.ndarray) -> np.ndarray:
@@ -332,18 +326,18 @@ def _rms(values: Float[np.ndarray, "..."]) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
-def _laws(task: TissueFit, fit: EvidenceFit) -> dict[str, PerfusionCurve]:
+def _laws(task: TissueFit, fit: EvidenceFit) -> dict[str, learning.PerfusionCurve]:
     setup, curves = task.setup, {}
     truth = setup if task.settings.is_synthetic else task.truth
     for name in task.names:
-        visited = visited_range(
+        visited = learning.visited_range(
             fit.model, setup.protocol, setup.body.fractions[name], setup.start
         )
         at = np.linspace(setup.arterial, visited[1] + 1.0, 61)
         true = None
         if truth is not None:
             true = np.array([mean_perfusion(truth, name, one) for one in at])
-        curves[name] = perfusion_curve(
+        curves[name] = learning.perfusion_curve(
             fit.posterior, setup.body.law(name), at, visited, true
         )
     return curves
@@ -361,11 +355,7 @@ def _held_out(
     def solution(model: Bioheat) -> Solution:
         every = protocol.duration / 60
         return solve(
-            model,
-            protocol,
-            stepper=setup.stepper,
-            save_every=every,
-            start=setup.start,
+            model, protocol, stepper=setup.stepper, save_every=every, start=setup.start
         )
 
     truth = solution(setup.model).observed

@@ -26,10 +26,12 @@ from pinav.thermal.perfusion import AbstractLearnedPerfusion
 from pinav.thermal.protocols import AbstractProtocol, Schedule, plan_steps
 from pinav.thermal.quantities import Field, Number, Numbers
 from pinav.thermal.readings import Readings
-from pinav.thermal.rosenbrock import refuse_jumps
 from pinav.thermal.solve import Observe, default_stepper, probes_at, run, solve
 from pinav.thermal.starts import AT_REST, AbstractStart
-from pinav.thermal.steppers import AbstractStepper
+from pinav.thermal.steppers import AbstractStepper, refuse_jumps
+
+Temperatures = Float[Array, "time place"]
+"""Temperatures of the places that are read [°C], or differences of them [K]."""
 
 Laws = Callable[[Any], tuple[AbstractLearnedPerfusion, ...]]
 """Picks the laws to be learned from a model."""
@@ -78,8 +80,8 @@ class Residuals(eqx.Module):
     schedule: Schedule
     stepper: AbstractStepper
     observe: Observe
-    values: Float[Array, "time place"]
-    weights: Float[Array, "time place"]
+    values: Temperatures
+    weights: Temperatures
     basis: Float[Array, "place term"]
     roots: Float[Array, "time term term"]
     index: Int[Array, " reading"]
@@ -90,7 +92,7 @@ class Residuals(eqx.Module):
         scaled = self.offsets(self.predict(model)) * self.weights
         return (scaled - self.weights * self.drift(scaled)).reshape(-1)[self.index]
 
-    def predict(self, model: Bioheat) -> Float[Array, "time place"]:
+    def predict(self, model: Bioheat) -> Temperatures:
         """Temperatures of the places that are read [°C]."""
         solution = run(
             model,
@@ -102,9 +104,7 @@ class Residuals(eqx.Module):
         )
         return solution.observed
 
-    def offsets(
-        self, predicted: Float[Array, "time place"]
-    ) -> Float[Array, "time place"]:
+    def offsets(self, predicted: Temperatures) -> Temperatures:
         """Predicted less read [K], turns of the phase taken off.
 
         Next to the mean of each frame, on the circle: a drift may be more than a turn.
@@ -120,7 +120,7 @@ class Residuals(eqx.Module):
         )
         return offsets - self.turn * jnp.round((angles - mean[:, None]) / (2 * np.pi))
 
-    def drift(self, scaled: Float[Array, "time place"]) -> Float[Array, "time place"]:
+    def drift(self, scaled: Temperatures) -> Temperatures:
         """The drift [K] that explains weighted residuals best."""
         if not self.basis.shape[1]:
             return jnp.zeros_like(scaled)
@@ -239,15 +239,11 @@ def learn(
         model: where the fit starts; what is not picked stays as it is.
         protocol: the field while the readings were taken, best with steps of power:
             at steady state a scale of the power cannot be told from perfusion.
-        data: the readings.
         laws: picks learned perfusions, such as `lambda m: m.perfusion.laws`.
         constants: picks numbers to learn, such as `lambda m: m.sources[0].scale`.
         noise: standard deviation of a reading [K], of voxels in units of their map;
             estimated unless given.
-        stepper: as of `solve`.
-        start: as of `solve`.
         max_iterations: after which the fit counts as stalled.
-        throw: raise where the fit did not converge.
 
     Raises:
         InputError: nothing is picked, the data do not fit the grid or the protocol, or

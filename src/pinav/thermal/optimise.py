@@ -20,10 +20,9 @@ from pinav.fitting import Outcome
 from pinav.thermal.design import Constraint, DesignVariable, Quantity, Run
 from pinav.thermal.protocols import Schedule, plan_steps
 from pinav.thermal.quantities import Number
-from pinav.thermal.rosenbrock import refuse_jumps
 from pinav.thermal.solve import Solution, default_stepper, run
 from pinav.thermal.starts import AT_REST, AbstractStart, HeatState
-from pinav.thermal.steppers import AbstractStepper
+from pinav.thermal.steppers import AbstractStepper, refuse_jumps
 
 VIOLATION, ACTIVE = 0.01, 0.02
 """Excess over a bound that is not accepted, and distance at which a bound is
@@ -88,9 +87,7 @@ def optimise(
 
     Args:
         start: the run that the design variables change.
-        variables: the design variables.
         maximise: a quantity of a run, such as `log_d90`.
-        subject_to: constraints.
         stepper: as of `solve`.
         begin: where every run begins, as of `solve`; in the middle of the protocol,
             too.

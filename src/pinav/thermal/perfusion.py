@@ -35,7 +35,6 @@ def mass_perfusion(value: Scalar, *, unit: str, blood: Blood, tissue: Tissue) ->
     r"""A perfusion in kg m⁻³ s⁻¹, from any of the usual conventions.
 
     Args:
-        value: the perfusion.
         unit: one of `UNITS`: volume perfusion `1/s`, mass perfusion `kg/m3/s`,
             `ml/min/kg` as in the IT'IS database, or the clinical `ml/min/100g`.
         blood: its density turns volumes into masses.
@@ -359,8 +358,6 @@ def neural_perfusion(
     Args:
         level: perfusion to start from [kg m⁻³ s⁻¹], positive.
         temperatures: range between which it varies [°C].
-        key: random key of the weights.
-        width: neurons of the hidden layer.
 
     Raises:
         InputError: the level is not positive, or the range not increasing.

@@ -13,22 +13,10 @@ from scipy.ndimage import distance_transform_edt
 
 from pinav.errors import InputError
 from pinav.fitting import Outcome
+from pinav.thermal import design
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.case import Case
 from pinav.thermal.case_geometry import Optimise
-from pinav.thermal.design import (
-    Constraint,
-    DesignVariable,
-    Run,
-    free_amplitudes,
-    free_placement,
-    free_scale,
-    healthy_dose,
-    limit_constraint,
-    log_d90,
-    max_temperature,
-    shells,
-)
 from pinav.thermal.grids import CartesianGrid
 from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun, simulate
 from pinav.thermal.optimise import ConstraintValue, Optimum, optimise
@@ -87,8 +75,8 @@ class PlanTask:
     setup: Setup
     settings: Optimise
     learning: TissueFit | None
-    variables: list[DesignVariable]
-    constraints: list[Constraint]
+    variables: list[design.DesignVariable]
+    constraints: list[design.Constraint]
 
     @classmethod
     def of(cls, case: Case, setup: Setup, folder: Path) -> "PlanTask":
@@ -121,11 +109,7 @@ class PlanTask:
         )
 
     def run(self) -> PlannedRun:
-        """Plan, and judge the plan where the truth is known.
-
-        Raises:
-            FitError: no protocol keeps the limits, or the tissue was not learned.
-        """
+        """Plan, and judge the plan where the truth is known."""
         setup, learning, judged = self.setup, self.learning, None
         model = setup.model
         if learning is not None and learning.fitted is not None:
@@ -153,9 +137,9 @@ class PlanTask:
             before = setup.protocol.until(self.settings.after)
             begin = solve(model, before, stepper=setup.stepper, start=begin).final
         return optimise(
-            Run(model, setup.protocol),
+            design.Run(model, setup.protocol),
             self.variables,
-            maximise=log_d90(setup.body.target),
+            maximise=design.log_d90(setup.body.target),
             subject_to=self.constraints,
             stepper=setup.stepper,
             begin=begin,
@@ -198,27 +182,35 @@ def _check_plan(settings: Optimise, setup: Setup) -> None:
     require_heating(setup)
 
 
-def _variables(case: Case, settings: Optimise, setup: Setup) -> list[DesignVariable]:
+def _variables(
+    case: Case, settings: Optimise, setup: Setup
+) -> list[design.DesignVariable]:
     edges = setup.protocol.edges
     kept = 0 if settings.after is None else edges.index(settings.after)
     free = len(edges) - 1 - kept
-    variables: list[DesignVariable] = [
-        free_amplitudes(settings.largest, free, settings.start, kept)
+    variables: list[design.DesignVariable] = [
+        design.free_amplitudes(settings.largest, free, settings.start, kept)
         if case.field.on is None and not case.field.ramp
         # pauses stay pauses, and ramps ramps
-        else free_scale(settings.largest / setup.protocol.largest, settings.start)
+        else design.free_scale(
+            settings.largest / setup.protocol.largest, settings.start
+        )
     ]
     if settings.placement is not None:
         grid, source = setup.model.grid, setup.model.sources[0]
         total = float(jnp.sum(source.shape(grid) * grid.volumes))
         assert setup.body.radius is not None
-        patterns = shells(setup.model, setup.body.radius, settings.placement, total)
-        variables.append(free_placement(patterns))
+        patterns = design.shells(
+            setup.model, setup.body.radius, settings.placement, total
+        )
+        variables.append(design.free_placement(patterns))
     return variables
 
 
-def _constraints(settings: Optimise, setup: Setup) -> list[Constraint]:
-    constraints: list[Constraint] = [max_temperature(settings.max_temperature)]
+def _constraints(settings: Optimise, setup: Setup) -> list[design.Constraint]:
+    constraints: list[design.Constraint] = [
+        design.max_temperature(settings.max_temperature)
+    ]
     if settings.healthy_dose is not None:
         # the margin leaves out tissue that conduction from the tumour heats anyway
         away = tissue_beyond(setup, settings.margin)
@@ -228,8 +220,8 @@ def _constraints(settings: Optimise, setup: Setup) -> list[Constraint]:
                 f"got none at {settings.margin:g} m; give metres, or a smaller one"
             )
         name = f"dose of tissue {1e3 * settings.margin:g} mm or more from the tumour"
-        constraints.append(healthy_dose(settings.healthy_dose, away, name))
-    return constraints + [limit_constraint(limit) for limit in setup.limits]
+        constraints.append(design.healthy_dose(settings.healthy_dose, away, name))
+    return constraints + [design.limit_constraint(limit) for limit in setup.limits]
 
 
 def tissue_beyond(setup: Setup, margin: float) -> Field:

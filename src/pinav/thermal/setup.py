@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pinav.thermal import starts
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.bodies import Body, build_body, read_heating
 from pinav.thermal.case import Case, FromFile, read_case
@@ -17,7 +18,6 @@ from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.protocols import LIMITS, HfLimit, Piecewise
 from pinav.thermal.quantities import Field
 from pinav.thermal.readings import Readings, simulate_probes
-from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import default_stepper
 from pinav.thermal.sources import (
     AbstractSource,
@@ -25,14 +25,7 @@ from pinav.thermal.sources import (
     PowerSource,
     ShiftedSource,
 )
-from pinav.thermal.starts import (
-    AT_REST,
-    AbstractStart,
-    AtSteadyState,
-    find_steady_state,
-    read_state,
-)
-from pinav.thermal.steppers import RKL2, AbstractStepper
+from pinav.thermal.steppers import RKL2, AbstractStepper, Rosenbrock
 
 
 class Setup(eqx.Module):
@@ -51,7 +44,7 @@ class Setup(eqx.Module):
     limits: tuple[HfLimit, ...]
     points: np.ndarray
     every: float
-    start: AbstractStart
+    start: starts.AbstractStart
     damage: Arrhenius | None = None
 
     @classmethod
@@ -66,12 +59,7 @@ class Setup(eqx.Module):
 
     @classmethod
     def of(cls, case: Case, folder: Path) -> "Setup":
-        """The setup of a case.
-
-        Raises:
-            InputError: a name or a unit is unknown, a perfusion implausible, or a file
-                cannot be read.
-        """
+        """The setup of a case."""
         model, body = build_body(case, folder)
         grid = model.grid
         start = _start(case.start, grid.shape, folder)
@@ -80,8 +68,8 @@ class Setup(eqx.Module):
             case.eddy.shape(grid)  # refuses a grid that has no axis
             sources.append(case.eddy)
         model = eqx.tree_at(lambda m: m.sources, model, tuple(sources))
-        if isinstance(start, AtSteadyState):
-            find_steady_state(model)  # refuses a case that has none
+        if isinstance(start, starts.AtSteadyState):
+            starts.find_steady_state(model)  # refuses a case that has none
         stepper = _stepper(case, model)
         stepper.longest_step(model)  # refuses a step that is not stable
         probes = case.probes or Probes(())
@@ -118,10 +106,10 @@ class Setup(eqx.Module):
 
 def _start(
     start: FromFile | str, shape: tuple[int, ...], folder: Path
-) -> AbstractStart:
+) -> starts.AbstractStart:
     if isinstance(start, FromFile):
-        return read_state(folder / start.file, shape)
-    return AtSteadyState() if start == "steady" else AT_REST
+        return starts.read_state(folder / start.file, shape)
+    return starts.AtSteadyState() if start == "steady" else starts.AT_REST
 
 
 def _stepper(case: Case, model: Bioheat) -> AbstractStepper:

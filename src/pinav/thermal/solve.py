@@ -14,9 +14,8 @@ from pinav.thermal.bioheat import Bioheat, HeatBalance
 from pinav.thermal.dose import Arrhenius, cem43_segment
 from pinav.thermal.protocols import AbstractProtocol, Schedule, plan_steps
 from pinav.thermal.quantities import Field, Number, Numbers
-from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.starts import AT_REST, AbstractStart, HeatState
-from pinav.thermal.steppers import RKL2, AbstractStepper
+from pinav.thermal.steppers import RKL2, AbstractStepper, Rosenbrock
 
 
 class EnergyBalance(eqx.Module):
@@ -81,8 +80,6 @@ def solve(
     the `Schedule` of a nearby model to `run` inside a transformation.
 
     Args:
-        model: the tissue.
-        protocol: the field over time.
         stepper: `Rosenbrock()` on radial grids and `RKL2()` on others unless given.
         observe: what of the temperature is kept; all of it unless given.
         observe_dose: what of the dose so far [CEM43 min] is kept; nothing unless given.

@@ -14,18 +14,13 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import EvidenceFit, Outcome
+from pinav.thermal import perfusion
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.case import Case
 from pinav.thermal.case_geometry import Learn
 from pinav.thermal.grids import CartesianGrid
 from pinav.thermal.images import read_frames
 from pinav.thermal.learning import Residuals, learn, read_residuals, visited_range
-from pinav.thermal.perfusion import (
-    AbstractPerfusion,
-    ConstantPerfusion,
-    kernel_perfusion,
-    neural_perfusion,
-)
 from pinav.thermal.readings import Readings, load_probes
 from pinav.thermal.setup import Setup
 from pinav.thermal.sources import ShiftedSource
@@ -40,7 +35,7 @@ ADVICE = {
     str(Outcome.STALLED): (
         "the fit stalled before its steps became small; learn fewer numbers (kind = "
         "'constant' or no spot under [learn]), or give more readings"
-    ),
+    )
 }
 """What can be changed in a case whose fit failed."""
 
@@ -82,7 +77,10 @@ class TissueFit:
                 )
             perfusion_at_rest(setup, name)
         require_heating(setup)
-        data = _read_data(settings, setup, folder)
+        data = None if settings.data is None else load_probes(folder / settings.data)
+        if settings.thermometry is not None:
+            image = setup.body.image
+            data = read_frames(settings.thermometry, image, setup.arterial, folder)
         if data is None and not len(setup.points):
             raise InputError(
                 "learn: expected data, a CSV file, or probes whose readings are "
@@ -129,11 +127,7 @@ class TissueFit:
         return read_residuals(setup.model, setup.protocol, data, **options)
 
     def learn(self, data: Readings, kind: str | None = None) -> EvidenceFit:
-        """Learn laws of a kind, that of the settings unless given, and the sources.
-
-        Raises:
-            FitError: the fit did not converge.
-        """
+        """Learn laws of a kind, that of the settings unless given, and the sources."""
         setup, kind = self.setup, kind or self.settings.kind
         laws, model = [setup.body.law(name) for name in self.names], self.movable()
         for index, law in enumerate(laws):
@@ -160,16 +154,18 @@ class TissueFit:
             advice = ADVICE.get(error.outcome, str(error))
             raise FitError(advice, error.outcome) from error
 
-    def _first_law(self, kind: str, index: int, data: Readings) -> AbstractPerfusion:
+    def _first_law(
+        self, kind: str, index: int, data: Readings
+    ) -> perfusion.AbstractPerfusion:
         name, arterial = self.names[index], self.setup.arterial
         rest = perfusion_at_rest(self.setup, name)
         if kind == "constant":
-            return ConstantPerfusion(jnp.asarray(rest))
+            return perfusion.ConstantPerfusion(jnp.asarray(rest))
         span = (arterial, max(self._hottest(name, data), arterial + 1.0))
         if kind == "kernels":
-            return kernel_perfusion(rest, span)
+            return perfusion.kernel_perfusion(rest, span)
         key = jax.random.fold_in(jax.random.key(self.settings.seed), index)
-        return neural_perfusion(rest, span, key=key)
+        return perfusion.neural_perfusion(rest, span, key=key)
 
     def movable(self) -> Bioheat:
         """The model, its first source one that can be shifted if that is learned."""
@@ -205,14 +201,6 @@ class TissueFit:
         return float(np.nanmax(readings))
 
 
-def _read_data(settings: Learn, setup: Setup, folder: Path) -> Readings | None:
-    if settings.thermometry is not None:
-        return read_frames(
-            settings.thermometry, setup.body.image, setup.arterial, folder
-        )
-    return None if settings.data is None else load_probes(folder / settings.data)
-
-
 def _read_truth(path: Path, setup: Setup, names: tuple[str, ...]) -> Setup:
     truth = Setup.read(path)
     given, expected = (
@@ -246,7 +234,7 @@ def perfusion_at_rest(setup: Setup, name: str) -> float:
 
 def mean_perfusion(setup: Setup, name: str, celsius: float) -> float:
     """Perfusion of a tissue at a temperature [kg m⁻³ s⁻¹], on average over it."""
-    law: AbstractPerfusion = setup.body.law(name)(setup.model)
+    law: perfusion.AbstractPerfusion = setup.body.law(name)(setup.model)
     flow = law(jnp.full(setup.model.grid.shape, celsius))
     fraction = setup.body.fractions[name]
     return float(jnp.sum(flow * fraction) / jnp.sum(fraction))

@@ -71,11 +71,7 @@ class Tissue(eqx.Module):
         return self.density * self.specific_heat
 
 
-_UNITS = {
-    "conductivity": "W/(m K)",
-    "density": "kg/m³",
-    "specific_heat": "J/(kg K)",
-}
+_UNITS = {"conductivity": "W/(m K)", "density": "kg/m³", "specific_heat": "J/(kg K)"}
 
 
 class Blood(eqx.Module):

@@ -11,16 +11,11 @@ from tests.navigation.steering_worlds import frame_at, vortex
 from pinav.dynamics import OverdampedSwimmer
 from pinav.forces import GaussianBarrier, ZeroForce
 from pinav.navigation import task
+from pinav.navigation.adaptive import strategies
 from pinav.navigation.adaptive.flight import fly
 from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.safety import choose_command
 from pinav.navigation.adaptive.steering import AdaptiveController
-from pinav.navigation.adaptive.strategies import (
-    MEAN_FORCE,
-    ExplorationBonus,
-    Progress,
-    axes_of,
-)
 from pinav.navigation.belief.given import BeliefPrior, GivenForce
 from pinav.navigation.control.controller import Observation
 
@@ -30,7 +25,7 @@ PATIENCE = 6.0
 def walk(places, time_to_go=lambda _: 9.0):
     """The progress after each of some places, a tenth apart in time."""
     first = np.array(places[0], float)
-    steps = [Progress(1.0, first[None], 0.0, first, PATIENCE)]
+    steps = [strategies.Progress(1.0, first[None], 0.0, first, PATIENCE)]
     for k, place in enumerate(places[1:], 1):
         steps.append(steps[-1].after(0.1 * k, np.array(place, float), time_to_go))
     return steps
@@ -79,7 +74,7 @@ def test_a_new_place_ends_a_stall_and_the_boldness_stays():
 def still():
     """The vortex' task in water at rest."""
     swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0)
-    return AdaptiveController.of(vortex(swimmer), MEAN_FORCE, points=21)
+    return AdaptiveController.of(vortex(swimmer), strategies.MEAN_FORCE, points=21)
 
 
 def walled(adaptive):
@@ -87,7 +82,7 @@ def walled(adaptive):
 
     A fit that had data on the near side alone.
     """
-    x, y = axes_of(adaptive.physics.table.grid)
+    x, y = strategies.axes_of(adaptive.physics.table.grid)
     force = np.zeros((len(x), len(y), 2))
     force[(x > 4.5) & (x < 6.5), :, 0] = -2.0 * adaptive.thrust
     places = np.array([[1.0, 5.0], [2.0, 5.0]])
@@ -101,7 +96,7 @@ def test_the_bold_take_nothing_from_what_is_known(still):
     belief = oracle.believe(frame_at(1.0, 5.0))
     certain, bold = (
         strategy.tables(belief, still.physics, still.thrust)
-        for strategy in (MEAN_FORCE, ExplorationBonus(boldness=3))
+        for strategy in (strategies.MEAN_FORCE, strategies.ExplorationBonus(boldness=3))
     )
     np.testing.assert_allclose(bold.table.values, certain.table.values, atol=1e-12)
     np.testing.assert_allclose(bold.time_cost.spread.values, 0.0, atol=1e-9)
@@ -111,7 +106,7 @@ def test_each_stall_makes_a_doubtful_wall_lower_and_its_ground_cheaper(still):
     belief = walled(still).believe(frame_at(1.0, 5.0))
     place, heights, prices = jnp.array([5.5, 5.0]), [], []
     for boldness in (1, 2, 3, 9):
-        tables = ExplorationBonus(boldness=boldness).tables(
+        tables = strategies.ExplorationBonus(boldness=boldness).tables(
             belief, still.physics, still.thrust
         )
         heights.append(-float(tables.table(0.0, place)[0]))

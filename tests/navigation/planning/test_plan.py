@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.navigation import steering_worlds
-from tests.navigation.steering_worlds import drifted_time, rolling, swimming
+from tests.navigation.steering_worlds import drifted_time, planned, rolling, swimming
 
 from pinav.dynamics import Swimmer
 from pinav.errors import InputError
@@ -22,11 +22,6 @@ from pinav.navigation.predictors import tabulate_model
 from pinav.navigation.task.task import Disc, FollowPath, LinePath, Wall
 
 GOAL, TOLERANCE = steering_worlds.GOAL[2], steering_worlds.TOLERANCE[2]
-
-
-def planned(task, **settings):
-    tables = tabulate_model(task, task.truth, margin=0.01, points=41)
-    return time_to_go(task, task.truth, tables=tables, **settings)
 
 
 @pytest.mark.parametrize("drift", [(0.0, 0.0), (0.4, -0.3)])
@@ -61,19 +56,25 @@ def test_against_a_drift_that_is_faster_only_a_cone_reaches_the_goal():
 
 
 @pytest.mark.slow
-def test_the_way_around_a_disc_is_two_tangents_and_an_arc():
-    disc = Disc([0.25, 0.25], 1.2)
-    task = swimming(keep_out=(disc,))
-    ends = [np.asarray(task.start) - 0.25, GOAL - 0.25]
-    lengths = [np.linalg.norm(e) for e in ends]
-    between = np.arccos(ends[0] @ ends[1] / lengths[0] / lengths[1])
-    arc = between - sum(np.arccos(1.2 / d) for d in lengths)
-    exact = sum(np.sqrt(d**2 - 1.2**2) for d in lengths) + 1.2 * arc - TOLERANCE
-    plan = planned(task)
-    assert float(plan.at(task.start)) == pytest.approx(exact, rel=0.03)
+@pytest.mark.parametrize(
+    ("dim", "radius", "points", "error", "depth"),
+    [(2, 1.2, 61, 0.03, 0.02), (3, 0.9, 33, 0.07, 0.05)],
+)
+def test_the_way_around_a_ball_is_two_tangents_and_an_arc(
+    dim, radius, points, error, depth
+):
+    """It lies half way from the start to the goal."""
+    start, goal = steering_worlds.START[dim], steering_worlds.GOAL[dim]
+    ball = Disc((start + goal) / 2, radius)
+    task = swimming((0.0,) * dim, keep_out=(ball,))
+    apart = np.linalg.norm(goal - start) / 2
+    arc = radius * (np.pi - 2 * np.arccos(radius / apart))
+    exact = 2 * np.sqrt(apart**2 - radius**2) + arc - steering_worlds.TOLERANCE[dim]
+    plan = planned(task, points=points)
     route = plan.route(task.start)
-    assert float(route.arrival_time) == pytest.approx(exact, rel=0.04)
-    assert float(jnp.min(jax.vmap(disc.distance)(route.ys))) > -0.02
+    for time in (plan.at(task.start), route.arrival_time):
+        assert float(time) == pytest.approx(exact, rel=error)
+    assert float(jnp.min(jax.vmap(ball.distance)(route.ys))) > -depth
 
 
 @pytest.mark.slow

@@ -22,6 +22,8 @@ from pinav.navigation.adaptive.flight import map_belief
 from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.design.campaign import (
     Campaign,
+    CampaignSummary,
+    DesignResult,
     believe_data,
     decide,
     run_campaign,
@@ -34,7 +36,6 @@ from pinav.navigation.design.candidates import (
     Stage,
     suggest_next,
 )
-from pinav.navigation.design.result import CampaignSummary, DesignResult
 from pinav.report import AbstractBlock, Cell, Paragraph, Section, Table
 from pinav.scenarios import find_system
 from pinav.trajectories import concatenate

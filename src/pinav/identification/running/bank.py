@@ -23,6 +23,9 @@ from jaxtyping import Float, Int
 
 from pinav.identification.kalman import ornstein_uhlenbeck
 
+PerMember = Float[np.ndarray, " member"]
+"""A number for each member of a bank."""
+
 P, W, B, G = 0, 1, 2, slice(3, 5)
 """Places in the state."""
 
@@ -49,12 +52,12 @@ class Bank(eqx.Module):
 
     mean: Float[np.ndarray, "member 2 5"]
     covariance: Float[np.ndarray, "member 5 5"]
-    log_weight: Float[np.ndarray, " member"]
-    squares: Float[np.ndarray, " member"]
+    log_weight: PerMember
+    squares: PerMember
     count: float
 
     @classmethod
-    def prior(cls, log_prior: Float[np.ndarray, " member"], scale: float) -> "Bank":
+    def prior(cls, log_prior: PerMember, scale: float) -> "Bank":
         """The bank before any block."""
         members = len(log_prior)
         covariance = np.zeros((members, 5, 5))
@@ -64,19 +67,17 @@ class Bank(eqx.Module):
         return cls(np.zeros((members, 2, 5)), covariance, log_prior, squares, 1.0)
 
     @property
-    def weight(self) -> Float[np.ndarray, " member"]:
+    def weight(self) -> PerMember:
         """Posterior probability of each member."""
         weight = np.exp(self.log_weight - self.log_weight.max())
         return weight / weight.sum()
 
     @property
-    def variance_unit(self) -> Float[np.ndarray, " member"]:
+    def variance_unit(self) -> PerMember:
         r"""Mean of $\sigma^2$ of each member [L² T⁻²]."""
         return self.squares / max(self.count - 1.0, 1.0)
 
-    def place(
-        self, position: Float[np.ndarray, "2"], blur: Float[np.ndarray, " member"]
-    ) -> "Bank":
+    def place(self, position: Float[np.ndarray, "2"], blur: PerMember) -> "Bank":
         """At a position that says nothing of the past; the wandering begins anew."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
         mean[:, :, P], mean[:, :, W] = position, 0.0
@@ -89,7 +90,7 @@ class Bank(eqx.Module):
         self,
         cycles: Float[np.ndarray, "member 2"],
         interval: float,
-        memory: Float[np.ndarray, " member"],
+        memory: PerMember,
         frequency: float,
     ) -> "Bank":
         """The states after an interval."""
@@ -110,9 +111,7 @@ class Bank(eqx.Module):
         covariance[:, W, W] += velocity
         return eqx.tree_at(lambda b: (b.mean, b.covariance), self, (mean, covariance))
 
-    def update(
-        self, position: Float[np.ndarray, "2"], blur: Float[np.ndarray, " member"]
-    ) -> "Bank":
+    def update(self, position: Float[np.ndarray, "2"], blur: PerMember) -> "Bank":
         r"""The states and weights after a block's mean position [L], blur in [s]."""
         variance = self.covariance[:, P, P] + blur**2
         column = self.covariance[:, :, P]
@@ -137,7 +136,7 @@ class Bank(eqx.Module):
 def rows(
     cycles: Float[np.ndarray, "*batch member 2"],
     interval: float | Float[np.ndarray, "*#batch 1"],
-    memory: Float[np.ndarray, " member"],
+    memory: PerMember,
 ) -> Float[np.ndarray, "*batch member 5"]:
     """Displacement by each part of the state after an interval [s]."""
     row = np.empty((*cycles.shape[:-1], 5))
@@ -148,9 +147,7 @@ def rows(
 
 
 def wandering(
-    interval: float,
-    memory: Float[np.ndarray, " member"],
-    frequency: float | Float[np.ndarray, "*plan 1"],
+    interval: float, memory: PerMember, frequency: float | Float[np.ndarray, "*plan 1"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     r"""Variances by wandering in an interval at a frequency [Hz], over $\sigma^2$.
 
@@ -202,9 +199,9 @@ class DriveGrid(eqx.Module):
     residuals: Float[np.ndarray, " response"]
     delays: Float[np.ndarray, " delay"]
     drive: Int[np.ndarray, " member"]
-    blur: Float[np.ndarray, " member"]
-    memory: Float[np.ndarray, " member"]
-    log_prior: Float[np.ndarray, " member"]
+    blur: PerMember
+    memory: PerMember
+    log_prior: PerMember
 
     @classmethod
     def default(cls) -> "DriveGrid":
@@ -238,7 +235,7 @@ class DriveGrid(eqx.Module):
         return self.drive % len(self.corners)
 
     @property
-    def member_delay(self) -> Float[np.ndarray, " member"]:
+    def member_delay(self) -> PerMember:
         """Delay of each member [s]."""
         return self.delays[self.drive // len(self.corners)]
 

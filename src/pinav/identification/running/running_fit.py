@@ -117,9 +117,7 @@ class RunningFit(eqx.Module):
         """The fit after a frame [s, L] and the command from then on [Hz, rad]."""
         frame = Frames.one(time, position, frequency, heading)
         fit = dataclasses.replace(
-            self,
-            history=self._extend(frame),
-            fastest=max(self.fastest, frequency),
+            self, history=self._extend(frame), fastest=max(self.fastest, frequency)
         )
         if fit.since is None:
             if frequency <= 0:

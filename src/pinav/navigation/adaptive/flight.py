@@ -133,14 +133,11 @@ class FlightOutcome:
 
 
 def judge_flights(
-    flights: Sequence[Flight],
-    own_limit: float,
-    oracle: Sequence[Flight] = (),
+    flights: Sequence[Flight], own_limit: float, oracle: Sequence[Flight] = ()
 ) -> FlightOutcome:
     """The outcome of some flights.
 
     Args:
-        flights: flights of one controller.
         own_limit: time limit of the task itself [T].
         oracle: flights with the truth, of the same keys; none for the oracle itself.
             A pair whose oracle did not arrive has no regret.
@@ -196,10 +193,7 @@ class Visit(NamedTuple):
 
 
 def fly(
-    adaptive: AdaptiveController,
-    *,
-    key: PRNGKeyArray,
-    every: float = math.inf,
+    adaptive: AdaptiveController, *, key: PRNGKeyArray, every: float = math.inf
 ) -> Visit:
     """One flight, frame by frame; only positions are observed.
 
@@ -207,8 +201,6 @@ def fly(
     with one key are a pair.
 
     Args:
-        adaptive: what decides.
-        key: random key of noise, sensor and controller.
         every: time between the beliefs that are kept, to be shown [T].
     """
     task, notes, moments, now, memory = adaptive.task, [], [], None, None
@@ -234,9 +226,7 @@ def fly(
         arrival_time=float(now.arrival_time),
         clearance=float(now.clearance),
         consistency=float(np.mean(all_notes.surprise[1:])),
-        changed=int(
-            np.sum(all_notes.changed[:-1])
-        ),  # no command follows the last frame
+        changed=int(np.sum(all_notes.changed[:-1])),  # the last frame has no command
         stalls=int(np.sum(all_notes.stalled)),
         learn_times=all_notes.learn_time[np.isfinite(all_notes.learn_time)],
         command_times=all_notes.command_time[:-1],
@@ -364,11 +354,8 @@ def fly_swimmer(
     """The oracle's flight and those of each visit, with the same noise.
 
     Args:
-        adaptive: the controller.
-        seed: seed of all noise.
         number: number of the swimmer; the first one is shown.
         visits: visits to the task, with the map kept.
-        oracle: True to fly the oracle, too.
 
     Raises:
         InputError: the true force changes in time.

@@ -56,9 +56,6 @@ def with_prior_of(
     far from them; that certainty is not, so that the swimmer looks for itself.
 
     Args:
-        adaptive: the controller.
-        swimmer: the fit.
-        posterior: posterior of its parameters.
         places: where the data were [L].
 
     Raises:
@@ -94,11 +91,7 @@ def observed_places(data: Trajectories) -> Points:
 
 
 def with_truth(adaptive: AdaptiveController) -> AdaptiveController:
-    """The oracle: a controller that knows the true force, and estimates its state.
-
-    Raises:
-        InputError: the true force changes in time.
-    """
+    """The oracle: a controller that knows the true force, and estimates its state."""
     task = adaptive.task
     belief = take_for_granted(
         environment_rate(task, task.truth),

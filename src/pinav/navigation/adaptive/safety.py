@@ -75,12 +75,9 @@ def check_command(
     """Let a command through, or give a safer one.
 
     Args:
-        command: what the controller wants.
         observation: the state when it comes into force.
-        belief: belief after the last frame.
         prediction: of sequences of controls; the force is taken from the belief.
         physics: tables without the environment.
-        time_cost: what is forbidden.
         thrust: greatest thrust [L T⁻²], or velocity [L T⁻¹] without inertia.
         horizon: how far the tube goes [T].
     """

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.errors import InputError
+from pinav.navigation import predictors
 from pinav.navigation.adaptive.safety import CommandVerdict, check_command
 from pinav.navigation.adaptive.strategies import (
     ExplorationBonus,
@@ -32,12 +33,6 @@ from pinav.navigation.control.controller import (
 from pinav.navigation.control.default import predict_onset
 from pinav.navigation.control.mppi import PathIntegral
 from pinav.navigation.planning.plan import Planner, TimeToGo, check_places
-from pinav.navigation.predictors import (
-    InertialTable,
-    TabulatedModel,
-    greatest_rate,
-    tabulate_model,
-)
 from pinav.navigation.task.steering import Command, physics_only
 from pinav.navigation.task.task import ReachGoal, Rectangle, Task, Timing
 from pinav.navigation.trials.situation import mean_thrust
@@ -132,7 +127,7 @@ class AdaptiveController(AbstractController[ControllerState]):
 
     task: Task
     strategy: ExplorationBonus
-    physics: TabulatedModel
+    physics: predictors.TabulatedModel
     motion: AbstractMotion
     thrust: float
     crossing: float
@@ -153,7 +148,6 @@ class AdaptiveController(AbstractController[ControllerState]):
         """The controller of a task.
 
         Args:
-            task: what is to be done.
             strategy: `ExplorationBonus` unless given.
             points: number of points of the lattice along the arena.
             speeds: the same along a velocity.
@@ -167,13 +161,13 @@ class AdaptiveController(AbstractController[ControllerState]):
                 f"got {type(task.objective).__name__}"
             )
         check_places(task)
-        physics = tabulate_model(task, physics_only(task.truth))
+        physics = predictors.tabulate_model(task, physics_only(task.truth))
         if len(physics.table.values) > 1:
             raise InputError(
                 f"task {task.name!r}: learning on the way expected known forces and "
                 "flows that do not change in time"
             )
-        inertial = isinstance(physics.predictor, InertialTable)
+        inertial = isinstance(physics.predictor, predictors.InertialTable)
         if points is None:
             points = POINTS if inertial else FLAT_POINTS
         objective, finer = task.objective, math.ceil((points - 1) / FINER) + 1
@@ -182,7 +176,9 @@ class AdaptiveController(AbstractController[ControllerState]):
         )
         replanner = lattice(points=points)
         thrust = float(
-            greatest_rate(physics.table, physics.control_map, inertial=inertial)
+            predictors.greatest_rate(
+                physics.table, physics.control_map, inertial=inertial
+            )
         )
         return cls(
             task,
@@ -228,11 +224,7 @@ class AdaptiveController(AbstractController[ControllerState]):
         return self.begin(belief, observation.pending)
 
     def __call__(
-        self,
-        observation: Observation,
-        memory: ControllerState,
-        *,
-        key: PRNGKeyArray,
+        self, observation: Observation, memory: ControllerState, *, key: PRNGKeyArray
     ) -> tuple[Command, ControllerState]:
         if observation.time > memory.belief.time:
             memory = self.learn(memory, observation)

@@ -65,25 +65,25 @@ class ExplorationBonus(eqx.Module):
         self, belief: Belief, physics: TabulatedModel, thrust: float
     ) -> TabulatedModel:
         """Tables of the mean force, with a price where it is not known."""
-        grid = physics.table.grid
+        grid, axes = physics.table.grid, axes_of(physics.table.grid)
         if self.worth == self.hope == self.boldness == 0:
-            return with_force(physics, mean_on(belief, grid))
+            return with_force(physics, belief.force_on(axes))
         force, spread = mean_and_spread(belief, grid)
         size = np.maximum(np.linalg.norm(force, axis=-1), 1e-12)
         factor = np.maximum(1 - (self.hope + self.boldness) * spread / size, 0.0)
-        bonus = 1 - (1 - bonus_of(belief, grid, self.worth)) ** (1 + self.boldness)
-        model = with_force(physics, force * factor[..., None])
-        return with_spread(model, spread / thrust, -bonus)
+        longer = max(float(axis[-1] - axis[0]) for axis in axes)
+        usual_bonus = min(self.worth * belief.length_scale / longer, MOST)
+        bonus = 1 - (1 - usual_bonus) ** (1 + self.boldness)
+        ratio = FieldTable(grid, jnp.asarray(spread / thrust)[None, ..., None])
+        return eqx.tree_at(
+            lambda model: (model.time_cost.spread, model.time_cost.risk_aversion),
+            with_force(physics, force * factor[..., None]),
+            (ratio, jnp.asarray(-bonus)),
+        )
 
 
 MEAN_FORCE = ExplorationBonus(worth=0.0, hope=0.0)
 """The mean is taken for true."""
-
-
-def bonus_of(belief: Belief, grid: Grid, worth: float) -> float:
-    """The bonus for what is unknown: by the length scale, in parts of a grid."""
-    sides = [float(axis[-1] - axis[0]) for axis in axes_of(grid)]
-    return min(worth * belief.length_scale / max(sides), MOST)
 
 
 def axes_of(grid: Grid) -> tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"]]:
@@ -93,18 +93,14 @@ def axes_of(grid: Grid) -> tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"
     return x, y
 
 
-def mean_on(belief: Belief, grid: Grid) -> Float[np.ndarray, "x y 2"]:
-    """Mean force on a grid."""
-    return belief.force_on(axes_of(grid))
-
-
 def mean_and_spread(
     belief: Belief, grid: Grid
 ) -> tuple[Float[np.ndarray, "x y 2"], Float[np.ndarray, "x y"]]:
     """Mean force on a grid, and standard deviation of a component, from draws."""
-    draws = belief.samples(axes_of(grid), DRAWS, seed=belief.count)
+    axes = axes_of(grid)
+    draws = belief.samples(axes, DRAWS, seed=belief.count)
     variance = np.mean(np.var(draws, axis=0, ddof=1), axis=-1)
-    return mean_on(belief, grid), np.sqrt(variance)
+    return belief.force_on(axes), np.sqrt(variance)
 
 
 def with_force(
@@ -116,24 +112,6 @@ def with_force(
     table = FieldTable(physics.table.grid, jnp.asarray(values))
     return eqx.tree_at(
         lambda model: (model.table, model.predictor.table), physics, (table, table)
-    )
-
-
-def with_spread(
-    model: TabulatedModel, ratio: Float[np.ndarray, "x y"], price: float
-) -> TabulatedModel:
-    """Tables in which time has a price where the force is not known.
-
-    Args:
-        model: the tables.
-        ratio: s / u on their grid.
-        price: of a unit of its square.
-    """
-    spread = FieldTable(model.table.grid, jnp.asarray(ratio)[None, ..., None])
-    return eqx.tree_at(
-        lambda m: (m.time_cost.spread, m.time_cost.risk_aversion),
-        model,
-        (spread, jnp.asarray(price)),
     )
 
 
@@ -219,7 +197,6 @@ class Progress:
         """The progress a frame later.
 
         Args:
-            time: time of the frame [T].
             state: state of the swimmer, its position first.
             time_to_go: from a state, as the last plan has it [T]. Old and new state are
                 compared by one plan, because what is learned changes all of them.

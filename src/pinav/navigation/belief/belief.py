@@ -15,12 +15,7 @@ from pinav.navigation.belief.kernels import (
     Points,
     PotentialKernels,
 )
-from pinav.navigation.belief.motion import (
-    AbstractMotion,
-    Square,
-    Vector,
-    substeps,
-)
+from pinav.navigation.belief.motion import AbstractMotion, Square, Vector, substeps
 
 KINDS: tuple[type[PotentialKernels | FreeKernels], ...] = (
     PotentialKernels,
@@ -120,12 +115,10 @@ class Belief:
             frame: the first one; its thrust does not matter.
             lower: corner of the arena [L].
             upper: the other corner [L].
-            motion: what is known of the dynamics.
             thrust: greatest thrust, which sets the strength of the prior.
             speed_sd: standard deviation of each component of the first velocity.
             longest: longest step of a prediction [T].
             scales: longer side of the arena over the length scales.
-            kinds: kinds of force.
 
         Raises:
             InputError: the first frame has no position, or there is no filter.

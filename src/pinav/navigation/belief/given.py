@@ -20,12 +20,7 @@ from scipy.linalg import solve_triangular
 
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.kernel_filter import KernelFilter, WeightPosterior
-from pinav.navigation.belief.kernels import (
-    AbstractKernels,
-    KernelGrid,
-    Local,
-    Points,
-)
+from pinav.navigation.belief.kernels import AbstractKernels, KernelGrid, Local, Points
 from pinav.navigation.belief.motion import AbstractMotion, Square
 
 Axis = Float[np.ndarray, " _"]
@@ -75,11 +70,7 @@ FIRST_SPEED = 0.1
 
 
 def take_for_granted(
-    force: GivenForce,
-    frame: Frame,
-    *,
-    motion: AbstractMotion,
-    longest: float = 0.1,
+    force: GivenForce, frame: Frame, *, motion: AbstractMotion, longest: float = 0.1
 ) -> Belief:
     """The belief of one who knows the force: what it learns is the state."""
     assert frame.position is not None

@@ -24,11 +24,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pinav.navigation.belief.kernels import AbstractKernels, Local, Points
-from pinav.navigation.belief.motion import (
-    AbstractMotion,
-    Square,
-    Vector,
-)
+from pinav.navigation.belief.motion import AbstractMotion, Square, Vector
 
 AT_ONCE = 256
 """Positions whose forces are computed together, to bound the memory."""
@@ -97,9 +93,7 @@ class WeightPosterior:
         )
 
     def rows(
-        self,
-        slots: Int[np.ndarray, " near"],
-        weighted: Float[np.ndarray, "state near"],
+        self, slots: Int[np.ndarray, " near"], weighted: Float[np.ndarray, "state near"]
     ) -> Float[np.ndarray, "state member"]:
         """$B P_{ww}$ for a B that is zero but in these slots."""
         first, old = len(self.base), slots < len(self.base)

@@ -12,6 +12,9 @@ from jaxtyping import Float
 Vector = Float[np.ndarray, " dim"]
 Square = Float[np.ndarray, "state state"]
 
+State = Float[np.ndarray, " state"]
+"""Position and, with inertia, velocity."""
+
 ForceAt = Callable[[Vector], tuple[Vector, Float[np.ndarray, "dim dim"]]]
 """Mean force and its slope dF/dx at a position."""
 
@@ -22,15 +25,13 @@ class Transition:
 
     Attributes:
         slope: A, change of it by the state before.
-        by_force: change of it by the force at `middle`.
-        middle: where the force was asked for [L].
+        by_force: change of it by the force where that was asked for.
         noise: Q, covariance that the white noise adds.
     """
 
-    state: Float[np.ndarray, " state"]
+    state: State
     slope: Square
     by_force: Float[np.ndarray, "state dim"]
-    middle: Vector
     noise: Square
 
 
@@ -40,7 +41,7 @@ class AbstractMotion(abc.ABC):
     @abc.abstractmethod
     def start(
         self, position: Vector, sd: float, speed_sd: float
-    ) -> tuple[Float[np.ndarray, " state"], Square]:
+    ) -> tuple[State, Square]:
         """State at rest at a position [L], and its covariance.
 
         Args:
@@ -51,17 +52,11 @@ class AbstractMotion(abc.ABC):
 
     @abc.abstractmethod
     def step(
-        self,
-        state: Float[np.ndarray, " state"],
-        force_at: ForceAt,
-        thrust: Vector,
-        duration: float,
+        self, state: State, force_at: ForceAt, thrust: Vector, duration: float
     ) -> Transition:
         """One step of the midpoint rule.
 
         Args:
-            state: before it.
-            force_at: what is believed of the force.
             thrust: known acceleration, or velocity where there is no inertia.
             duration: h [T].
         """
@@ -81,16 +76,12 @@ class InertialMotion(AbstractMotion):
 
     def start(
         self, position: Vector, sd: float, speed_sd: float
-    ) -> tuple[Float[np.ndarray, " state"], Square]:
+    ) -> tuple[State, Square]:
         state = np.concatenate([position, np.zeros_like(position)])
         return state, np.diag(np.repeat([sd**2, speed_sd**2], len(position)))
 
     def step(
-        self,
-        state: Float[np.ndarray, " state"],
-        force_at: ForceAt,
-        thrust: Vector,
-        duration: float,
+        self, state: State, force_at: ForceAt, thrust: Vector, duration: float
     ) -> Transition:
         h, dim = duration, len(thrust)
         x, v = state[:dim], state[dim:]
@@ -110,7 +101,6 @@ class InertialMotion(AbstractMotion):
             np.concatenate([middle + h / 2 * later, later]),
             slope,
             np.concatenate([h / 2 * push * identity, push * identity]),
-            middle,
             self.noise**2 * _integrated_noise(h, dim),
         )
 
@@ -127,15 +117,11 @@ class OverdampedMotion(AbstractMotion):
 
     def start(
         self, position: Vector, sd: float, speed_sd: float
-    ) -> tuple[Float[np.ndarray, " state"], Square]:
+    ) -> tuple[State, Square]:
         return np.array(position, float), sd**2 * np.eye(len(position))
 
     def step(
-        self,
-        state: Float[np.ndarray, " state"],
-        force_at: ForceAt,
-        thrust: Vector,
-        duration: float,
+        self, state: State, force_at: ForceAt, thrust: Vector, duration: float
     ) -> Transition:
         h, identity = duration, _identity(len(state))
         middle = state + h / 2 * (force_at(state)[0] + thrust)
@@ -146,7 +132,6 @@ class OverdampedMotion(AbstractMotion):
             state + h * (force + thrust),
             identity + by_force @ gradient,
             by_force,
-            middle,
             self.noise**2 * h * identity,
         )
 

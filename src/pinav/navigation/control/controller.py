@@ -10,13 +10,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.arguments import Scalar, State, Vector
 from pinav.errors import InputError
+from pinav.navigation import predictors
 from pinav.navigation.planning.plan import TimeToGo
-from pinav.navigation.predictors import (
-    AbstractPredictor,
-    ControlMap,
-    TimeCost,
-    entry_fraction,
-)
 from pinav.navigation.task.steering import Command, CommandLimits, direction_angles
 from pinav.navigation.task.task import AbstractObjective
 
@@ -88,8 +83,8 @@ class TrajectoryPrediction(eqx.Module):
         InputError: `steps` is not positive.
     """
 
-    predictor: AbstractPredictor
-    control_map: ControlMap
+    predictor: predictors.AbstractPredictor
+    control_map: predictors.ControlMap
     step: float = eqx.field(static=True)
     steps: int = eqx.field(static=True, default=20)
 
@@ -180,7 +175,7 @@ class ArrivalCost(AbstractCost):
     def __call__(self, ts: Times, ys: Course, controls: Controls) -> Float[Array, ""]:
         plan = self.plan
         xs = ys[:, : plan.goal.shape[0]]
-        fraction = jax.vmap(entry_fraction, (0, 0, None, None))(
+        fraction = jax.vmap(predictors.entry_fraction, (0, 0, None, None))(
             xs[:-1], jnp.diff(xs, axis=0), plan.goal, plan.tolerance
         )
         # One until the goal is entered, zero ever after: what follows costs nothing.
@@ -203,7 +198,7 @@ class TrackingCost(AbstractCost):
     """
 
     objective: AbstractObjective
-    time_cost: TimeCost
+    time_cost: predictors.TimeCost
     effort: float = 0.0
 
     def __call__(self, ts: Times, ys: Course, controls: Controls) -> Float[Array, ""]:
@@ -221,7 +216,7 @@ COLLISION = 1e3
 
 
 def _collisions(
-    time_cost: TimeCost, xs: Float[Array, "time dim"]
+    time_cost: predictors.TimeCost, xs: Float[Array, "time dim"]
 ) -> Float[Array, " step"]:
     """One for each later position in a wall."""
     clearance = jax.vmap(time_cost.clearance)(xs[1:])

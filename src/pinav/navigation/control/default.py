@@ -23,20 +23,13 @@ from pinav.navigation.control.controller import (
 )
 from pinav.navigation.control.mppi import GradientMPC, PathIntegral
 from pinav.navigation.planning.plan import check_places, time_to_go
-from pinav.navigation.predictors import (
-    AbstractPredictor,
-    TabulatedModel,
-    tabulate_model,
-)
+from pinav.navigation.predictors import AbstractPredictor, tabulate_model
 from pinav.navigation.task.steering import Command, SteeredSwimmer
 from pinav.navigation.task.task import ReachGoal, Task, Timing
 
 
 def controller(
-    task: Task,
-    model: SteeredSwimmer,
-    *,
-    samples: Sequence[SteeredSwimmer] = (),
+    task: Task, model: SteeredSwimmer, *, samples: Sequence[SteeredSwimmer] = ()
 ) -> AbstractController:
     """Plan and control a task with a model: the truth of the task is not used.
 
@@ -56,7 +49,17 @@ def controller(
     check_places(task)
     tables = tabulate_model(task, model, samples=samples)
     predictor = tables.predictor
-    steered = _undelayed_controller(task, model, tables)
+
+    def predict(steps: int) -> TrajectoryPrediction:
+        return TrajectoryPrediction(predictor, tables.control_map, task.step, steps)
+
+    steered: AbstractController
+    if isinstance(task.objective, ReachGoal):
+        plan = time_to_go(task, model, tables=tables)
+        steered = PathIntegral(predict(STEPS), ArrivalCost(plan), GradientGuide(plan))
+    else:
+        cost = TrackingCost(task.objective, tables.time_cost)
+        steered = GradientMPC(predict(TRACKING_STEPS), cost)
     # The filter stands outside: it must see observations as they are, not ahead.
     if task.delay > 0:
         steered = DelayCompensation(steered, predictor, task.timing)
@@ -70,23 +73,6 @@ def controller(
             dim=task.dim,
         )
     return steered
-
-
-def _undelayed_controller(
-    task: Task, model: SteeredSwimmer, tables: TabulatedModel
-) -> AbstractController:
-    """The controller without delay and with a good sensor."""
-
-    def predict(steps: int) -> TrajectoryPrediction:
-        return TrajectoryPrediction(
-            tables.predictor, tables.control_map, task.step, steps
-        )
-
-    if isinstance(task.objective, ReachGoal):
-        plan = time_to_go(task, model, tables=tables)
-        return PathIntegral(predict(STEPS), ArrivalCost(plan), GradientGuide(plan))
-    cost = TrackingCost(task.objective, tables.time_cost)
-    return GradientMPC(predict(TRACKING_STEPS), cost)
 
 
 STEPS = 20
@@ -150,7 +136,6 @@ class FilterState(eqx.Module, Generic[Inner]):
         mean: mean of the state after the last observation.
         command: the one in force when it was observed.
         time: time of the last observation [T].
-        inner: memory of the controller inside.
     """
 
     mean: State

@@ -14,22 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from pinav.dynamics import (
-    AbstractSwimmer,
-    drive_by_commands,
-)
+from pinav.dynamics import AbstractSwimmer, drive_by_commands
 from pinav.errors import InputError
 from pinav.navigation.adaptive.flight import true_force
 from pinav.navigation.adaptive.steering import TO_THE_END, AdaptiveController
 from pinav.navigation.adaptive.strategies import MEAN_FORCE, with_known
 from pinav.navigation.belief.belief import Belief, Frame
-from pinav.navigation.design.candidates import (
-    AbstractDesign,
-    CandidateTrajectories,
-    Experiment,
-    Stage,
-)
+from pinav.navigation.design import candidates
+from pinav.navigation.maps import Course, ForceMaps
 from pinav.navigation.task.task import ReachGoal
+from pinav.navigation.trials.metrics import quantiles
 from pinav.navigation.trials.situation import advance_compiled, begin, mean_thrust
 from pinav.trajectories import Trajectories, Trajectory
 
@@ -97,8 +91,8 @@ class Campaign:
 
 def run_campaign(
     adaptive: AdaptiveController,
-    design: AbstractDesign,
-    experiment: Experiment,
+    design: candidates.AbstractDesign,
+    experiment: candidates.Experiment,
     *,
     accuracy: float,
     most: int,
@@ -108,11 +102,8 @@ def run_campaign(
 
     Args:
         adaptive: the task, what is known of it, and its planner.
-        design: choice of the trajectories.
-        experiment: recording of the trajectories.
         accuracy: relative error of the force along the way that is small enough.
         most: trajectories after which the campaign is given up.
-        key: random key of noise and choices.
 
     Raises:
         InputError: `accuracy` is not between 0 and 1, or `most` is below 1.
@@ -126,7 +117,7 @@ def run_campaign(
     for count in range(most):
         choose, noise = jax.random.split(jax.random.fold_in(key, count))
         way = decisions[-1].way
-        stage = Stage(adaptive, experiment, belief, way, count)
+        stage = candidates.Stage(adaptive, experiment, belief, way, count)
         chosen = design.choose(stage, key=choose)
         frames, path = record(experiment, chosen, key=noise)
         belief = learn(adaptive, belief, frames)
@@ -138,8 +129,8 @@ def run_campaign(
 
 
 def record(
-    experiment: Experiment,
-    candidate: CandidateTrajectories,
+    experiment: candidates.Experiment,
+    candidate: candidates.CandidateTrajectories,
     *,
     key: PRNGKeyArray,
 ) -> tuple[list[Frame], Float[np.ndarray, "time 2"]]:
@@ -187,9 +178,6 @@ def learn(
     """The belief after a further trajectory.
 
     Args:
-        adaptive: what is known of the swimmer.
-        belief: before it.
-        frames: of the trajectory.
         speed_sd: standard deviation of each component of the first velocity; at rest
             unless given.
     """
@@ -252,7 +240,6 @@ def believe_data(
     """The belief on the force after recorded trajectories.
 
     Args:
-        adaptive: the task, and what is known of the swimmer.
         swimmer: whose propulsion drove the trajectories, by their commands where it
             takes any.
         data: the trajectories; their positions alone are used.
@@ -296,3 +283,86 @@ def frames_of(
             thrust = np.asarray(driven.propulsion(middle, x, jnp.zeros_like(x)), float)
         yield Frame(time, position, position_noise, thrust)
         last = time
+
+
+@dataclasses.dataclass(frozen=True)
+class CampaignSummary:
+    """Campaigns of one design in a simulation.
+
+    Attributes:
+        finished: campaigns in which the way became known by the belief.
+        trajectories: median number of trajectories until then; infinite where more than
+            half did not finish.
+        fewest: least number of trajectories of a campaign.
+        largest: greatest number; campaigns that were given up count with theirs.
+        reached: median number of trajectories until the true error was below the
+            accuracy for the first time; infinite where more than half did not get
+            there.
+        right: finished campaigns whose true error was below the accuracy.
+        error: median of the true relative error at the end.
+    """
+
+    campaigns: int
+    finished: int
+    trajectories: float
+    fewest: int
+    largest: int
+    reached: float
+    right: int
+    error: float
+
+    @classmethod
+    def of(cls, campaigns: Sequence[Campaign]) -> "CampaignSummary":
+        """The summary of the campaigns of one design."""
+        counts = np.array([len(one.paths) for one in campaigns])
+        finished = np.array([one.finished for one in campaigns])
+        ends = np.where(finished, counts, np.inf)
+        reached = np.array([_first_below(one) for one in campaigns])
+        errors = np.array([one.decisions[-1].true_error for one in campaigns], float)
+        return cls(
+            campaigns=len(campaigns),
+            finished=int(finished.sum()),
+            trajectories=quantiles(ends).median,
+            fewest=int(counts.min()),
+            largest=int(counts.max()),
+            reached=quantiles(reached).median,
+            right=sum(one.right is True for one in campaigns),
+            error=quantiles(errors).median,
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DesignResult:
+    """Trajectories until the force along a way is known.
+
+    Attributes:
+        accuracy: relative error of the force along the way that is small enough.
+        maps: learned force after the first campaign, or the recordings.
+        decision: knowledge of the way then.
+        paths: trajectories of the first campaign of each design, or the recordings [L].
+        designs: simulated campaigns by the name of their design.
+        bounds: bound of the error after each trajectory, by design and campaign.
+        next: trajectory to record next; none where no candidate stays in the arena, or
+            of a simulation.
+    """
+
+    system: str
+    accuracy: float
+    course: Course
+    maps: ForceMaps
+    decision: Decision
+    thrust: float
+    paths: dict[str, tuple[Float[np.ndarray, "_ 2"], ...]]
+    designs: dict[str, CampaignSummary] = dataclasses.field(default_factory=dict)
+    bounds: dict[str, tuple[Float[np.ndarray, " _"], ...]] = dataclasses.field(
+        default_factory=dict
+    )
+    next: candidates.Suggestion | None = None
+
+
+def _first_below(campaign: Campaign) -> float:
+    for count, decision in enumerate(campaign.decisions):
+        error = decision.true_error
+        if decision.arrives and error is not None and error <= campaign.accuracy:
+            return float(count)
+    return np.inf

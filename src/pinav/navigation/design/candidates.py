@@ -71,9 +71,6 @@ class Experiment(eqx.Module):
         task: the swimmer, the limits of its commands, and the error of the sensor.
         region: region in which swimmers are released.
         duration: of a trajectory [T], positive.
-
-    Raises:
-        InputError: `duration` is not positive.
     """
 
     task: Task
@@ -125,19 +122,9 @@ class Experiment(eqx.Module):
 
     @eqx.filter_jit
     def vary(
-        self,
-        candidate: CandidateTrajectories,
-        count: int,
-        *,
-        key: PRNGKeyArray,
+        self, candidate: CandidateTrajectories, count: int, *, key: PRNGKeyArray
     ) -> CandidateTrajectories:
-        """Variations of a trajectory, within the same limits, from the same start.
-
-        Args:
-            candidate: a single one.
-            count: how many.
-            key: random key.
-        """
+        """Variations of a trajectory, within the same limits, from the same start."""
         first_key, turn_key, frequency_key = jax.random.split(key, 3)
         turns = jnp.diff(candidate.heading)
         changes = jax.random.normal(turn_key, (count, len(turns))) * TURN
@@ -177,11 +164,7 @@ def best_candidate(
     """The candidate after which the force should be known best, and how well.
 
     Args:
-        expected_sd: judges a candidate.
-        experiment: recording of the trajectories.
-        first: candidates of the first round.
         variations: variations of the best one in each later round.
-        keys: random key of each later round.
     """
     best, least = _best(expected_sd, first)
     for key in keys:
@@ -290,7 +273,9 @@ class InformedDesign(AbstractDesign):
         best, _ = best_candidate(
             functools.partial(expected_sd, stage),
             experiment,
-            _join(along[:half], others[:half]),
+            jax.tree.map(
+                lambda *leaves: jnp.concatenate(leaves), along[:half], others[:half]
+            ),
             variations=self.variations,
             keys=list(keys[2:]),
         )
@@ -404,10 +389,7 @@ def suggest_next(stage: Stage, *, key: PRNGKeyArray) -> Suggestion | None:
 
 
 def _along(
-    way: Way,
-    drawn: CandidateTrajectories,
-    experiment: Experiment,
-    key: PRNGKeyArray,
+    way: Way, drawn: CandidateTrajectories, experiment: Experiment, key: PRNGKeyArray
 ) -> CandidateTrajectories:
     """Random programmes, released on the way and turned along it."""
     count = len(drawn.starts)
@@ -424,18 +406,10 @@ def _along(
     return CandidateTrajectories(jnp.asarray(places), drawn.frequency, heading)
 
 
-def _join(*parts: CandidateTrajectories) -> CandidateTrajectories:
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-
-
 def _keep_allowed(
     task: Task, candidates: CandidateTrajectories
 ) -> CandidateTrajectories:
-    """Candidates that are not released in something forbidden.
-
-    Raises:
-        InputError: all of them are.
-    """
+    """Candidates that are not released in something forbidden."""
     room = jax.vmap(task.clearance)(candidates.starts[:, :2])
     free = np.flatnonzero(np.asarray(room) > 0)
     if not len(free):

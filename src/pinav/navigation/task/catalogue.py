@@ -21,12 +21,7 @@ from pinav.actuation import (
     RollingActuator,
     StepOutResponse,
 )
-from pinav.dynamics import (
-    AbstractSwimmer,
-    Swimmer,
-    takes_commands,
-    unbound,
-)
+from pinav.dynamics import AbstractSwimmer, Swimmer, takes_commands, unbound
 from pinav.errors import InputError
 from pinav.forces import AbstractCommandedForce, WallMobility
 from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
@@ -229,8 +224,6 @@ class Way:
 
         Args:
             model: swimmer whose propulsion is steered.
-            truth: the true swimmer.
-            name: name of the task.
             places: further places that the arena surrounds [L]; none unless given.
 
         Raises:

@@ -283,8 +283,6 @@ class Task(eqx.Module):
     The controller knows all of this but `truth`, of which it has a model.
 
     Attributes:
-        start: its first state.
-        limits: what may be commanded.
         arena: what must not be left.
         keep_out: what must not be entered.
         step: how long a command holds [T].

@@ -17,10 +17,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 
 from pinav.navigation.control.controller import AbstractController, Memory, Observation
-from pinav.navigation.task.steering import (
-    Command,
-    SteeredSwimmer,
-)
+from pinav.navigation.task.steering import Command, SteeredSwimmer
 from pinav.navigation.task.task import Task
 from pinav.navigation.trials.situation import (
     Situation,
@@ -133,11 +130,7 @@ def episode(
     """The control steps of one episode, one after the other.
 
     Args:
-        task: what is to be done.
-        controller: what decides.
-        key: random key of noise, sensor and controller.
         truth: the true swimmer; that of the task unless given.
-        is_compiled: True to compile the decisions.
     """
     decide = partial(_decide, controller) if is_compiled else controller
     truth = task.truth if truth is None else truth

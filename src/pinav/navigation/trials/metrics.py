@@ -29,7 +29,6 @@ class Quantiles(NamedTuple):
 
     Attributes:
         low: 5 % quantile.
-        median: the median.
         high: 95 % quantile.
     """
 
