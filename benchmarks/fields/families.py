@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from benchmarks.fields.outside import OUTSIDE
 from pinav.actuation import RotatingField
 from pinav.dynamics import Swimmer
 from pinav.errors import InputError
@@ -222,6 +223,15 @@ def _sum(*draws: Draw) -> Draw:
     return lambda rng: SumForce(tuple(draw(rng) for draw in draws))
 
 
+NAMES = {
+    "two-hills-wall": ("central", "wall"),
+    "vortex-pair": ("central swirl",),
+    "two-harmonics": ("lattice",),
+    "defect": ("central", "lattice"),
+    "flung-vortex": ("central swirl", "linear"),
+}
+"""Structures of the fields outside that are sums of terms of the search."""
+
 FAMILIES: dict[str, Family] = {
     "gaussian": Family(_gaussian, ("central",), ("Gaussian",)),
     "screened": Family(_screened_force, ("central",), ("soft Coulomb",)),
@@ -263,5 +273,8 @@ FAMILIES: dict[str, Family] = {
         ("elliptic", "wall"),
         ("elliptic Gaussian", "logistic wall"),
     ),
-}
+} | {name: Family(draw, NAMES.get(name, ())) for name, draw in OUTSIDE.items()}
 """Families by their names, with the structure that a search should name."""
+
+INSIDE = tuple(name for name in FAMILIES if name not in OUTSIDE)
+"""Families that the search has hypotheses for, or that have no structure."""

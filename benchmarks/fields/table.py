@@ -15,7 +15,7 @@ from benchmarks.fields.cells import (
     Measurement,
     cell_of,
 )
-from benchmarks.fields.families import FAMILIES
+from benchmarks.fields.families import FAMILIES, INSIDE
 from pinav.commands.parsing import parse
 from pinav.commands.settings import Settings, WorkerSettings
 from pinav.errors import InputError
@@ -44,7 +44,7 @@ class Options(Settings, frozen=True):
     ] = ()
     families: Annotated[
         tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(FAMILIES) + ".")
-    ] = tuple(FAMILIES)
+    ] = INSIDE
     columns: Annotated[
         tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(COLUMNS) + ".")
     ] = DEFAULT_COLUMNS

@@ -5,6 +5,7 @@ data are asked again, until the kinds of terms stay; then it is fitted to the en
 laws in place of profiles where that is as good, and compared with free kernels.
 """
 
+import dataclasses
 from collections.abc import Sequence
 
 from pinav.errors import FitError
@@ -17,8 +18,6 @@ from pinav.fitting.rugged.free import fit_free
 from pinav.fitting.structure.fits import (
     Fits,
     StructuredFit,
-    evidence_of,
-    stands_alone,
 )
 from pinav.fitting.structure.kinds import signature
 from pinav.fitting.structure.laws import follow_laws
@@ -29,28 +28,28 @@ from pinav.fitting.structure.trials import Proposal, polish
 
 
 def best_fit(
-    fits: Fits, proposals: Sequence[Proposal], free: StructuredFit | None = None
+    fits: Fits, proposals: Sequence[Proposal], rough: EvidenceFit | None = None
 ) -> StructuredFit:
     """The best of the fits of proposals, until one converges, and of free kernels.
 
     Args:
-        free: the fit of free kernels alone, if there is one.
+        rough: the fit of free kernels about which terms were sought, if there is one.
     """
-    tried: list[EvidenceFit] = []
+    tried: list[StructuredFit] = []
     for proposal in proposals[: POLICY.fitted]:
         fit = _fit_until_kinds_stay(fits, proposal)
         tried += [] if fit is None else [fit]
-        if fit is not None and fit.outcome is Outcome.CONVERGED:
+        if fit is not None and fit.fit.outcome is Outcome.CONVERGED:
             break
     if not tried:
-        return fit_free(fits) if free is None else free
-    best = max(tried, key=evidence_of)
-    return _against_free(fits, best, free)
+        return fit_free(fits, rough)
+    best = max(tried, key=lambda one: one.log_evidence)
+    return _against_free(fits, best, rough)
 
 
 def _fit_until_kinds_stay(
     fits: Fits, proposal: Proposal, rounds: int = POLICY.rounds
-) -> EvidenceFit | None:
+) -> StructuredFit | None:
     """The fit of terms that the data linearised about it confirm; None where it fails.
 
     Terms that explain data linearised about other states may be needless, misplaced or
@@ -90,7 +89,7 @@ def _is_too_coarse(proposal: Proposal | None) -> bool:
 
 def _fit_with_laws(
     fits: Fits, survey: Survey, proposal: Proposal, begun: EvidenceFit
-) -> EvidenceFit | None:
+) -> StructuredFit | None:
     """The fit of terms whose profiles follow laws, or of the kernels of the profiles.
 
     Laws carry what is steep, so that coarse kernels suffice beside them.
@@ -101,8 +100,8 @@ def _fit_with_laws(
         most = POLICY.settled * max(survey.noise, proposal.noise)
         if (
             fit is not None
-            and fit.outcome is Outcome.CONVERGED
-            and fit.hyperparameters.noise <= most
+            and fit.fit.outcome is Outcome.CONVERGED
+            and fit.fit.hyperparameters.noise <= most
         ):
             return fit
     return fits.try_terms(proposal.terms, begun)
@@ -129,7 +128,7 @@ def _search_again(
 
 
 def _against_free(
-    fits: Fits, structured: EvidenceFit, free: StructuredFit | None
+    fits: Fits, structured: StructuredFit, rough: EvidenceFit | None
 ) -> StructuredFit:
     """The fit of terms or that of free kernels alone, by their evidence.
 
@@ -138,9 +137,9 @@ def _against_free(
     are simpler, and say more where there are no data.
     """
     if fits.trace.is_over:
-        return StructuredFit(structured)
-    best = structured.hyperparameters.log_evidence
-    terms = structured.model.environment.terms
+        return structured
+    best = structured.fit.hyperparameters.log_evidence
+    terms = structured.fit.model.environment.terms
     turns = any(term.rotational for term in terms) and fits.kernels.is_conservative
     alone = fits.turning() if turns else fits
 
@@ -150,7 +149,7 @@ def _against_free(
     def has_lost(step: Step) -> bool:
         return step.hyperparameters.log_evidence < best - POLICY.clear
 
-    problem = alone.about(structured).problem()
+    problem = alone.about(structured.fit).problem()
     outcome, steps = iterate(
         problem,
         fits.max_iterations,
@@ -158,22 +157,23 @@ def _against_free(
         lambda step: is_coarse(step) or has_lost(step),
     )
     if not steps:
-        return StructuredFit(structured)
+        return structured
     last = steps[-1]
     value = evidence_of_steps(problem, steps)
-    gain = evidence_of(structured) - value
+    gain = structured.log_evidence - value
+    named = dataclasses.replace(structured, gain=gain)
     fits.trace.note((), "free kernels from the states of the terms", value)
     if gain > POLICY.decisive or (
-        gain > -2 * POLICY.decisive and stands_alone(structured)
+        gain > -2 * POLICY.decisive and structured.stands_alone
     ):
-        return StructuredFit(structured, gain)
+        return named
     if outcome is Outcome.CONVERGED and not is_coarse(last):
         fit = evidence_fit(problem, outcome, steps, not_finite=NOT_FINITE, advice={})
         return StructuredFit(fit, gain)
     try:
-        free = fit_free(alone) if free is None else free
+        free = fit_free(alone, None if turns else rough)
     except FitError:
-        return StructuredFit(structured, gain)
-    if evidence_of(free.fit) < evidence_of(structured) - POLICY.decisive:
-        return StructuredFit(structured, gain)
+        return named
+    if free.log_evidence < structured.log_evidence - POLICY.decisive:
+        return named
     return free if free.structure else StructuredFit(free.fit, gain)

@@ -25,11 +25,10 @@ from pinav.fitting.bayes.parameters import Learn
 from pinav.fitting.confirmed import best_fit
 from pinav.fitting.engine.evidence_fit import EvidenceProgress
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.rugged.free import fit_free, has_many_hills
+from pinav.fitting.rugged.free import fit_free, fit_rough, has_many_hills
 from pinav.fitting.structure.fits import (
     Fits,
     StructuredFit,
-    evidence_of,
 )
 from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.rotation import (
@@ -164,7 +163,7 @@ def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
         _weigh_in_survey(fits, survey) if weigh_rotation else SurveyedRotation(np.nan)
     )
     turns = asked.is_plain or not fits.kernels.is_conservative
-    free, proposals = None, []
+    rough, proposals = None, []
     if not (survey.is_begun or turns):
         proposals = _proposals(survey, rotational=False, singles_only=True)
         if asked.is_needed and not proposals:
@@ -173,16 +172,11 @@ def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
     if not (survey.is_begun or turns or proposals):
         # Terms are sought about states that explain the data, which finer kernels do.
         with contextlib.suppress(FitError):
-            free = fit_free(dataclasses.replace(fits, throw=False))
-    if free is not None:
-        if has_many_hills(free.force):
-            return _weigh_beside(fits, free) if weigh_rotation else free
-        if free.fit.hyperparameters.noise <= POLICY.explained * survey.noise:
-            fits, survey = fits.about(free.fit), Survey.of(fits, free.fit)
-            asked = _weigh_in_survey(fits, survey) if weigh_rotation else asked
-            turns = asked.is_plain
-        if fits.throw and free.fit.outcome is not Outcome.CONVERGED:
-            free = None  # it is fitted again where it is the result, and says why
+            rough = fit_rough(fits)
+    if rough and rough.hyperparameters.noise <= POLICY.explained * survey.noise:
+        fits, survey = fits.about(rough), Survey.of(fits, rough)
+        asked = _weigh_in_survey(fits, survey) if weigh_rotation else asked
+        turns = asked.is_plain
     proposals = proposals or _proposals(survey, rotational=turns)
     if weigh_rotation and asked.is_needed and not (turns or proposals):
         proposals = _proposals(survey, rotational=True)
@@ -194,7 +188,7 @@ def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
         proposals = [
             one for one in proposals if not any(t.rotational for t in one.terms)
         ]
-    best = functools.partial(best_fit, fits, proposals, free)
+    best = functools.partial(best_fit, fits, proposals, rough)
     if not weigh_rotation:
         return best()
     still, is_potential = _potential(fits, proposals, best)
@@ -281,7 +275,7 @@ def _weigh_beside(fits: Fits, still: StructuredFit) -> StructuredFit:
         rotation = np.nan if turning is None else turning.rotation
     if turning is None or not rotation > POLICY.decisive:
         return StructuredFit(still.fit, still.gain, rotation)
-    is_better = evidence_of(turning.fit) > evidence_of(still.fit)
+    is_better = turning.log_evidence > still.log_evidence
     return turning if is_better or not has_many_hills(still.force) else still
 
 
@@ -297,10 +291,10 @@ def _weigh_few(fits: Fits) -> StructuredFit:
     coarse = fits.turning().try_terms(()) if is_potential else None
     if coarse is None:
         return still
-    rotation = evidence_of(coarse) - evidence_of(still.fit)
+    rotation = coarse.log_evidence - still.log_evidence
     turning = _fit_turning(fits, ()) if rotation > POLICY.decisive else None
     if turning is None:
         return StructuredFit(still.fit, still.gain, rotation)
-    rotation = evidence_of(turning.fit) - evidence_of(still.fit)
+    rotation = turning.log_evidence - still.log_evidence
     chosen = turning if rotation > POLICY.decisive else still
     return StructuredFit(chosen.fit, chosen.gain, rotation)

@@ -43,7 +43,7 @@ Reference: Kass and Raftery, J. Am. Stat. Assoc. 90, 773 (1995)."""
 LOG_RANGE = 8.0
 """Range of the logarithms of amplitude and noise: a factor of 3000."""
 
-STEP, POINTS, BROAD = 2e-3, 25, 0.1
+STEP, POINTS, BROAD = 2e-3, 10, 0.1
 """Difference step; points over a range; share of the range that counts as broad."""
 
 

@@ -15,7 +15,7 @@ from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.rugged.hills import propose_hills
-from pinav.fitting.structure.fits import Fits, StructuredFit, evidence_of
+from pinav.fitting.structure.fits import Fits, StructuredFit
 from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.survey import Survey, is_worth_a_search
 from pinav.forces import AbstractForce, HillsTerm, split_structure
@@ -24,14 +24,26 @@ AS_FINE_AS_HILLS_NEED = Refinement(max_weights=1000)
 """Kernels on which the places of hills are seen, if there are hills."""
 
 
-def fit_free(fits: Fits) -> StructuredFit:
+def fit_rough(fits: Fits) -> EvidenceFit:
+    """The fit of free kernels that are as fine as a search for terms needs them.
+
+    Raises:
+        FitError: it fails.
+    """
+    return dataclasses.replace(fits, throw=False).fit(AS_FINE_AS_HILLS_NEED)
+
+
+def fit_free(fits: Fits, rough: EvidenceFit | None = None) -> StructuredFit:
     """The fit of free kernels, or of hills, without any other structure.
+
+    Args:
+        rough: what `fit_rough` gives, where it is known.
 
     Raises:
         FitError: it fails; where `throw`, it does not converge.
     """
     quiet = dataclasses.replace(fits, throw=False)
-    rough = quiet.fit(AS_FINE_AS_HILLS_NEED)
+    rough = fit_rough(fits) if rough is None else rough
     kernels = rough.model.environment
     is_finer = float(kernels.kernels.width) < float(fits.kernels.kernels.width)
     if is_finer and not fits.trace.is_over:
@@ -44,7 +56,8 @@ def fit_free(fits: Fits) -> StructuredFit:
             rough = rough if fit.outcome is Outcome.DIVERGED else fit
     if fits.throw and rough.outcome in ADVICE:
         raise FitError(ADVICE[rough.outcome], str(rough.outcome))
-    fits.trace.note((), f"free kernels {rough.outcome}", evidence_of(rough))
+    value = rough.hyperparameters.log_evidence  # its correction takes long
+    fits.trace.note((), f"free kernels {rough.outcome}", value)
     return StructuredFit(rough)
 
 
@@ -62,9 +75,10 @@ def _fit_hills(fits: Fits, rough: EvidenceFit) -> StructuredFit | None:
     chosen = rough.hyperparameters
     hills = propose_hills(survey.response, survey.noise, potential, chosen)
     fit = None if hills is None else fits.try_terms((hills,), rough)
-    if fit is None or fit.outcome is not Outcome.CONVERGED:
+    if fit is None or fit.fit.outcome is not Outcome.CONVERGED:
         return None
-    return StructuredFit(fit, evidence_of(fit) - evidence_of(rough))
+    gain = fit.log_evidence - StructuredFit(rough).log_evidence
+    return dataclasses.replace(fit, gain=gain)
 
 
 def has_many_hills(force: AbstractForce) -> bool:

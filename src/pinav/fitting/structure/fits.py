@@ -1,6 +1,7 @@
 """Engine fits of free kernels, with terms and without, and their evidence."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -64,6 +65,20 @@ class StructuredFit(eqx.Module):
     def force(self) -> AbstractForce:
         """The learned force."""
         return self.fit.model.environment
+
+    @functools.cached_property
+    def log_evidence(self) -> float:
+        """Log evidence [nats], of terms also where the free kernels are absent."""
+        return max(_evidence_of_all(self.fit), _evidence_of_terms(self.fit))
+
+    @property
+    def stands_alone(self) -> bool:
+        """True if terms alone explain the data, and no force at all does not."""
+        fit = self.fit
+        nothing = LinearisedObservations.of(fit.linear.quadratic).log_evidence_without
+        is_a_force = fit.hyperparameters.log_evidence > nothing + POLICY.clear
+        alone = _evidence_of_terms(fit)
+        return is_a_force and alone > _evidence_of_all(fit) - POLICY.decisive
 
 
 class Fits(eqx.Module):
@@ -142,7 +157,7 @@ class Fits(eqx.Module):
 
     def try_terms(
         self, terms: Terms, begun: EvidenceFit | None = None
-    ) -> EvidenceFit | None:
+    ) -> StructuredFit | None:
         """The fit of terms beside the kernels; None where it diverges.
 
         Args:
@@ -151,14 +166,14 @@ class Fits(eqx.Module):
         first = self if begun is None else self.about(begun)
         quiet = dataclasses.replace(first.beside(terms), throw=False)
         try:
-            fit = quiet.fit()
+            tried = StructuredFit(quiet.fit())
         except FitError:
-            fit = None
-        if fit is None or fit.outcome is Outcome.DIVERGED:
+            tried = None
+        if tried is None or tried.fit.outcome is Outcome.DIVERGED:
             self.trace.note(terms, "its fit diverged")
             return None
-        self.trace.note(terms, f"its fit {fit.outcome}", evidence_of(fit))
-        return fit
+        self.trace.note(terms, f"its fit {tried.fit.outcome}", tried.log_evidence)
+        return tried
 
     def report(self, progress: EvidenceProgress) -> None:
         """Pass a step on, with the name of the force."""
@@ -166,18 +181,8 @@ class Fits(eqx.Module):
             self.on_step(dataclasses.replace(progress, force=self.kernels.kind))
 
 
-def evidence_of(fit: EvidenceFit) -> float:
-    """Log evidence of a fit; of terms also where the free kernels are absent."""
-    whole = model_evidence(fit.linear, fit.hyperparameters).log_evidence
-    return max(whole, _evidence_of_terms(fit))
-
-
-def stands_alone(fit: EvidenceFit) -> bool:
-    """True if terms explain the data without free kernels, and no force does not."""
-    whole = model_evidence(fit.linear, fit.hyperparameters).log_evidence
-    nothing = LinearisedObservations.of(fit.linear.quadratic).log_evidence_without
-    is_a_force = fit.hyperparameters.log_evidence > nothing + POLICY.clear
-    return is_a_force and _evidence_of_terms(fit) > whole - POLICY.decisive
+def _evidence_of_all(fit: EvidenceFit) -> float:
+    return model_evidence(fit.linear, fit.hyperparameters).log_evidence
 
 
 def _evidence_of_terms(fit: EvidenceFit) -> float:

@@ -26,9 +26,8 @@ class SearchPolicy(eqx.Module):
         same: change of the misfit of terms, relative to it, that is none.
         fitted: proposals whose fit is tried, one after the other, until one succeeds.
         moved: trials of a stage, the most likely ones, that are moved on finer grids.
+        moves: steps of a trial at each smoothness, at most.
         polished: trials that are polished, of those that were moved.
-        again: times that a polish is repeated where more may be explained: about a poor
-            geometry the evidence holds on to profiles without any smoothness.
         rounds: of linearising about the fit of what was found, at most.
         first_steps: of a fit about which the data are linearised.
         polish_steps: of the engine for the geometry of a proposal.
@@ -71,9 +70,9 @@ class SearchPolicy(eqx.Module):
     plain: float = 3.0
     same: float = 0.1
     fitted: int = 2
-    moved: int = 6
-    polished: int = 3
-    again: int = 3
+    moved: int = 4
+    moves: int = 10
+    polished: int = 2
     rounds: int = 2
     first_steps: int = 3
     polish_steps: int = 8
@@ -88,7 +87,7 @@ class SearchPolicy(eqx.Module):
     sets: int = 4
     finer: tuple[float, ...] = (0.35, 0.1)
     finer_side: tuple[int, int] = (5, 3)
-    smoothness: tuple[float, float] = (0.1, 0.05)
+    smoothness: tuple[float, float] = (0.1, 0.03)
     directions: int = 24
     ratios: tuple[float, ...] = (1e-3, 1e-5, 1e-7)
     kernels: tuple[int, int] = (36, 18)

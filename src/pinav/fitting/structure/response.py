@@ -104,8 +104,12 @@ def columns(
     force: Linear, response: ForceResponse
 ) -> Float[np.ndarray, "datum weight"]:
     """Residuals by each weight of a force that is linear in them."""
-    slopes = _slopes(force, response)[1]
-    return response.change(slopes[..., : force.weights.size])
+    return slopes(force, response)[:, : force.weights.size]
+
+
+def slopes(force: Linear, response: ForceResponse) -> Float[np.ndarray, "datum number"]:
+    """Residuals by the weights of a force, which come first, and by its geometry."""
+    return response.change(_slopes(force, response)[1])
 
 
 def force_quadratic(parts: Sequence[Linear], response: ForceResponse) -> Quadratic:
@@ -156,13 +160,14 @@ def _slopes(
 
     Weights come first, as they do in every such force.
     """
-    by_numbers = ravel_model(force, _numbers)
+    by_numbers = ravel_model(force, numbers)
     made = _forces_and_slopes(*by_numbers, response.times, response.points)
     forces, slopes = map(np.asarray, made)
     return forces, slopes
 
 
-def _numbers(force: Linear) -> PyTree:
+def numbers(force: Linear) -> PyTree:
+    """The weights of a force, and its geometry."""
     is_term = isinstance(force, AbstractTerm)
     return (force.weights, force.geometry) if is_term else force.weights
 

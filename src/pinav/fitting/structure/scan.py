@@ -24,7 +24,7 @@ from pinav.fitting.evidence.evidence import root
 from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.response import ForceResponse, forces_by_weight
 from pinav.fitting.structure.response import columns as by_weight
-from pinav.fitting.structure.trials import cost, smooth_shape
+from pinav.fitting.structure.trials import cost, scanned_shapes
 from pinav.forces import AbstractTerm
 
 SAMPLE = 8
@@ -69,7 +69,7 @@ def _seen_columns(
     most variance may all be where there are no data.
     """
     prior = terms[0].prior()
-    whole = root(prior.covariance(smooth_shape(terms[0], response)))
+    whole = root(prior.covariance(scanned_shapes(terms[0], response)[-1]))
     if whole.shape[1] > POLICY.directions:
         seen = np.zeros((whole.shape[1],) * 2)
         for term in terms[:: -(-len(terms) // SAMPLE)]:

@@ -5,6 +5,7 @@ grids, polish them, and compare what they explain by its evidence. A stage is ne
 before all of it was compared: terms that are good enough are not always the right ones.
 """
 
+import functools
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -16,12 +17,12 @@ from jaxtyping import Float
 from pinav.fitting.structure.kinds import (
     has_shape,
     lattices,
-    neighbourhoods,
     signature,
     simple_kinds,
     simpler,
     turned_shears,
 )
+from pinav.fitting.structure.moves import move
 from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.potential_map import PotentialMap
 from pinav.fitting.structure.response import ForceResponse
@@ -69,9 +70,13 @@ class Search(eqx.Module):
         linear, dictionary = linear_term(self.region), _Dictionary.of(self)
         held = Held.of((linear,), self.response)
         found = self._polished([Trial(0.0, (linear,))])
-        stages = dictionary.singles, dictionary.sums
+        stages = (
+            lambda: dictionary.singles(linear, held),
+            lambda: dictionary.sums(linear, held),
+            lambda: dictionary.beside(preferred(found)[0].terms) if found else (),
+        )
         for stage in stages[:1] if singles_only else stages:
-            found += self._polished(list(stage(linear, held)))
+            found += self._polished(list(stage()))
             is_content = found and preferred(found)[0].noise < self._most(self.content)
             if is_content or self.trace.is_over:
                 break
@@ -91,7 +96,6 @@ class Search(eqx.Module):
 
     def _polished(self, trials: Sequence[Trial]) -> list[Proposal]:
         """The most likely trials, at most two of the same kinds, moved and polished."""
-        between = self._most(POLICY.settled), self._most(POLICY.hopeless)
         likely: list[Trial] = []
         for trial in sorted(trials, key=Trial.worst_last):
             kinds = signature(trial.terms)
@@ -104,28 +108,17 @@ class Search(eqx.Module):
             if made and self.trace.is_over:
                 self.trace.note(trial.terms, "scanned; the budget was spent")
                 continue
-            terms = trial.terms
-            proposal = polish(terms, self.response, again=POLICY.again, between=between)
-            self._note(terms, proposal, "polished" if proposal else "has no optimum")
+            proposal = polish(trial.terms, self.response)
+            ended = "polished" if proposal else "has no optimum"
+            self._note(trial.terms, proposal, ended)
             if proposal is not None:
                 made.append(proposal)
         return made
 
     def _closer(self, trial: Trial) -> Trial:
-        """The trial with each of its terms on finer grids beside the others."""
-        value, terms = trial
-        for share in POLICY.finer:
-            for index, term in enumerate(terms):
-                rest = terms[:index] + terms[index + 1 :]
-                ways = neighbourhoods(term)
-                held = Held.of(rest, self.response) if ways else None
-                for near in ways:
-                    assert held is not None
-                    atoms = Atoms.of(near(term, self.region, share), self.response)
-                    values = held.beside(atoms)
-                    value, term = float(values.max()), atoms.terms[int(values.argmax())]
-                terms = (*terms[:index], term, *terms[index + 1 :])
-        return Trial(value, terms)
+        """The trial with its geometry where it explains more."""
+        placed = move(trial.terms, self.response)
+        return Trial(placed.log_evidence, placed.terms)
 
 
 class _Dictionary(eqx.Module):
@@ -169,14 +162,38 @@ class _Dictionary(eqx.Module):
             for second in kinds[index:]:
                 yield from _best_pair(first, second, linear, held)
 
-    def _planar(self, linear: Any, held: Held) -> Iterator[Trial]:
-        """Lattices and ellipses, which are tried everywhere, also beside walls."""
-        waves = Atoms.of(lattices(self.region), self.response)
-        yield from self._best_few(waves, linear, held)
+    def beside(self, terms: Terms) -> Iterator[Trial]:
+        """The terms with one more, or with another in the place of one.
+
+        Of a sum of three the best pair may be no part, but what is missing beside it
+        then is; what the sum does not need goes when it is simplified.
+        """
+        for index in range(len(terms) + 1):
+            rest = terms[:index] + terms[index + 1 :]
+            if index < len(terms) and not has_shape(terms[index]):
+                continue
+            held = Held.of(rest, self.response)
+            for atoms in self.scanned:
+                values = held.beside(atoms)
+                best = int(np.argmax(values))
+                yield Trial(float(values[best]), (*rest, atoms.terms[best]))
+
+    @functools.cached_property
+    def scanned(self) -> list[Atoms]:
+        """All kinds of single terms with a shape, the lattices and ellipses last."""
+        shaped = [atoms for atoms in self.simple if has_shape(atoms.terms[0])]
+        if not self.region.is_planar:
+            return shaped
         dense = self.region.dense_places(POLICY.dense)
         places = np.concatenate([dense, self.summits])
-        for size in POLICY.shears:
-            atoms = self._ellipses(places, size)
+        waves = Atoms.of(lattices(self.region), self.response)
+        return [*shaped, waves, *(self._ellipses(places, s) for s in POLICY.shears)]
+
+    def _planar(self, linear: Any, held: Held) -> Iterator[Trial]:
+        """Lattices and ellipses, which are tried everywhere, also beside walls."""
+        waves, *ellipses = self.scanned[-1 - len(POLICY.shears) :]
+        yield from self._best_few(waves, linear, held)
+        for atoms in ellipses:
             yield from self._best_few(atoms, linear, held)
             for walls in self.simple:
                 if isinstance(walls.terms[0], WallTerm):

@@ -5,16 +5,27 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from pinav.fitting.engine.evidence_fit import EvidenceFit
+from pinav.fitting.evidence.evidence import LinearisedObservations, at_shape
 from pinav.fitting.structure.fits import Fits
 from pinav.fitting.structure.policy import POLICY
-from pinav.fitting.structure.response import ForceResponse, force_response
+from pinav.fitting.structure.response import (
+    ForceResponse,
+    force_quadratic,
+    force_response,
+)
 from pinav.fitting.structure.search import Search
 from pinav.fitting.structure.starts import Region
 from pinav.fitting.structure.trace import Trace
 from pinav.fitting.structure.trials import Proposal
-from pinav.forces import AbstractLearnedForce, ZeroForce, as_learned_force
+from pinav.forces import (
+    AbstractLearnedForce,
+    ZeroForce,
+    as_learned_force,
+    split_structure,
+)
 from pinav.trajectories import Trajectories
 
 
@@ -23,12 +34,15 @@ class Survey(eqx.Module):
 
     Attributes:
         is_begun: True if the states are those of a fit, not smoothed ones.
+        log_evidence: of the free kernels of that fit in these data, to which that of
+            terms compares [nats]; minus infinity where terms stood beside them.
     """
 
     response: ForceResponse
     region: Region
     noise: float
     is_begun: bool
+    log_evidence: float
     trace: Trace = eqx.field(static=True)
 
     @classmethod
@@ -65,21 +79,26 @@ class Survey(eqx.Module):
             if given is None
             else given,
             is_begun=fit is not None,
+            log_evidence=-np.inf if fit is None else _evidence_of(fit, response),
             trace=fits.trace,
         )
 
     def explains(self, proposal: Proposal) -> bool:
-        """True if terms leave little more of the data unexplained than the noise."""
-        return proposal.noise <= POLICY.explained * self.noise
+        """True if terms leave little more than the noise, and no more than kernels do.
+
+        A field without any structure is explained by many flexible terms, too, but
+        better by free kernels.
+        """
+        is_better = proposal.log_evidence > self.log_evidence - POLICY.clear
+        return is_better and proposal.noise <= POLICY.explained * self.noise
 
     def is_worth_a_fit(self, proposal: Proposal) -> bool:
         """True if the terms may explain the data about their own fit.
 
-        The states about which the data are linearised miss the path where they are
-        smoothed, or where free kernels are too coarse for the force; in space such
-        terms are not worth the time of a fit.
+        Smoothed states miss the path, so that right terms leave more about them; in
+        space such terms are not worth the time of a fit.
         """
-        if not self.region.is_planar:
+        if self.is_begun or not self.region.is_planar:
             return self.explains(proposal)
         return proposal.noise <= POLICY.hopeless * self.noise
 
@@ -97,6 +116,16 @@ class Survey(eqx.Module):
             content if self.is_begun else POLICY.hopeless,
             self.trace,
         )
+
+
+def _evidence_of(fit: EvidenceFit, response: ForceResponse) -> float:
+    """Log evidence of the free kernels of a fit in the data linearised about it."""
+    kernels = fit.model.environment
+    if split_structure(kernels)[0]:
+        return -np.inf
+    data = LinearisedObservations.of(force_quadratic((kernels,), response))
+    shape = fit.hyperparameters.shape
+    return at_shape(data, kernels.prior().covariance, shape).log_evidence
 
 
 DIMENSIONS = 2, 3

@@ -126,12 +126,10 @@ def _smooth_shapes(
 ) -> list[Float[np.ndarray, " shape"]]:
     """Starts of a search, of a few smoothnesses that all profiles share."""
     shapes = []
-    for smoothness in POLICY.smoothness:
+    for each in zip(*(scanned_shapes(term, response) for term in terms), strict=True):
         shape = prior.start.copy()
-        for term, place in zip(terms, _shape_places(terms), strict=True):
-            if _has_kernels(term):
-                kernels = POLICY.kernels[response.points.shape[-1] == 3]
-                shape[place] = np.log(smoothness * kernels)
+        for own, place in zip(each, _shape_places(terms), strict=True):
+            shape[place : place + len(own)] = own
         shapes.append(shape)
     return shapes
 
@@ -140,11 +138,18 @@ def _has_kernels(term: AbstractTerm) -> bool:
     return isinstance(term, AbstractProfileTerm) and term.has_kernels
 
 
-def smooth_shape(
+def scanned_shapes(
     term: AbstractTerm, response: ForceResponse
-) -> Float[np.ndarray, " shape"]:
-    """The roughest of the shapes at which terms are scanned."""
-    return _smooth_shapes((term,), term.prior(), response)[-1]
+) -> list[Float[np.ndarray, " shape"]]:
+    """Shapes of the prior at which a term is tried, the smoothest first."""
+    shapes = []
+    for smoothness in POLICY.smoothness:
+        shape = term.prior().start.copy()
+        if _has_kernels(term):
+            kernels = POLICY.kernels[response.points.shape[-1] == 3]
+            shape[0] = np.log(smoothness * kernels)
+        shapes.append(shape)
+    return shapes
 
 
 def _shape_places(terms: Terms) -> list[int]:
@@ -160,36 +165,11 @@ def cost(terms: Terms, response: ForceResponse) -> float:
     return 0.5 * count * float(np.log(response.num_free)) + 3.0 * len(terms)
 
 
-def polish(
-    terms: Terms,
-    response: ForceResponse,
-    *,
-    again: int = 0,
-    between: tuple[float, float] = (0.0, np.inf),
-) -> Proposal | None:
+def polish(terms: Terms, response: ForceResponse) -> Proposal | None:
     """Profiles and geometry of the highest evidence; None where there is no best.
 
     Profiles come first: a geometry has no derivative while its profile is zero.
-
-    Args:
-        again: times that it begins anew from where it ended, at most, while that gains.
-            About a poor geometry the evidence prefers profiles without any smoothness,
-            and holds on to them unless the search for them begins anew.
-        between: what must be left for that: less is explained, more is hopeless.
     """
-    best = _polish_once(terms, response)
-    while best is not None and again > 0 and between[0] < best.noise < between[1]:
-        other = _polish_once(best.terms, response)
-        if (
-            other is None
-            or other.log_evidence < best.log_evidence + 2 * POLICY.decisive
-        ):
-            break
-        best, again = other, again - 1
-    return best
-
-
-def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
     try:
         terms = with_profiles(terms, response)
         force, shaped = SumForce(terms), any(term.geometry for term in terms)
