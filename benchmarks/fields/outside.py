@@ -162,7 +162,7 @@ def _shear(rng: np.random.Generator) -> AbstractForce:
 
 def _flung_vortex(rng: np.random.Generator) -> AbstractForce:
     """A vortex in a saddle that flings swimmers out over a hundred lengths."""
-    rate, place = float(rng.uniform(0.5, 0.9)), rng.uniform(4.0, 6.0, 2)
+    rate, place = float(rng.uniform(0.06, 0.12)), rng.uniform(4.0, 6.0, 2)
     saddle = LinearForce(np.diag([rate, -rate]), place)
     strength, width = float(rng.uniform(2.0, 4.0)), float(rng.uniform(1.5, 2.5))
     return SumForce((gaussian_swirl(strength, place, width), saddle))

@@ -22,7 +22,7 @@ from pinav.fitting.structure.fits import (
 from pinav.fitting.structure.kinds import signature
 from pinav.fitting.structure.laws import follow_laws
 from pinav.fitting.structure.policy import POLICY
-from pinav.fitting.structure.search import preferred, refine, simplify
+from pinav.fitting.structure.search import preferred, refine
 from pinav.fitting.structure.survey import Survey
 from pinav.fitting.structure.trials import Proposal, polish
 
@@ -63,8 +63,7 @@ def _fit_until_kinds_stay(
     survey = Survey.of(fits, begun)
     here = polish(begun.model.environment.terms, survey.response)
     if here is not None:
-        here = simplify(here, survey.response, survey.region)
-        here = refine(here, survey.response)
+        here = refine(survey.simplify(here), survey.response)
     is_settled = here is not None and here.noise <= POLICY.settled * survey.noise
     if not (is_settled or _is_too_coarse(here)):
         here = _search_again(fits, survey, here, proposal)
@@ -123,7 +122,8 @@ def _search_again(
     turns = not fits.kernels.is_conservative or any(t.rotational for t in before.terms)
     proposals = survey.search(rotational=turns, content=POLICY.settled).run()
     several = [] if here is None else [here]
-    several += [refine(one, survey.response) for one in proposals[:1]]
+    best = [survey.simplify(one) for one in proposals[:1] if survey.explains(one)]
+    several += [refine(one, survey.response) for one in best]
     return preferred(several)[0] if several else None
 
 

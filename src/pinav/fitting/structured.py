@@ -241,6 +241,7 @@ def _proposals(
     """
     proposals = survey.search(rotational=rotational).run(singles_only=singles_only)
     proposals = [one for one in proposals if survey.is_worth_a_fit(one)]
+    proposals[:1] = [survey.simplify(one) for one in proposals[:1]]
     if not survey.region.is_planar:
         # The kernels of the search are half as many there as those of a fit.
         return [refine(one, survey.response, 1) for one in proposals]

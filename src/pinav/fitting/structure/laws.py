@@ -63,14 +63,14 @@ def follow_laws(
     if first is None or first.noise > POLICY.lawful * noise:
         return None
     index = 0
-    while best is not None and index < len(best.terms):
+    while index < len(best.terms):
         term = best.terms[index]
         if isinstance(term, AbstractProfileTerm) and term.law is None:
             lawful = _with_law_of(best, index, response, region)
             if lawful and lawful.log_evidence > best.log_evidence - KINDS:
-                best = simplify(lawful, response, region)
+                best = lawful
         index += 1
-    return None if best is first else best
+    return None if best is first else simplify(best, response, region)
 
 
 def _is_lawful(alone: Proposal, index: int, noise: float) -> bool:

@@ -80,12 +80,7 @@ class Search(eqx.Module):
             is_content = found and preferred(found)[0].noise < self._most(self.content)
             if is_content or self.trace.is_over:
                 break
-        if not found:
-            return []
-        best, *others = preferred(found)
-        best = simplify(best, self.response, self.region)
-        self._note(best.terms, best, "what the search prefers")
-        return [best, *others]
+        return preferred(found) if found else []
 
     def _most(self, misfit: float) -> float:
         return misfit * self.noise

@@ -16,7 +16,7 @@ from pinav.fitting.structure.response import (
     force_quadratic,
     force_response,
 )
-from pinav.fitting.structure.search import Search
+from pinav.fitting.structure.search import Search, simplify
 from pinav.fitting.structure.starts import Region
 from pinav.fitting.structure.trace import Trace
 from pinav.fitting.structure.trials import Proposal
@@ -101,6 +101,13 @@ class Survey(eqx.Module):
         if self.is_begun or not self.region.is_planar:
             return self.explains(proposal)
         return proposal.noise <= POLICY.hopeless * self.noise
+
+    def simplify(self, proposal: Proposal) -> Proposal:
+        """A proposal without what these data do not ask for."""
+        simpler = simplify(proposal, self.response, self.region)
+        left = simpler.noise / self.noise
+        self.trace.note(simpler.terms, "preferred", simpler.log_evidence, left)
+        return simpler
 
     def search(self, *, rotational: bool, content: float = POLICY.content) -> Search:
         """The search for terms in these data.
