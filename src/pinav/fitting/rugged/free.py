@@ -75,7 +75,7 @@ def _fit_hills(fits: Fits, rough: EvidenceFit) -> StructuredFit | None:
     chosen = rough.hyperparameters
     hills = propose_hills(survey.response, survey.noise, potential, chosen)
     fit = None if hills is None else fits.try_terms((hills,), rough)
-    if fit is None or fit.fit.outcome is not Outcome.CONVERGED:
+    if fit is None:
         return None
     gain = fit.log_evidence - StructuredFit(rough).log_evidence
     return dataclasses.replace(fit, gain=gain)

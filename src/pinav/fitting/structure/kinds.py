@@ -1,7 +1,7 @@
 """Kinds of terms: where each may be, what lies next to it, and what is simpler."""
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import equinox as eqx
 import jax
@@ -14,7 +14,6 @@ from pinav.fitting.structure.starts import (
     Region,
     central_term,
     circular,
-    ellipses,
     linear_term,
     wall_term,
 )
@@ -113,8 +112,9 @@ WAVES = 1000
 def simpler(terms: Terms, region: Region) -> Iterator[Terms]:
     """Structures with one term, one centre or one direction less.
 
-    An ellipse without end is a wall, one as wide as long is central. Two plane waves
-    are two walls, too, where data explain no more than those.
+    An ellipse without end is a wall, one as wide as long is central; a lattice with
+    waves in one direction is a wall. Two plane waves are two walls, too, where data
+    explain no more than those.
     """
     walls = [term for term in terms if isinstance(term, WallTerm)]
     for one, two in itertools.combinations(walls, 2):
@@ -128,6 +128,11 @@ def simpler(terms: Terms, region: Region) -> Iterator[Terms]:
         if isinstance(term, EllipticTerm):
             yield (*before, _endless(term, region), *after)
             yield (*before, circular(term, term.center), *after)
+        if isinstance(term, LatticeTerm):
+            for x, y in np.asarray(term.wave_vectors):
+                angle = float(np.arctan2(y, x))
+                wall = wall_term(region, angle, rotational=term.rotational)
+                yield (*before, wall, *after)
         if isinstance(term, ObstaclesTerm):
             yield from ((*before, fewer, *after) for fewer in with_one_less(term))
 
@@ -146,65 +151,6 @@ def with_one_less(term: ObstaclesTerm) -> Iterator[ObstaclesTerm | CentralTerm]:
             yield eqx.tree_at(lambda one: one.centers, term, centers)
         else:
             yield circular(term, centers[0])
-
-
-Near = Callable[[AbstractTerm, Region, float], list[AbstractTerm]]
-
-
-def neighbourhoods(term: AbstractTerm) -> list[Near]:
-    """Ways in which the geometry of a term may be a little different.
-
-    Each makes the term and others of its kind, on a grid that spans a share of the
-    region.
-    """
-    if isinstance(term, WallTerm):
-        return [_turn]
-    if isinstance(term, ObstaclesTerm):
-        return [_move_one] * len(term.centers)
-    if isinstance(term, CentralTerm):
-        return [_move]
-    return [_move, _stretch] if isinstance(term, EllipticTerm) else []
-
-
-def _turn(term: AbstractTerm, region: Region, share: float) -> list[AbstractTerm]:
-    assert isinstance(term, WallTerm)
-    steps = 4 * share * np.pi / POLICY.angles * np.linspace(-1, 1, 9)
-    return [eqx.tree_at(lambda t: t.angle, term, term.angle + step) for step in steps]
-
-
-def _move(term: AbstractTerm, region: Region, share: float) -> list[AbstractTerm]:
-    assert isinstance(term, CentralTerm | EllipticTerm)
-    return [
-        eqx.tree_at(lambda t: t.center, term, jnp.asarray(place))
-        for place in _about(np.asarray(term.center), region, share)
-    ]
-
-
-def _move_one(term: AbstractTerm, region: Region, share: float) -> list[AbstractTerm]:
-    """Obstacles whose first centre comes last, on a grid about where it is."""
-    assert isinstance(term, ObstaclesTerm)
-    turned = jnp.roll(term.centers, -1, axis=0)
-    return [
-        eqx.tree_at(lambda t: t.centers, term, turned.at[-1].set(jnp.asarray(place)))
-        for place in _about(np.asarray(turned[-1]), region, share)
-    ]
-
-
-def _about(place: Float[np.ndarray, " dim"], region: Region, share: float) -> Places:
-    side = POLICY.finer_side[not region.is_planar]
-    return np.concatenate([place[None], region.grid(side, place, share)])
-
-
-def _stretch(term: AbstractTerm, region: Region, share: float) -> list[AbstractTerm]:
-    assert isinstance(term, EllipticTerm)
-    angle = np.arctan2(float(term.shear[1]), float(term.shear[0]))
-    size = float(np.hypot(*np.asarray(term.shear)))
-    angles = angle + share * np.pi / POLICY.turns * np.linspace(-2.5, 2.5, 5)
-    sizes = size * np.exp(share * np.linspace(-1, 1, 5))
-    unit = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    shears = (sizes[:, None, None] * unit).reshape(-1, 2)
-    shears = np.concatenate([np.asarray(term.shear)[None], shears])
-    return list(ellipses(region, np.asarray(term.center)[None], shears))
 
 
 def signature(terms: Terms) -> tuple[str, ...]:

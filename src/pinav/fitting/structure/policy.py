@@ -25,7 +25,7 @@ class SearchPolicy(eqx.Module):
             times as much, swirls 4.4 to 21 times.
         same: change of the misfit of terms, relative to it, that is none.
         fitted: proposals whose fit is tried, one after the other, until one succeeds.
-        moved: trials of a stage, the most likely ones, that are moved on finer grids.
+        moved: trials of a stage, the most likely ones, whose geometry is moved.
         moves: steps of a trial at each smoothness, at most.
         polished: trials that are polished, of those that were moved.
         rounds: of linearising about the fit of what was found, at most.
@@ -42,8 +42,6 @@ class SearchPolicy(eqx.Module):
         periods: of a lattice across the data, at most.
         centers: of obstacles of one kind, at most.
         sets: pairs of centres from which such obstacles are grown.
-        finer: shares that grids about the best place span, one after the other.
-        finer_side: places along each side of these.
         smoothness: length scales of profiles that are tried, as shares of the extent;
             the last one in a scan.
         directions: of the weights of a scanned term that the data see most.
@@ -85,8 +83,6 @@ class SearchPolicy(eqx.Module):
     periods: int = 6
     centers: int = 8
     sets: int = 4
-    finer: tuple[float, ...] = (0.35, 0.1)
-    finer_side: tuple[int, int] = (5, 3)
     smoothness: tuple[float, float] = (0.1, 0.03)
     directions: int = 24
     ratios: tuple[float, ...] = (1e-3, 1e-5, 1e-7)

@@ -1,8 +1,9 @@
 """The search for terms in one linearisation of the data.
 
-Scan all kinds of terms at all their places (`Held`), move the most likely ones on finer
-grids, polish them, and compare what they explain by its evidence. A stage is never left
-before all of it was compared: terms that are good enough are not always the right ones.
+Scan all kinds of terms at all their places (`Held`), move the most likely ones to where
+they explain most (`move`), polish them, and compare what they explain by its evidence.
+A stage is never left before all of it was compared: terms that are good enough are not
+always the right ones.
 """
 
 import functools
@@ -96,8 +97,8 @@ class Search(eqx.Module):
             kinds = signature(trial.terms)
             if sum(signature(one.terms) == kinds for one in likely) < 2:
                 likely.append(trial)
-        likely = [self._closer(trial) for trial in likely[: POLICY.moved]]
-        likely = _unlike(likely)
+        placed = [move(trial.terms, self.response) for trial in likely[: POLICY.moved]]
+        likely = _unlike([Trial(one.log_evidence, one.terms) for one in placed])
         made: list[Proposal] = []
         for trial in sorted(likely, key=Trial.worst_last)[: POLICY.polished]:
             if made and self.trace.is_over:
@@ -109,11 +110,6 @@ class Search(eqx.Module):
             if proposal is not None:
                 made.append(proposal)
         return made
-
-    def _closer(self, trial: Trial) -> Trial:
-        """The trial with its geometry where it explains more."""
-        placed = move(trial.terms, self.response)
-        return Trial(placed.log_evidence, placed.terms)
 
 
 class _Dictionary(eqx.Module):
@@ -142,7 +138,11 @@ class _Dictionary(eqx.Module):
 
     def sums(self, linear: Any, held: Held) -> Iterator[Trial]:
         """Obstacles of one kind, ellipses, lattices, and all pairs of terms."""
-        kinds = [atoms for atoms in self.simple if has_shape(atoms.terms[0])]
+        kinds = [
+            atoms
+            for atoms in self.scanned
+            if not isinstance(atoms.terms[0], EllipticTerm)
+        ]
         for atoms in kinds:
             first = atoms.terms[0]
             if isinstance(first, CentralTerm):

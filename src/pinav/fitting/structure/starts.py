@@ -81,21 +81,10 @@ class Region(eqx.Module):
         finer = FINER ** np.clip(np.floor(wanted + 0.3), 0, FINEST - 1)
         return float(self.extent / round(POLICY.kernels[not self.is_planar] * finer))
 
-    def grid(
-        self,
-        side: int,
-        middle: Float[np.ndarray, " dim"] | None = None,
-        fraction: float = 1.0,
-    ) -> Float[np.ndarray, "point dim"]:
-        """Places that are scanned.
-
-        Args:
-            middle: of the grid [L]; that of most of the data unless given.
-            fraction: its size, as a share of the extent of most of the data.
-        """
-        middle = self.core_center if middle is None else middle
-        axis = np.linspace(-0.5, 0.5, side) * self.core_extent * fraction
-        return middle + _mesh([axis] * len(middle))
+    def grid(self, side: int) -> Float[np.ndarray, "point dim"]:
+        """Places that are scanned, evenly over most of the data."""
+        axis = np.linspace(-0.5, 0.5, side) * self.core_extent
+        return self.core_center + _mesh([axis] * len(self.middle))
 
     def places(self) -> Float[np.ndarray, "point dim"]:
         """Centres that are scanned first: even, and dense where the data are."""
