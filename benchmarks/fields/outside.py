@@ -54,7 +54,7 @@ class Contacts(AbstractPotentialForce):
     centers: Float[Array, "pillar 2"]
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        gaps = x - self.centers
+        gaps = x[None] - self.centers
         depths = self.radii - jnp.sqrt((gaps**2).sum(axis=1) + 1e-12)
         return 0.4 * self.stiffness * (jnp.maximum(depths, 0.0) ** 2.5).sum()
 

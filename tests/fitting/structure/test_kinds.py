@@ -1,4 +1,4 @@
-"""Where terms of each kind may be, what lies next to them, and what is simpler."""
+"""Where terms of each kind may be, and what is simpler."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +7,6 @@ from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.fitting.structure.kinds import (
     lattices,
-    neighbourhoods,
     simple_kinds,
     with_one_less,
 )
@@ -15,7 +14,6 @@ from pinav.fitting.structure.search import simplify
 from pinav.fitting.structure.starts import (
     Region,
     central_term,
-    ellipses,
     obstacles_at,
     wall_term,
 )
@@ -81,28 +79,16 @@ def test_obstacles_are_left_out_one_by_one():
     np.testing.assert_allclose([term.center[0] for term in alone], [5.0, 7.0])
 
 
-(ELLIPSE,) = ellipses(REGION, np.array([[4.0, 6.0]]), np.array([[0.3, 0.2]]))
-SHAPED = central_term(REGION, np.array([4.0, 6.0])), wall_term(REGION, 0.7), ELLIPSE
-
-
-@pytest.mark.parametrize("term", [*SHAPED, PAIR], ids=lambda term: term.kind)
-def test_a_term_is_in_the_middle_of_each_of_its_neighbourhoods(term):
-    ways = neighbourhoods(term)
-    for near in ways:
-        others = near(term, REGION, 0.2)
-        gaps = [
-            sum(float(np.abs(np.sort(a) - np.sort(b)).sum()) for a, b in pairs(o, term))
-            for o in others
-        ]
-        assert min(gaps) < 1e-9
-        assert np.mean(np.array(gaps) > 1e-9) > 0.8
-
-
-def pairs(one, other):
-    return [
-        (np.ravel(a), np.ravel(b))
-        for a, b in zip(one.geometry, other.geometry, strict=True)
-    ]
+def test_a_lattice_that_stands_for_a_wall_becomes_one():
+    data = response(soft_wall(3.0, 0.4, 5.0, 0.8))
+    wanted = 2 * np.pi / 8.0 * normal(0.4)
+    waves = min(
+        lattices(REGION),
+        key=lambda one: np.linalg.norm(np.asarray(one.wave_vectors[0]) - wanted),
+    )
+    terms = simplify(polish((waves,), data), data, REGION).terms
+    assert [term.kind for term in terms] == ["wall"]
+    assert float(terms[0].angle) == pytest.approx(0.4, abs=0.01)
 
 
 @pytest.mark.parametrize("rotational", [False, True])

@@ -63,10 +63,15 @@ def search(truth, **options):
         pytest.param(RIDGE + WALL, ["elliptic", "wall"], id="ridge-wall", marks=SLOW),
         pytest.param(WAVES, ["lattice"], id="lattice", marks=SLOW),
         pytest.param(THREE, ["obstacles"], id="obstacles", marks=SLOW),
+        pytest.param(HILL + WAVES, ["central", "lattice"], id="defect", marks=SLOW),
+        pytest.param(
+            HILL + WELL + WALL, ["central", "central", "wall"], id="three", marks=SLOW
+        ),
     ],
 )
 def test_the_search_names_what_is_there_and_nothing_beside_it(truth, kinds):
-    best = search(truth).run()[0]
+    data = response(truth)
+    best = simplify(search(truth).run()[0], data, REGION)
     assert sorted(term.kind for term in best.terms) == kinds
     assert best.noise == pytest.approx(0.01, rel=0.3)
 

@@ -59,10 +59,10 @@ def follow_laws(
     Profiles that leave more than the noise to free kernels are no laws and are not
     tried.
     """
-    first = best = polish(terms, response)
+    first = polish(terms, response)
     if first is None or first.noise > POLICY.lawful * noise:
         return None
-    index = 0
+    best, index = first, 0
     while index < len(best.terms):
         term = best.terms[index]
         if isinstance(term, AbstractProfileTerm) and term.law is None:

@@ -25,7 +25,7 @@ from pinav.fitting.structure.response import ForceResponse, numbers, slopes
 from pinav.fitting.structure.trials import Terms, cost, scanned_shapes
 from pinav.forces import AbstractTerm
 
-Roots = Sequence[Float[np.ndarray, "weight direction"]]
+Roots = Sequence[Float[np.ndarray, "_ _"]]
 """Of the covariance of the weights of each term."""
 
 
