@@ -28,6 +28,7 @@ class SearchPolicy(eqx.Module):
         moved: trials of a stage, the most likely ones, whose geometry is moved.
         moves: steps of a trial at each smoothness, at most.
         polished: trials that are polished, of those that were moved.
+        parents: proposals beside which a third term is sought.
         rounds: of linearising about the fit of what was found, at most.
         first_steps: of a fit about which the data are linearised.
         polish_steps: of the engine for the geometry of a proposal.
@@ -71,6 +72,7 @@ class SearchPolicy(eqx.Module):
     moved: int = 4
     moves: int = 10
     polished: int = 2
+    parents: int = 2
     rounds: int = 2
     first_steps: int = 3
     polish_steps: int = 8

@@ -7,6 +7,7 @@ always the right ones.
 """
 
 import functools
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -74,14 +75,18 @@ class Search(eqx.Module):
         stages = (
             lambda: dictionary.singles(linear, held),
             lambda: dictionary.sums(linear, held),
-            lambda: dictionary.beside(preferred(found)[0].terms) if found else (),
+            lambda: itertools.chain.from_iterable(
+                dictionary.beside(one.terms)
+                for one in preferred(found)[: POLICY.parents]
+            ),
         )
         for stage in stages[:1] if singles_only else stages:
             found += self._polished(list(stage()))
-            is_content = found and preferred(found)[0].noise < self._most(self.content)
+            best = preferred(found)[:1]
+            is_content = any(one.noise < self._most(self.content) for one in best)
             if is_content or self.trace.is_over:
                 break
-        return preferred(found) if found else []
+        return preferred(found)
 
     def _most(self, misfit: float) -> float:
         return misfit * self.noise
@@ -244,11 +249,11 @@ def preferred(proposals: Sequence[Proposal]) -> list[Proposal]:
     Where the evidence hardly tells, the one that came first is preferred: kinds come in
     the order of their freedom, and a linear force is a wall, too.
     """
-    most = max(one.log_evidence for one in proposals)
+    most = max((one.log_evidence for one in proposals), default=-np.inf)
     near = [one for one in proposals if one.log_evidence >= most - 2 * POLICY.decisive]
     ordered = sorted(proposals, key=lambda one: -one.log_evidence)
     kept: dict[tuple[str, ...], Proposal] = {}
-    for one in (near[0], *ordered):
+    for one in (*near[:1], *ordered):
         kept.setdefault(signature(one.terms), one)
     return list(kept.values())
 
