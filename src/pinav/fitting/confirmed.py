@@ -14,7 +14,7 @@ from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit, iterate
 from pinav.fitting.engine.problem import Step
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.rugged.free import fit_free
+from pinav.fitting.rugged.free import fit_free, fit_rough
 from pinav.fitting.structure.fits import (
     Fits,
     StructuredFit,
@@ -42,9 +42,27 @@ def best_fit(
         if fit is not None and fit.fit.outcome is Outcome.CONVERGED:
             break
     if not tried:
-        return fit_free(fits, rough)
+        return _best_about_free(fits, rough, proposals)
     best = max(tried, key=lambda one: one.log_evidence)
     return _against_free(fits, best, rough)
+
+
+def _best_about_free(
+    fits: Fits, rough: EvidenceFit | None, failed: Sequence[Proposal]
+) -> StructuredFit:
+    """The best fit of terms sought about free kernels, or that of free kernels.
+
+    Args:
+        failed: proposals of which no fit succeeded; about smoothed states, unless there
+            is a fit of free kernels.
+    """
+    if rough is not None or not failed or fits.trace.is_over:
+        return fit_free(fits, rough)
+    rough = fit_rough(fits)
+    survey, turns = Survey.of(fits, rough), not fits.kernels.is_conservative
+    explains = rough.hyperparameters.noise <= POLICY.explained * survey.noise
+    proposals = survey.propose(rotational=turns) if explains else []
+    return best_fit(fits.about(rough) if explains else fits, proposals, rough)
 
 
 def _fit_until_kinds_stay(

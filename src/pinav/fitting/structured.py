@@ -36,7 +36,6 @@ from pinav.fitting.structure.rotation import (
     fitted_gain,
     survey_rotation,
 )
-from pinav.fitting.structure.search import refine
 from pinav.fitting.structure.survey import (
     Survey,
     is_network,
@@ -165,9 +164,9 @@ def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
     turns = asked.is_plain or not fits.kernels.is_conservative
     rough, proposals = None, []
     if not (survey.is_begun or turns):
-        proposals = _proposals(survey, rotational=False, singles_only=True)
+        proposals = survey.propose(rotational=False, singles_only=True)
         if asked.is_needed and not proposals:
-            proposals = _proposals(survey, rotational=True, singles_only=True)
+            proposals = survey.propose(rotational=True, singles_only=True)
             turns = len(proposals) > 0
     if not (survey.is_begun or turns or proposals):
         # Terms are sought about states that explain the data, which finer kernels do.
@@ -177,9 +176,9 @@ def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
         fits, survey = fits.about(rough), Survey.of(fits, rough)
         asked = _weigh_in_survey(fits, survey) if weigh_rotation else asked
         turns = asked.is_plain
-    proposals = proposals or _proposals(survey, rotational=turns)
+    proposals = proposals or survey.propose(rotational=turns)
     if weigh_rotation and asked.is_needed and not (turns or proposals):
-        proposals = _proposals(survey, rotational=True)
+        proposals = survey.propose(rotational=True)
         turns = len(proposals) > 0
     if turns and weigh_rotation:
         turning = _fit_turning(fits, proposals)
@@ -230,27 +229,6 @@ def survey_first_steps(fits: Fits) -> tuple[Fits, Survey]:
 
 def _weigh_in_survey(fits: Fits, survey: Survey) -> SurveyedRotation:
     return survey_rotation(survey.response, survey.noise, (), fits.kernels.kernels)
-
-
-def _proposals(
-    survey: Survey, *, rotational: bool, singles_only: bool = False
-) -> list[Proposal]:
-    """Proposals that are worth a fit, those preferred by the evidence first.
-
-    About states of a fit that explains the data the right terms explain them, too.
-    """
-    proposals = survey.search(rotational=rotational).run(singles_only=singles_only)
-    proposals = [one for one in proposals if survey.is_worth_a_fit(one)]
-    proposals[:1] = [survey.simplify(one) for one in proposals[:1]]
-    if not survey.region.is_planar:
-        # The kernels of the search are half as many there as those of a fit.
-        return [refine(one, survey.response, 1) for one in proposals]
-    if survey.is_begun and proposals:
-        # What the kernels of profiles are too coarse for, their laws may carry.
-        proposals[1:] = [one for one in proposals[1:] if survey.explains(one)]
-        finest = refine(proposals[0], survey.response)
-        proposals = proposals if survey.explains(finest) else proposals[1:]
-    return proposals
 
 
 def _fit_turning(fits: Fits, proposals: Sequence[Proposal]) -> StructuredFit | None:

@@ -57,7 +57,8 @@ class Search(eqx.Module):
     Attributes:
         noise: standard deviation of the observations [L].
         rotational: include terms that turn.
-        content: misfit at which no further stage is searched.
+        content: misfit at which no further stage is searched,
+        least: where the evidence is not below this [nats].
     """
 
     response: ForceResponse
@@ -65,6 +66,7 @@ class Search(eqx.Module):
     noise: float
     rotational: bool
     content: float = POLICY.content
+    least: float = -np.inf
     trace: Trace = eqx.field(static=True, default_factory=Trace)
 
     def run(self, *, singles_only: bool = False) -> list[Proposal]:
@@ -82,14 +84,13 @@ class Search(eqx.Module):
         )
         for stage in stages[:1] if singles_only else stages:
             found += self._polished(list(stage()))
-            best = preferred(found)[:1]
-            is_content = any(one.noise < self._most(self.content) for one in best)
+            is_content = any(
+                one.noise < self.content * self.noise and one.log_evidence > self.least
+                for one in preferred(found)[:1]
+            )
             if is_content or self.trace.is_over:
                 break
         return preferred(found)
-
-    def _most(self, misfit: float) -> float:
-        return misfit * self.noise
 
     def _note(self, terms: Terms, made: Proposal | None, ended: str) -> None:
         numbers = () if made is None else (made.log_evidence, made.noise / self.noise)

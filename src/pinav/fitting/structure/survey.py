@@ -16,7 +16,7 @@ from pinav.fitting.structure.response import (
     force_quadratic,
     force_response,
 )
-from pinav.fitting.structure.search import Search, simplify
+from pinav.fitting.structure.search import Search, refine, simplify
 from pinav.fitting.structure.starts import Region
 from pinav.fitting.structure.trace import Trace
 from pinav.fitting.structure.trials import Proposal
@@ -102,6 +102,26 @@ class Survey(eqx.Module):
             return self.explains(proposal)
         return proposal.noise <= POLICY.hopeless * self.noise
 
+    def propose(
+        self, *, rotational: bool, singles_only: bool = False
+    ) -> list[Proposal]:
+        """Proposals that are worth a fit, those preferred by the evidence first.
+
+        About states of a fit that explains the data the right terms explain them, too.
+        """
+        search = self.search(rotational=rotational)
+        proposals = search.run(singles_only=singles_only)
+        proposals = [one for one in proposals if self.is_worth_a_fit(one)]
+        proposals[:1] = [self.simplify(one) for one in proposals[:1]]
+        if not self.region.is_planar:
+            # The kernels of the search are half as many there as those of a fit.
+            return [refine(one, self.response, 1) for one in proposals]
+        if self.is_begun and proposals:
+            # What the kernels of profiles are too coarse for, their laws may carry.
+            finest = refine(proposals[0], self.response)
+            proposals = proposals if self.explains(finest) else proposals[1:]
+        return proposals
+
     def simplify(self, proposal: Proposal) -> Proposal:
         """A proposal without what these data do not ask for."""
         simpler = simplify(proposal, self.response, self.region)
@@ -121,6 +141,7 @@ class Survey(eqx.Module):
             self.noise,
             rotational,
             content if self.is_begun else POLICY.hopeless,
+            self.log_evidence - POLICY.clear,
             self.trace,
         )
 
