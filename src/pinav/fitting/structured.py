@@ -145,14 +145,10 @@ def kernels_of_teacher(
     independent components has no structure to find.
     """
     kernels: Any = specification.kernels()
-    if kernels.is_conservative or kernels.dim != PLANE:
+    if kernels.is_conservative or kernels.dim != 2:
         return kernels, False
     centers, width = kernels.kernels
     return KernelPotential.with_zero_weights(np.asarray(centers), float(width)), True
-
-
-PLANE = 2
-"""Dimension in which a rotation is weighed."""
 
 
 def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:

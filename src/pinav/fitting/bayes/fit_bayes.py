@@ -30,6 +30,7 @@ from pinav.fitting.environments.refinement import (
 )
 from pinav.fitting.evidence.model_evidence import model_evidence
 from pinav.fitting.outcome import Outcome
+from pinav.fitting.structure.policy import POLICY
 from pinav.numerics import free_programs
 from pinav.trajectories import Trajectories, with_velocities
 
@@ -178,18 +179,13 @@ def _learn(
     best = evidence_of_steps(still, steps)
 
     def has_lost(step: Step) -> bool:
-        return step.hyperparameters.log_evidence < best - CLEAR
+        return step.hyperparameters.log_evidence < best - POLICY.clear
 
     free = specification.by_weights(teacher, network)
     freed = iterate(free, max_iterations, on_step, has_lost)
     if outcome is not Outcome.DIVERGED and best >= evidence_of_steps(free, freed[1]):
         return still, outcome, steps
     return free, *freed
-
-
-CLEAR = 100.0
-"""Nats before the cost of hyperparameters by which a fit has lost to another, converged
-or not."""
 
 
 def evidence_of_steps(problem: AbstractProblem, steps: list[Step]) -> float:

@@ -29,6 +29,7 @@ from pinav.arguments import on_device
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.evidence.evidence import Hyperparameters, root
 from pinav.fitting.rugged.summits import NUMBERS, Hills, doubtful, halves, summits
+from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.response import ForceResponse, columns
 from pinav.forces import HillsTerm, KernelPotential, forces_at
 from pinav.forces.terms import MIDDLE, WIDTHS
@@ -41,11 +42,9 @@ ROUGH, SHARES = 0.3, (0.1, 0.03, 0.01)
 """Deviation of the coarse kernels, relative to the height of a typical hill: the first
 fit leaves them much to carry, the last ones little."""
 
-CLEAR, FEW = 100.0, 4
-"""Nats by which the first hills may be worse than free kernels, since some may be
-missing, and so many at the end: the data are linearised about the free kernels, whose
-errors count against all others. So many hills are judged at the end alone: their fit
-costs little, and before it coarse kernels that need not be there count against them."""
+FEW = 4
+"""Hills that are judged at the end alone: their fit costs little, and before it coarse
+kernels that need not be there count against them."""
 
 COARSE = KernelGrid(across=12, margin=2.0)
 """Places of those kernels."""
@@ -79,7 +78,11 @@ def propose_hills(
     potential: KernelPotential,
     chosen: Hyperparameters,
 ) -> HillsTerm | None:
-    """Hills and wells that explain the data; None where kernels explain them better."""
+    """Hills and wells that explain the data; None where kernels explain them better.
+
+    They may be worse by what is clear: some of the first ones may be missing, and the
+    data are linearised about free kernels, whose errors count against all others.
+    """
     first = summits(potential, np.asarray(response.points).reshape(-1, 2))
     if not 0 < len(first) <= MOST_HILLS:
         return None
@@ -91,7 +94,7 @@ def propose_hills(
         landscape = landscape.with_share(share)
         best = landscape.fit(best.hills, SETTLED)
         reached = max(reached, best.log_evidence)
-        if len(best.hills) > FEW and reached < free - CLEAR:
+        if len(best.hills) > FEW and reached < free - POLICY.clear:
             return None
         best = landscape.without_needless(best)
         for _ in range(ROUNDS):
@@ -103,7 +106,7 @@ def propose_hills(
             best = landscape.without_needless(best)
         if len(best.hills) > FEW and best.log_evidence < free:
             return None
-    return None if best.log_evidence < free - CLEAR else _term(best.hills)
+    return None if best.log_evidence < free - POLICY.clear else _term(best.hills)
 
 
 class _Fit(eqx.Module):

@@ -13,7 +13,8 @@ class SearchPolicy(eqx.Module):
     Attributes:
         decisive: nats that decide between two structures; simplification may lose twice
             as many, since it is asked again about the fit.
-        clear: nats by which a fit has lost, converged or not.
+        clear: nats by which a fit has lost to another, converged or not, before the
+            cost of their hyperparameters.
         content: misfit at which nothing is left to explain.
         settled: misfit of terms about their own fit above which something is missing.
         explained: misfit above which terms are not fitted to the end: free kernels
