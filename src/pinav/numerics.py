@@ -5,6 +5,7 @@ decides the last digits of results.
 """
 
 import contextlib
+import ctypes
 import gc
 import os
 import platform
@@ -85,16 +86,18 @@ def compilation_cache(environ: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-MANY_REGIONS = 20_000
-"""Regions of memory from which on compiled programs are let go: Linux allows a process
-65 530, each program holds several, and XLA ends the process when there are no more."""
+MANY_REGIONS = 10_000
+"""Regions of memory from which on compiled programs are let go: those of five fits,
+which hold half a gigabyte. Linux allows a process 65 530, and XLA ends it when there
+are no more."""
 
 
 def free_programs(regions: Path = Path("/proc/self/maps")) -> bool:
     """Let compiled programs go where they hold many regions of memory.
 
     Some fifteen fits of different data would otherwise end a process. What is needed
-    again is compiled again, or read from the cache on disk.
+    again is compiled again, or read from the cache on disk. Memory that is free goes
+    back to the system, which the C library keeps otherwise.
 
     Args:
         regions: lists those of this process, one a line, where the system has it.
@@ -104,12 +107,15 @@ def free_programs(regions: Path = Path("/proc/self/maps")) -> bool:
     """
     if "jax" not in sys.modules or not regions.exists():
         return False
-    if regions.read_bytes().count(b"\n") <= MANY_REGIONS:
-        return False
-    import equinox
-    import jax
+    is_many = regions.read_bytes().count(b"\n") > MANY_REGIONS
+    if is_many:
+        import equinox
+        import jax
 
-    equinox.clear_caches()
-    jax.clear_caches()
-    gc.collect()
-    return True
+        equinox.clear_caches()
+        jax.clear_caches()
+        gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of the GNU library
+    if trim is not None:
+        trim(0)
+    return is_many
