@@ -192,13 +192,25 @@ def fits_of(model, data):
     return Fits(asked, 20, None, throw=False, trace=Trace())
 
 
+@pytest.mark.parametrize("turns", [False, True])
+def test_the_true_terms_explain_more_than_free_kernels_about_their_states(turns):
+    _, model, positions = saddle()
+    with jax.enable_x64(new_val=True):
+        fits = fits_of(model, with_velocities(positions))
+        fits = fits.turning() if turns else fits
+        survey = Survey.of(fits, fits.begin())
+        best = survey.search(rotational=False).run(singles_only=True)[0]
+    assert [term.kind for term in best.terms] == ["linear"]
+    assert 0 < best.log_evidence - survey.log_evidence < 200
+
+
 @pytest.mark.slow
 def test_quick_swimmers_are_surveyed_about_the_first_steps_of_a_fit():
     """Smoothed states miss their path; about those an ellipse lay off the data."""
     truth, model, positions = drawn("elliptic", 43)
     with jax.enable_x64(new_val=True):
         begun, survey = survey_first_steps(fits_of(model, with_velocities(positions)))
-        (term,) = survey.search(rotational=False).run()[0].terms
+        (term,) = survey.propose(rotational=False)[0].terms
     assert begun.states is not None
     assert survey.is_begun
     assert survey.noise == pytest.approx(0.02, rel=0.1)

@@ -10,13 +10,11 @@ from pinav.fitting.structure.starts import (
     Region,
     central_term,
     obstacles_at,
-    wall_term,
 )
 from pinav.fitting.structure.trials import Proposal, polish, with_places
 from pinav.forces import (
     GaussianBarrier,
     LinearForce,
-    soft_wall,
 )
 from pinav.forces.fitted_laws import FittedLaw
 
@@ -35,18 +33,6 @@ def test_a_centre_is_polished_from_nearby():
     made = polish((central_term(REGION, np.array([4.3, 5.8])),), data)
     np.testing.assert_allclose(made.terms[0].center, [4.0, 6.0], atol=0.02)
     assert made.noise == pytest.approx(0.01, rel=0.2)
-
-
-@pytest.mark.slow
-def test_a_polish_begins_anew_until_that_gains_nothing():
-    data = response(HILL + soft_wall(6.0, 0.7, 9.0, 0.8))
-    terms = central_term(REGION, np.array([4.8, 5.0])), wall_term(REGION, 0.5)
-    once = polish(terms, data)
-    often = polish(terms, data, again=3)
-    assert often.log_evidence >= once.log_evidence
-    for between in ((2 * once.noise, np.inf), (0.0, 0.5 * once.noise)):
-        left = polish(terms, data, again=3, between=between)
-        assert left.log_evidence == once.log_evidence
 
 
 def test_what_no_force_explains_is_noise():

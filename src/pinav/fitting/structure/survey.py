@@ -26,6 +26,7 @@ from pinav.forces import (
     as_learned_force,
     split_structure,
 )
+from pinav.forces.kernel_mixtures import AbstractKernelSum
 from pinav.trajectories import Trajectories
 
 
@@ -151,7 +152,9 @@ def _evidence_of(fit: EvidenceFit, response: ForceResponse) -> float:
     kernels = fit.model.environment
     if split_structure(kernels)[0]:
         return -np.inf
-    data = LinearisedObservations.of(force_quadratic((kernels,), response))
+    is_sum = isinstance(kernels, AbstractKernelSum)
+    parts: Any = kernels.parts if is_sum else (kernels,)
+    data = LinearisedObservations.of(force_quadratic(parts, response))
     shape = fit.hyperparameters.shape
     return at_shape(data, kernels.prior().covariance, shape).log_evidence
 
