@@ -14,6 +14,7 @@ from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit, iterate
 from pinav.fitting.engine.problem import Step
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
 from pinav.fitting.outcome import Outcome
+from pinav.fitting.policy import POLICY
 from pinav.fitting.rugged.free import fit_free, fit_rough
 from pinav.fitting.structure.fits import (
     Fits,
@@ -21,7 +22,6 @@ from pinav.fitting.structure.fits import (
 )
 from pinav.fitting.structure.kinds import signature
 from pinav.fitting.structure.laws import follow_laws
-from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.search import preferred, refine
 from pinav.fitting.structure.survey import Survey
 from pinav.fitting.structure.trials import Proposal, polish

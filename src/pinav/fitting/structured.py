@@ -25,12 +25,12 @@ from pinav.fitting.bayes.parameters import Learn
 from pinav.fitting.confirmed import best_fit
 from pinav.fitting.engine.evidence_fit import EvidenceProgress
 from pinav.fitting.outcome import Outcome
+from pinav.fitting.policy import POLICY
 from pinav.fitting.rugged.free import fit_free, fit_rough, has_many_hills
 from pinav.fitting.structure.fits import (
     Fits,
     StructuredFit,
 )
-from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.rotation import (
     SurveyedRotation,
     fitted_gain,

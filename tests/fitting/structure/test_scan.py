@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.fitting.structure.observed_forces import observed_forces
 
-from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.scan import Atoms, Held
 from pinav.fitting.structure.starts import Region, central_term, linear_term, wall_term
 from pinav.forces import GaussianBarrier, LinearForce, SumForce, soft_wall

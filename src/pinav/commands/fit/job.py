@@ -21,7 +21,7 @@ from pinav.figures.fits import (
 )
 from pinav.fitting import Estimate
 from pinav.fitting.evidence.model_evidence import DECISIVE
-from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.trace import Hypothesis
 from pinav.forces import HillsTerm
 from pinav.learning.account import account

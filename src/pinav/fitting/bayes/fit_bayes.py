@@ -30,7 +30,7 @@ from pinav.fitting.environments.refinement import (
 )
 from pinav.fitting.evidence.model_evidence import model_evidence
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.policy import POLICY
 from pinav.numerics import free_programs
 from pinav.trajectories import Trajectories, with_velocities
 

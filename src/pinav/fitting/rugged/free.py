@@ -14,9 +14,9 @@ from pinav.fitting.bayes.fit_bayes import ADVICE
 from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.outcome import Outcome
+from pinav.fitting.policy import POLICY
 from pinav.fitting.rugged.hills import propose_hills
 from pinav.fitting.structure.fits import Fits, StructuredFit
-from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.survey import Survey, is_worth_a_search
 from pinav.forces import AbstractForce, HillsTerm, split_structure
 

@@ -28,8 +28,8 @@ from jaxtyping import Array, Float
 from pinav.arguments import on_device
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.evidence.evidence import Hyperparameters, root
+from pinav.fitting.policy import POLICY
 from pinav.fitting.rugged.summits import NUMBERS, Hills, doubtful, halves, summits
-from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.response import ForceResponse, columns
 from pinav.forces import HillsTerm, KernelPotential, forces_at
 from pinav.forces.terms import MIDDLE, WIDTHS

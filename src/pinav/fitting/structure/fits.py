@@ -26,7 +26,7 @@ from pinav.fitting.evidence.model_evidence import (
     model_evidence,
 )
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.rotation import mixture_on
 from pinav.fitting.structure.trace import Hypothesis, Trace
 from pinav.fitting.structure.trials import Terms

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.starts import (
     Region,
     central_term,

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, on_device
-from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.search import simplify
 from pinav.fitting.structure.starts import Region

@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from pinav.fitting.engine.local_model import ravel_model
 from pinav.fitting.evidence.evidence import root
-from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.response import ForceResponse, numbers, slopes
 from pinav.fitting.structure.trials import Terms, cost, scanned_shapes
 from pinav.forces import AbstractTerm

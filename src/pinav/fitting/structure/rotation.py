@@ -20,7 +20,7 @@ from pinav.fitting.evidence.evidence import (
 from pinav.fitting.evidence.model_evidence import LinearFit, model_evidence
 from pinav.fitting.evidence.quadratic import restrict
 from pinav.fitting.evidence.weights import GaussianWeights
-from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.response import ForceResponse, force_quadratic
 from pinav.fitting.structure.trials import Terms
 from pinav.forces import (

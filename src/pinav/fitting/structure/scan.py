@@ -21,7 +21,7 @@ import scipy.linalg
 from jaxtyping import Float
 
 from pinav.fitting.evidence.evidence import root
-from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.response import ForceResponse, forces_by_weight
 from pinav.fitting.structure.response import columns as by_weight
 from pinav.fitting.structure.trials import cost, scanned_shapes

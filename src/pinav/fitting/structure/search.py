@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.kinds import (
     has_shape,
     lattices,
@@ -25,7 +26,6 @@ from pinav.fitting.structure.kinds import (
     turned_shears,
 )
 from pinav.fitting.structure.moves import move
-from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.potential_map import PotentialMap
 from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.scan import Atoms, Held

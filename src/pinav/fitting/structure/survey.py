@@ -9,8 +9,8 @@ import numpy as np
 
 from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.evidence.evidence import LinearisedObservations, at_shape
+from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.fits import Fits
-from pinav.fitting.structure.policy import POLICY
 from pinav.fitting.structure.response import (
     ForceResponse,
     force_quadratic,

@@ -26,7 +26,7 @@ from pinav.fitting.evidence.evidence import (
 )
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
-from pinav.fitting.structure.policy import POLICY
+from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.response import ForceResponse, force_quadratic
 from pinav.forces import AbstractProfileTerm, AbstractTerm, SumForce
 from pinav.forces.fitted_laws import FittedLaw
