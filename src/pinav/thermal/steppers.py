@@ -190,7 +190,8 @@ SUDDEN = 0.05
 rises over `BLEND` it is 0.005."""
 
 SMALLEST_JUMP = 1e-4
-"""Of the largest perfusion; less changes no temperature that is measured."""
+"""Share of the largest perfusion below which no jump counts: it changes no temperature
+that is measured."""
 
 
 def refuse_jumps(model: Bioheat) -> None:

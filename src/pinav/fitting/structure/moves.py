@@ -13,20 +13,21 @@ the variable projection of Kaufman (BIT 15, 49, 1975) with the damping of Marqua
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
+from pinav.arguments import on_device
 from pinav.fitting.engine.local_model import ravel_model
 from pinav.fitting.evidence.evidence import root
 from pinav.fitting.policy import POLICY
-from pinav.fitting.structure.response import ForceResponse, numbers, slopes
+from pinav.fitting.structure.response import ForceResponse, slopes
+from pinav.fitting.structure.scan import ROUNDING
 from pinav.fitting.structure.trials import Terms, cost, scanned_shapes
 from pinav.forces import AbstractTerm
 
 Roots = Sequence[Float[np.ndarray, "_ _"]]
-"""Of the covariance of the weights of each term."""
+"""Roots of the prior covariance of the weights of each term."""
 
 
 class Placed(eqx.Module):
@@ -62,19 +63,17 @@ class Placed(eqx.Module):
         along = vectors.T @ (x.T @ offset)
         squares = float(offset @ offset) + response.squares
         ratios = np.asarray(POLICY.ratios)[:, None]
-        left = np.maximum(
-            squares - (along**2 / (values + ratios)).sum(axis=1), 1e-12 * squares
-        )
+        left = squares - (along**2 / (values + ratios)).sum(axis=1)
+        left = np.maximum(left, ROUNDING * squares)
         evidence = -0.5 * response.num_free * np.log(left)
         evidence -= 0.5 * np.log1p(values / ratios).sum(axis=1)
         best = int(np.argmax(evidence))
         ratio = POLICY.ratios[best]
         weights = -vectors @ (along / (values + ratio))
-        filled, first = [], 0
-        for term, directions in zip(terms, scaled, strict=True):
-            last = first + directions.shape[1]
-            filled.append(_with_numbers(term, directions @ weights[first:last]))
-            first = last
+        filled = []
+        for term, own in zip(terms, _split(weights, columns), strict=True):
+            values = on_device(scaled[len(filled)] @ own)
+            filled.append(eqx.tree_at(lambda one: one.weights, term, values))
         return cls(
             terms=tuple(filled),
             log_evidence=float(evidence[best]) - cost(terms, response),
@@ -98,25 +97,25 @@ class Placed(eqx.Module):
         added[count:] = damping * lengths + floor
         factor = scipy.linalg.cho_factor(hessian + np.diag(added))
         change = -scipy.linalg.cho_solve(factor, gradient)[count:]
-        moved, first = [], 0
-        for term, part in zip(self.terms, parts, strict=True):
-            last = first + part.shape[1]
-            moved.append(_with_numbers(term, change[first:last], is_change=True))
-            first = last
-        return tuple(moved)
+        changes = zip(self.terms, _split(change, parts), strict=True)
+        return tuple(_with_geometry(term, own) for term, own in changes)
 
 
-def _with_numbers(
-    term: AbstractTerm, values: Float[np.ndarray, " number"], *, is_change: bool = False
+def _split(
+    values: Float[np.ndarray, " column"], parts: Sequence[Float[np.ndarray, "_ _"]]
+) -> list[Float[np.ndarray, " _"]]:
+    """Values of the columns of all parts, part by part."""
+    return np.split(values, np.cumsum([part.shape[1] for part in parts])[:-1])
+
+
+def _with_geometry(
+    term: AbstractTerm, change: Float[np.ndarray, " number"]
 ) -> AbstractTerm:
-    """The term with other weights, or with a changed geometry."""
-    parametric, theta = ravel_model(term, numbers)
-    theta, count = np.array(theta), term.weights.size
-    if is_change:
-        theta[count:] += values
-    else:
-        theta[:count] = values
-    return parametric(jnp.asarray(theta))
+    """The term with a changed geometry, of which a linear one has none."""
+    if not change.size:
+        return term
+    parametric, theta = ravel_model(term, lambda one: one.geometry)
+    return parametric(on_device(np.asarray(theta) + change))
 
 
 def move(terms: Terms, response: ForceResponse) -> Placed:

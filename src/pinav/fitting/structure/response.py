@@ -160,14 +160,13 @@ def _slopes(
 
     Weights come first, as they do in every such force.
     """
-    by_numbers = ravel_model(force, numbers)
+    by_numbers = ravel_model(force, _numbers)
     made = _forces_and_slopes(*by_numbers, response.times, response.points)
     forces, slopes = map(np.asarray, made)
     return forces, slopes
 
 
-def numbers(force: Linear) -> PyTree:
-    """The weights of a force, and its geometry."""
+def _numbers(force: Linear) -> PyTree:
     is_term = isinstance(force, AbstractTerm)
     return (force.weights, force.geometry) if is_term else force.weights
 
