@@ -176,11 +176,11 @@ def error_by_distance(
     maps: ForceMaps, count: int = 12
 ) -> tuple[Float[np.ndarray, " edge"], Float[np.ndarray, " bin"]]:
     """Relative L2 error of a force over the distance from the data."""
-    learned, true = maps.learned, maps.true
-    assert true is not None  # the truth of a scenario is known
+    learned, truth = maps.learned, maps.truth
+    assert truth is not None  # the truth of a scenario is known
     distance = learned.distance
-    error = np.sum((learned.force - true) ** 2, axis=-1)
-    size = np.sum(true**2, axis=-1)
+    error = np.sum((learned.force - truth.force) ** 2, axis=-1)
+    size = np.sum(truth.force**2, axis=-1)
     edges = np.concatenate([[0.0, 0.35, 1.0], np.linspace(2.0, 7.0, count - 6)])
     sums = [
         np.histogram(distance, edges, weights=values)[0] for values in (error, size)

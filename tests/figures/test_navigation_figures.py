@@ -7,7 +7,8 @@ from PIL import Image as Picture
 from pinav.evaluation import FieldMap
 from pinav.figures.animation import FRAMES, LAST_FRAME, Trails, save_animation
 from pinav.figures.navigation import closed_loop_figure, outcome_bars, plan_map
-from pinav.navigation import Course, ForceMaps, Interval
+from pinav.learning.findings import ForceMaps
+from pinav.navigation import Course, Interval
 
 COURSE = Course(
     arena=np.array([[0.0, 0.0], [4.0, 3.0]]),

@@ -23,7 +23,8 @@ from pinav.figures.style import (
     style_of,
 )
 from pinav.files import atomic_write
-from pinav.navigation.maps import Course, ForceMaps
+from pinav.learning.findings import ForceMaps
+from pinav.navigation.maps import Course
 
 FRAMES, DOTS = 60, 90
 """Frames of an animation at most, and dots per inch."""

@@ -46,7 +46,8 @@ from pinav.figures.style import (
     title_panel,
     with_unit,
 )
-from pinav.navigation.maps import Course, ForceMaps
+from pinav.learning.findings import ForceMaps
+from pinav.navigation.maps import Course
 from pinav.navigation.trials.metrics import Interval
 
 

@@ -291,8 +291,8 @@ def _force_maps(fit: Learned, plan: FitPlan) -> findings.ForceMaps:
     truth = _true_environment(plan)
     return findings.ForceMaps(
         learned,
-        sd=None if fit.posterior is None else fit.force_sd(learned),
-        true=None if truth is None else evaluation.field_map(truth, plan.data).force,
+        None if truth is None else evaluation.field_map(truth, plan.data),
+        None if fit.posterior is None else fit.force_sd(learned),
     )
 
 

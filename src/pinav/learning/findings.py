@@ -30,16 +30,16 @@ class Rollouts:
 
 @dataclasses.dataclass(frozen=True)
 class ForceMaps:
-    """The force around planar data; its deviation is None without a posterior."""
+    """A planar force on a grid, and the true one where it is known.
+
+    Attributes:
+        sd: standard deviation of each component of the learned one [L T⁻²]; None
+            without a posterior.
+    """
 
     learned: FieldMap
+    truth: FieldMap | None = None
     sd: Float[np.ndarray, "row column 2"] | None = None
-    true: Float[np.ndarray, "row column 2"] | None = None
-
-    @property
-    def truth(self) -> FieldMap | None:
-        """The map of the true force, where it is known."""
-        return None if self.true is None else self.learned.showing(self.true)
 
 
 @dataclasses.dataclass(frozen=True)

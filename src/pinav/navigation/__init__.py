@@ -36,7 +36,6 @@ from pinav.navigation.design.candidates import Stage as Stage
 from pinav.navigation.design.candidates import Suggestion as Suggestion
 from pinav.navigation.design.candidates import suggest_next as suggest_next
 from pinav.navigation.maps import Course as Course
-from pinav.navigation.maps import ForceMaps as ForceMaps
 from pinav.navigation.planning.plan import Route as Route
 from pinav.navigation.planning.plan import TimeToGo as TimeToGo
 from pinav.navigation.planning.plan import time_to_go as time_to_go

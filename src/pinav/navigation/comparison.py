@@ -13,6 +13,7 @@ from pinav.errors import InputError
 from pinav.evaluation import FieldMap, distances
 from pinav.fitting import AbstractLearned
 from pinav.forces import forces_at
+from pinav.learning.findings import ForceMaps
 from pinav.navigation.adaptive.flight import (
     ORACLE,
     FlightOutcome,
@@ -23,7 +24,7 @@ from pinav.navigation.adaptive.flight import (
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.design.candidates import Suggestion
-from pinav.navigation.maps import Course, ForceMaps
+from pinav.navigation.maps import Course
 from pinav.navigation.planning.plan import Route, TimeToGo
 from pinav.navigation.problem import (
     LEARNED,

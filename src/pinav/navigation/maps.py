@@ -1,4 +1,4 @@
-"""Maps of a task: its places, and forces on a grid over its arena."""
+"""The places of a task, as maps show them."""
 
 import dataclasses
 
@@ -44,17 +44,3 @@ class Course:
         x, y = np.linspace(lower, upper, points).T
         shape = len(y), len(x)
         return FieldMap(x, y, np.zeros((*shape, 2)), np.zeros(shape))
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ForceMaps:
-    """Forces on the arena.
-
-    Attributes:
-        sd: standard deviation of each component of the learned one [L T⁻²], where it is
-            known.
-    """
-
-    learned: FieldMap
-    truth: FieldMap | None = None
-    sd: Float[np.ndarray, "y x 2"] | None = None

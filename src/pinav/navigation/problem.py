@@ -172,7 +172,7 @@ SAMPLES = 120
 
 
 def suggest_trajectory(
-    problem: NavigationProblem, route: Float[np.ndarray, "time 2"], *, seed: int
+    problem: NavigationProblem, route: Float[np.ndarray, "time dim"], *, seed: int
 ) -> candidates.Suggestion | None:
     """The trajectory that would tell most about the force along a route.
 

@@ -21,6 +21,7 @@ from pinav.figures.navigation import (
     space_figure,
 )
 from pinav.figures.style import draw_panels
+from pinav.learning.findings import ForceMaps
 from pinav.navigation import (
     AbstractNavigation,
     Interval,
@@ -29,7 +30,6 @@ from pinav.navigation import (
     Suggestion,
     Summary,
 )
-from pinav.navigation.maps import ForceMaps
 from pinav.report import AbstractBlock, Cell, Paragraph, Section, Table, quantity
 from pinav.units import force_unit
 

@@ -16,12 +16,13 @@ from jaxtyping import Float, PRNGKeyArray
 
 from pinav.dynamics import AbstractSwimmer, drive_by_commands
 from pinav.errors import InputError
+from pinav.learning.findings import ForceMaps
 from pinav.navigation.adaptive.flight import true_force
 from pinav.navigation.adaptive.steering import TO_THE_END, AdaptiveController
 from pinav.navigation.adaptive.strategies import MEAN_FORCE, with_known
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.design import candidates
-from pinav.navigation.maps import Course, ForceMaps
+from pinav.navigation.maps import Course
 from pinav.navigation.task.task import ReachGoal
 from pinav.navigation.trials.metrics import quantiles
 from pinav.navigation.trials.situation import advance_compiled, begin, mean_thrust
