@@ -44,7 +44,6 @@ class Analysis(eqx.Module):
         reference: index of the trajectory whose rollout is varied.
         relative: half range of the varied strengths, relative to their values.
         shift: half range of each coordinate of the varied start [L].
-        units: of the channels, with the order of the dynamics.
         paths: observed positions of each trajectory [L]; NaN where there is none.
         potential: on the grid of the field [L² T⁻²].
         is_potential_learned: it is that of the model, not of the gradient part.

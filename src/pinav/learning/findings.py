@@ -82,7 +82,6 @@ class FoundStructure:
             the data well enough to be fitted, or free kernels alone diverge.
         rotation: log evidence of a rotational part beside a potential [nats]; None
             where none was weighed.
-        turns: the force has a rotational part.
         sought: there were data enough for a search.
         of_teacher: it is the structure of the kernels that taught a network.
         tried: the hypotheses of the search, in the order in which they were weighed.

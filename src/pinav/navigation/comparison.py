@@ -61,7 +61,6 @@ class PlanLattice:
         values: fraction that is left of a time to go, on a lattice of velocities, where
             there is inertia, and positions.
         lower: first point of the lattice along each axis.
-        spacing: of its points.
         scale: time in which a value falls to 1/e [T].
         ahead: time that the control looks ahead [T].
         horizon: time limit of the task [T].
@@ -117,12 +116,9 @@ class Navigation(AbstractNavigation):
         truth: name of the system whose environment is the truth; none if not known.
         controllers: performance, by the model with which they plan.
         regret: arrival times over those with the truth, by the same.
-        refused: reasons why there is no run with a model, by its name.
-        computing: computing times of the controller with the learned model.
         units: units of the channels, and the order of the dynamics.
         delay: time from command to motion [T].
         step: time for which a command holds [T].
-        episodes: closed loops, by the model with which the controller plans.
         maps: forces on the arena; none in space.
         suggestion: trajectory to record next; none where the fit tells of none.
     """
@@ -155,7 +151,6 @@ class OnlineNavigation(AbstractNavigation):
         step: time between two frames [T].
         prior: True where the first visit began with a fit.
         units: units of the channels, and the order of the dynamics.
-        controllers: performance of the oracle, and of the visits.
         paths: true positions of each swimmer at the frames, by the controller [L].
         shown: first flight of the first swimmer.
     """

@@ -39,7 +39,6 @@ class NavigationProblem:
         task: its truth is that of the system, or the model where there is none.
         samples: draws of the posterior; none where the fit has no posterior.
         truth: name of the system whose environment is the truth, where it is known.
-        posterior: that of the fit, where further trajectories can be suggested.
     """
 
     task: Task

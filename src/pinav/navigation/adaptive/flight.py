@@ -69,7 +69,6 @@ class Flight:
     Attributes:
         path: true positions at the frames [L].
         arrival_time: [T]; infinite if it was not.
-        consistency: mean of the squared error of the position over its variance.
         changed: commands that the safety filter changed.
         stalls: frames at which no progress was noticed.
         learn_times: computing time of each frame [s].
@@ -262,11 +261,9 @@ class ShownFlight:
 
     Attributes:
         maps: true force, and learned one at the end.
-        truth: true force along the path.
         mean: learned force along the path, at the end.
         sd: standard deviation of its components.
         means: learned force on the arena at these moments.
-        sds: standard deviation of its components.
     """
 
     maps: ForceMaps
@@ -303,7 +300,6 @@ class SwimmerFlights:
     """The flights of one swimmer.
 
     Attributes:
-        flights: by the controller: the oracle, and each visit.
         shown: first visit of the first swimmer; none of others.
     """
 

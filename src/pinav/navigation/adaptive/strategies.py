@@ -110,9 +110,7 @@ def with_force(
     values = np.array(physics.table.values)
     values[..., :2] += force
     table = FieldTable(physics.table.grid, jnp.asarray(values))
-    return eqx.tree_at(
-        lambda model: (model.table, model.predictor.table), physics, (table, table)
-    )
+    return eqx.tree_at(lambda model: model.predictor.table, physics, table)
 
 
 def motion_of(task: Task, physics: TabulatedModel) -> AbstractMotion:
@@ -171,9 +169,7 @@ class Progress:
 
     Attributes:
         length: distance from old places that makes a place new [L].
-        places: old ones, that far apart.
-        since: when it came to the last of them, nearer, or became bolder [T].
-        state: in which it was then.
+        since: when it came to the last of the places, nearer, or became bolder [T].
         patience: stalled is who came nowhere new in so long [T], and not nearer by half
             of it.
         boldness: how often the patience ended so far.

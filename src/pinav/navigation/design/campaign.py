@@ -66,7 +66,6 @@ class Campaign:
     """Recorded trajectories, and the knowledge after each of them.
 
     Attributes:
-        accuracy: relative error of the force that was asked for.
         paths: true positions of each trajectory [L].
         decisions: before the first trajectory and after each.
     """
@@ -102,7 +101,6 @@ def run_campaign(
     """A campaign in the task's true environment.
 
     Args:
-        adaptive: the task, what is known of it, and its planner.
         accuracy: relative error of the force along the way that is small enough.
         most: trajectories after which the campaign is given up.
 
@@ -243,7 +241,6 @@ def believe_data(
     Args:
         swimmer: whose propulsion drove the trajectories, by their commands where it
             takes any.
-        data: the trajectories; their positions alone are used.
         position_noise: standard deviation of each coordinate [L].
 
     Raises:
@@ -294,8 +291,7 @@ class CampaignSummary:
         finished: campaigns in which the way became known by the belief.
         trajectories: median number of trajectories until then; infinite where more than
             half did not finish.
-        fewest: least number of trajectories of a campaign.
-        largest: greatest number; campaigns that were given up count with theirs.
+        largest: greatest number of a campaign; those that were given up count, too.
         reached: median number of trajectories until the true error was below the
             accuracy for the first time; infinite where more than half did not get
             there.
@@ -339,7 +335,6 @@ class DesignResult:
     Attributes:
         accuracy: relative error of the force along the way that is small enough.
         maps: learned force after the first campaign, or the recordings.
-        decision: knowledge of the way then.
         paths: trajectories of the first campaign of each design, or the recordings [L].
         designs: simulated campaigns by the name of their design.
         bounds: bound of the error after each trajectory, by design and campaign.

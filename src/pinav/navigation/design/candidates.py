@@ -67,7 +67,6 @@ class Experiment(eqx.Module):
 
     Attributes:
         task: the swimmer, the limits of its commands, and the error of the sensor.
-        region: region in which swimmers are released.
         duration: of a trajectory [T], positive.
     """
 

@@ -63,9 +63,6 @@ def lattice_values(
     """Values over positions or, with inertia, over velocities and positions.
 
     Args:
-        table: of the model.
-        arrival: what the plan is about.
-        grid: the positions.
         velocities: the lattice along either axis [L T⁻¹]; None without inertia.
         step: length of a step [T]; without inertia, slower steps of a steady model are
             longer.

@@ -209,12 +209,9 @@ class Planner(eqx.Module):
         """The lattice of a task.
 
         Args:
-            task: what is to be done.
-            objective: its place to reach.
             tables: of a model, by which the velocities are chosen.
             points: along the longer side of the region.
             speeds: points along either axis of the velocity.
-            region: the arena unless given.
             headroom: greatest speed over that of the thrust against the drag.
         """
         region = task.arena if region is None else region
@@ -322,7 +319,6 @@ def time_to_go(
 
     Args:
         task: whose objective is to reach a place; its truth is not used.
-        model: what is believed.
         tables: tables of the model; `tabulate_model(task, model)` unless given.
         points: of the plan, along the longer side of the arena; 101 for positions in
             the plane, 41 for positions in space and for positions and velocities in

@@ -222,7 +222,6 @@ class Behind(AbstractZone):
     """The region behind a surface, or nearer to it than a distance.
 
     Attributes:
-        surface: such as a wall of the system.
         nearest: distance that is kept from it, such as the swimmer's radius [L].
     """
 
@@ -283,8 +282,6 @@ class Task(eqx.Module):
     The controller knows all of this but `truth`, of which it has a model.
 
     Attributes:
-        arena: what must not be left.
-        keep_out: what must not be entered.
         step: how long a command holds [T].
         time_limit: when the task is over [T].
         noise: strength of the white noise: of the acceleration [L T^-3/2] where the

@@ -41,7 +41,6 @@ class Episodes(eqx.Module):
     After the end of a run its last state stays.
 
     Attributes:
-        states: true states then.
         commands: what was commanded from each of them on, within the limits.
         steps: control steps until it ended.
         reached: whether the task was done, without a violation before.
@@ -108,7 +107,6 @@ class Step(Generic[Memory]):
     """A control step of an episode.
 
     Attributes:
-        memory: of the controller after its decision.
         seconds: computing time of the decision [s].
     """
 
