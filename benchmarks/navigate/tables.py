@@ -1,5 +1,6 @@
 """Results of the benchmark as tables."""
 
+import dataclasses
 from typing import Any
 
 from pinav.codec import decode
@@ -14,7 +15,7 @@ def text(name: str, result: dict[str, Any]) -> str:
     tracking = {
         title: row["tracking"]
         for title, row in result["controllers"].items()
-        if row["tracking"] != "nan"
+        if "tracking" in row
     }
     for title, value in tracking.items():
         lines.append(f"mean tracking error, {title}: {number(value, 3)}")
@@ -33,9 +34,10 @@ def _controllers(result: dict[str, Any]) -> Table:
 
 
 def _summaries(result: dict[str, Any]) -> dict[str, Summary]:
-    """Metrics of each controller, without its failures."""
+    """Metrics of each controller that are those of a summary."""
+    names = {field.name for field in dataclasses.fields(Summary)}
     return {
-        name: decode(Summary, {k: v for k, v in row.items() if k != "failed"}, {})
+        name: decode(Summary, {k: v for k, v in row.items() if k in names}, {})
         for name, row in result["controllers"].items()
     }
 
@@ -97,6 +99,6 @@ def tracking_table(results: dict[str, Any]) -> Table:
         [name, title, row["tracking"], row["tracking_rms"]]
         for name, result in results.items()
         for title, row in result["controllers"].items()
-        if row["tracking"] != "nan"
+        if "tracking" in row
     ]
     return Table(["task", "controller", "mean", "rms"], rows)
