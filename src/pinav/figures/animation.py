@@ -24,7 +24,7 @@ from pinav.figures.style import (
 )
 from pinav.files import atomic_write
 from pinav.learning.findings import ForceMaps
-from pinav.navigation.maps import Course
+from pinav.navigation.task.task import Course
 
 FRAMES, DOTS = 60, 90
 """Frames of an animation at most, and dots per inch."""

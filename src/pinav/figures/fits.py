@@ -30,7 +30,7 @@ from pinav.figures.style import (
 from pinav.figures.trajectories import loss_curve
 from pinav.learning.findings import Findings, FoundTerm, Rollouts
 from pinav.navigation.adaptive.flight import ShownFlight
-from pinav.navigation.maps import Course
+from pinav.navigation.task.task import Course
 from pinav.trajectories import POSITION_CHANNELS
 from pinav.units import force_unit
 

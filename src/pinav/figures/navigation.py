@@ -47,7 +47,7 @@ from pinav.figures.style import (
     with_unit,
 )
 from pinav.learning.findings import ForceMaps
-from pinav.navigation.maps import Course
+from pinav.navigation.task.task import Course
 from pinav.navigation.trials.metrics import Interval
 
 

@@ -33,7 +33,6 @@ from pinav.navigation.design.candidates import Experiment as Experiment
 from pinav.navigation.design.candidates import Stage as Stage
 from pinav.navigation.design.candidates import Suggestion as Suggestion
 from pinav.navigation.design.candidates import suggest_next as suggest_next
-from pinav.navigation.maps import Course as Course
 from pinav.navigation.planning.plan import Route as Route
 from pinav.navigation.planning.plan import TimeToGo as TimeToGo
 from pinav.navigation.planning.plan import time_to_go as time_to_go
@@ -54,6 +53,7 @@ from pinav.navigation.task.steering import physics_only as physics_only
 from pinav.navigation.task.task import AbstractObjective as AbstractObjective
 from pinav.navigation.task.task import AbstractZone as AbstractZone
 from pinav.navigation.task.task import Behind as Behind
+from pinav.navigation.task.task import Course as Course
 from pinav.navigation.task.task import Disc as Disc
 from pinav.navigation.task.task import ReachGoal as ReachGoal
 from pinav.navigation.task.task import Rectangle as Rectangle

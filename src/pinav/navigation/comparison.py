@@ -24,7 +24,6 @@ from pinav.navigation.adaptive.flight import (
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.design.candidates import Suggestion
-from pinav.navigation.maps import Course
 from pinav.navigation.planning.plan import Route, TimeToGo
 from pinav.navigation.problem import (
     LEARNED,
@@ -34,7 +33,7 @@ from pinav.navigation.problem import (
 )
 from pinav.navigation.task.catalogue import Way
 from pinav.navigation.task.steering import SteeredSwimmer
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.task import Course, Task
 from pinav.navigation.trials.closed_loop import Episodes, run
 from pinav.navigation.trials.metrics import Interval, Summary, regret, summary
 from pinav.threads import map_on_cores

@@ -15,10 +15,9 @@ from pinav.errors import InputError
 from pinav.identification.tracks import tracks
 from pinav.live.checkpoint import read_session, with_drive_of
 from pinav.live.estimators import DriveEstimator
-from pinav.live.loop import Loop
+from pinav.live.loop import Loop, lines_in, lines_of, replay
 from pinav.live.messages import Command, Event, FromPinav, Limits, State
 from pinav.live.page import EventPrinter, Page, Places
-from pinav.live.replay import lines_in, lines_of, replay
 from pinav.live.roller_pilot import RollerPilot
 from pinav.live.session import Session
 from pinav.live.sources import sink_of, source_of

@@ -14,9 +14,8 @@ from pinav.learning.findings import ForceMaps
 from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.steering import AdaptiveController, ControllerState
 from pinav.navigation.belief.belief import Belief
-from pinav.navigation.maps import Course
 from pinav.navigation.task.steering import physics_only
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.task import Course, Task
 from pinav.navigation.trials.closed_loop import episode, last_observation
 from pinav.navigation.trials.metrics import (
     Interval,

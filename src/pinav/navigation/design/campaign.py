@@ -22,8 +22,7 @@ from pinav.navigation.adaptive.steering import TO_THE_END, AdaptiveController
 from pinav.navigation.adaptive.strategies import MEAN_FORCE, with_known
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.design import candidates
-from pinav.navigation.maps import Course
-from pinav.navigation.task.task import ReachGoal
+from pinav.navigation.task.task import Course, ReachGoal
 from pinav.navigation.trials.metrics import quantiles
 from pinav.navigation.trials.situation import advance_compiled, begin, mean_thrust
 from pinav.trajectories import Trajectories, Trajectory
