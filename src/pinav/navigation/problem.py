@@ -75,13 +75,16 @@ class NavigationProblem:
         if source is not None and source.environment is not None:
             known, truth = source.true_swimmer, source.name
         corners = np.array(enclosing_cube(fit.data))
-        task = way.task(model, known, "way", corners)
+        task, draws = way.task(model, known, "way", corners), []
+        if fit.posterior is not None and samples:
+            key = jax.random.fold_in(jax.random.key(seed), 1)
+            draws = fit.posterior.samples(samples, key=key)
         return cls(
             task=task,
             model=steered_swimmer(task, model),
             samples=tuple(
                 steered_swimmer(task, draw)
-                for draw in _draws(fit, samples, seed)
+                for draw in draws
                 if isinstance(draw, AbstractSwimmer)
             ),
             truth=truth,
@@ -146,13 +149,6 @@ class NavigationProblem:
 def episode_keys(seed: int, count: int) -> Key[Array, " {count}"]:
     """Random keys of so many closed loops."""
     return jax.random.split(jax.random.key(seed), count)
-
-
-def _draws(fit: AbstractLearned, count: int, seed: int) -> list[AbstractDynamics]:
-    if fit.posterior is None or count == 0:
-        return []
-    key = jax.random.fold_in(jax.random.key(seed), 1)
-    return fit.posterior.samples(count, key=key)
 
 
 def _posterior(fit: AbstractLearned, model: AbstractDynamics) -> Posterior | None:

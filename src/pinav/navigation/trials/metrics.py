@@ -65,6 +65,8 @@ def summary(episodes: Episodes, task: Task) -> Summary:
     """Metrics of the episodes of a task."""
     count = len(episodes.steps)
     arrived = episodes.arrival_time[episodes.reached]
+    during = _within_episode(episodes, episodes.commands.shape[1])
+    squares = np.where(during, episodes.commands[..., 0] ** 2, 0.0)
     efficiencies = _efficiencies(episodes, task)[episodes.reached]
     return Summary(
         runs=count,
@@ -73,7 +75,7 @@ def summary(episodes: Episodes, task: Task) -> Summary:
         arrival=quantiles(arrived),
         efficiency=float(np.mean(efficiencies)) if len(efficiencies) else math.nan,
         clearance=float(np.min(episodes.clearance)),
-        effort=float(np.mean(_efforts(episodes, task))),
+        effort=float(np.mean(task.step * np.sum(squares, axis=1))),
         turning=float(np.mean(_turnings(episodes))),
     )
 
@@ -146,12 +148,6 @@ def _efficiencies(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode
         axis=1,
     )
     return straight / np.maximum(lengths, np.finfo(float).tiny)
-
-
-def _efforts(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode"]:
-    during = _within_episode(episodes, episodes.commands.shape[1])
-    squares = np.where(during, episodes.commands[..., 0] ** 2, 0.0)
-    return task.step * np.sum(squares, axis=1)
 
 
 def _turnings(episodes: Episodes) -> Float[np.ndarray, " episode"]:
