@@ -96,12 +96,7 @@ class PlannedWay:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ComputingTimes:
-    """Computing time of a command [s].
-
-    Attributes:
-        first: of the first one, with its compilation.
-        median: of the later ones.
-    """
+    """Computing time of the first command, with its compilation, and of others [s]."""
 
     first: float
     median: float
