@@ -122,6 +122,7 @@ MISTAKES = {
     f"{ONLINE} paper": "task 'paper' is unknown; choose one of: barrier-",
     f"{ONLINE} maze --from=1,1 --to=2,2": "maze",
     f"{ONLINE} wall --from=1,1 --to=2,2": "a swimmer in the plane, got 'wall'",
+    f"{ONLINE} follow-line": "expected a place to reach, got FollowPath",
     "design paper --out b": "--from, --to: expected the places",
     "design maze --from=1,1 --to=9,9 --out b": "maze",
     "design wall --from=1,1 --to=9,9 --out b": "expected a swimmer in the plane",

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.navigate import following
 from scipy.optimize import minimize, root
 
 from pinav.errors import FitError, InputError
@@ -129,4 +128,4 @@ def test_bad_numbers_are_refused():
 @pytest.mark.parametrize("name", ["barrier-weak", "follow-line", "y-junction"])
 def test_other_tasks_have_no_extremals(name):
     with pytest.raises(InputError, match=f"task '{name}' has inertia, a path or zones"):
-        zermelo.quickest_of_task(following.task(name))
+        zermelo.quickest_of_task(tasks.task(name))

@@ -13,7 +13,6 @@ import tyro
 
 from benchmarks._options import begin
 from benchmarks.navigate.contest import CONTROLLERS, Contest, contest
-from benchmarks.navigate.following import TASKS
 from benchmarks.navigate.strategies import compare_strategies
 from benchmarks.navigate.tables import (
     outcome_table,
@@ -25,6 +24,7 @@ from pinav.commands.settings import Settings
 from pinav.errors import InputError
 from pinav.figures import save_figure
 from pinav.figures.navigation import outcome_bars
+from pinav.navigation.task.catalogue import TASKS
 from pinav.runs import RunFolder
 
 

@@ -7,15 +7,6 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from benchmarks.navigate.following import (
-    JUNCTION,
-    PATHS,
-    TASKS,
-    FollowPath,
-    controller,
-    task,
-    tracking_errors,
-)
 from benchmarks.navigate.gaussian_process import gaussian_process
 from benchmarks.navigate.line_of_sight import LineOfSight
 from pinav.codec import encode
@@ -25,9 +16,10 @@ from pinav.learning.learn import learn
 from pinav.learning.learned import Learned
 from pinav.learning.recipes import ModelName
 from pinav.navigation.control.controller import AbstractController, StraightLine
-from pinav.navigation.task.catalogue import training
+from pinav.navigation.control.default import controller
+from pinav.navigation.task.catalogue import TASKS, task, training
 from pinav.navigation.task.steering import SteeredSwimmer, physics_only
-from pinav.navigation.task.task import Task, steered_swimmer
+from pinav.navigation.task.task import FollowPath, Task, steered_swimmer
 from pinav.navigation.trials.closed_loop import (
     Episodes,
     concatenate_episodes,
@@ -77,9 +69,8 @@ class Knowledge(eqx.Module):
 
 def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
     """Fit a task's time_cost; a fit that the folder holds is read."""
-    source = TASKS[name]
-    known_task = JUNCTION if name in PATHS else name
-    data = training(known_task, jax.random.key(1000 + draw))
+    source = TASKS[name][1]
+    data = training(name, jax.random.key(1000 + draw))
     path = folder.path / "fits" / f"{source}-{draw}"
     chosen = MODELS.get(source, "kernel-potential")
     if not (path / "metrics.json").exists():
@@ -165,16 +156,11 @@ def _episodes(
 
 def _row(own: Task, episodes: Episodes) -> dict[str, Any]:
     """Metrics of a controller, as JSON."""
-    row, count = encode(summary(episodes, own)).document, len(episodes.steps)
-    if isinstance(own.objective, FollowPath):
-        followed = count - int(episodes.violated.sum())
-        row["success"] = _interval(proportion(followed, count))
-        squares = tracking_errors(episodes, own, power=2)
-        row["tracking"] = float(np.mean(tracking_errors(episodes, own)))
-        row["tracking_rms"] = float(np.sqrt(np.mean(squares)))
-    else:
-        lost = count - int(episodes.reached.sum())
-        row["failed"] = _interval(proportion(lost, count))
+    found = summary(episodes, own)
+    row = encode(found).document
+    if not isinstance(own.objective, FollowPath):
+        lost = len(episodes.steps) - int(episodes.reached.sum())
+        row["failed"] = _interval(proportion(lost, len(episodes.steps)))
     return row
 
 

@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from benchmarks.navigate.following import FollowPath
 from pinav.arguments import Scalar, Vector
 from pinav.navigation.control.controller import AbstractController, Observation
 from pinav.navigation.task.steering import (
@@ -16,7 +15,7 @@ from pinav.navigation.task.steering import (
     greatest_thrust,
     physics_only,
 )
-from pinav.navigation.task.task import AbstractObjective, Task
+from pinav.navigation.task.task import AbstractObjective, FollowPath, Task
 
 CATCH_UP = 0.5
 """Time in which an offset from a path is made up for [T]."""

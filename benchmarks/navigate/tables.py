@@ -1,6 +1,5 @@
 """Results of the benchmark as tables."""
 
-import dataclasses
 from typing import Any
 
 from pinav.codec import decode
@@ -15,7 +14,7 @@ def text(name: str, result: dict[str, Any]) -> str:
     tracking = {
         title: row["tracking"]
         for title, row in result["controllers"].items()
-        if "tracking" in row
+        if row["tracking"] != "nan"
     }
     for title, value in tracking.items():
         lines.append(f"mean tracking error, {title}: {number(value, 3)}")
@@ -34,10 +33,9 @@ def _controllers(result: dict[str, Any]) -> Table:
 
 
 def _summaries(result: dict[str, Any]) -> dict[str, Summary]:
-    """Metrics of each controller that are those of a summary."""
-    names = {field.name for field in dataclasses.fields(Summary)}
+    """Metrics of each controller, without its failures."""
     return {
-        name: decode(Summary, {k: v for k, v in row.items() if k in names}, {})
+        name: decode(Summary, {k: v for k, v in row.items() if k != "failed"}, {})
         for name, row in result["controllers"].items()
     }
 
@@ -99,6 +97,6 @@ def tracking_table(results: dict[str, Any]) -> Table:
         [name, title, row["tracking"], row["tracking_rms"]]
         for name, result in results.items()
         for title, row in result["controllers"].items()
-        if "tracking" in row
+        if row["tracking"] != "nan"
     ]
     return Table(["task", "controller", "mean", "rms"], rows)

@@ -22,12 +22,14 @@ from pinav.navigation.control.controller import ArrivalCost as ArrivalCost
 from pinav.navigation.control.controller import GradientGuide as GradientGuide
 from pinav.navigation.control.controller import Observation as Observation
 from pinav.navigation.control.controller import StraightLine as StraightLine
+from pinav.navigation.control.controller import TrackingCost as TrackingCost
 from pinav.navigation.control.controller import (
     TrajectoryPrediction as TrajectoryPrediction,
 )
 from pinav.navigation.control.default import DelayCompensation as DelayCompensation
 from pinav.navigation.control.default import StateEstimation as StateEstimation
 from pinav.navigation.control.default import controller as controller
+from pinav.navigation.control.mppi import GradientMPC as GradientMPC
 from pinav.navigation.control.mppi import PathIntegral as PathIntegral
 from pinav.navigation.design.candidates import Experiment as Experiment
 from pinav.navigation.design.candidates import Stage as Stage
@@ -51,10 +53,15 @@ from pinav.navigation.task.steering import RollingActuator as RollingActuator
 from pinav.navigation.task.steering import SteeredSwimmer as SteeredSwimmer
 from pinav.navigation.task.steering import physics_only as physics_only
 from pinav.navigation.task.task import AbstractObjective as AbstractObjective
+from pinav.navigation.task.task import AbstractPath as AbstractPath
 from pinav.navigation.task.task import AbstractZone as AbstractZone
 from pinav.navigation.task.task import Behind as Behind
+from pinav.navigation.task.task import CirclePath as CirclePath
 from pinav.navigation.task.task import Course as Course
 from pinav.navigation.task.task import Disc as Disc
+from pinav.navigation.task.task import FigureEightPath as FigureEightPath
+from pinav.navigation.task.task import FollowPath as FollowPath
+from pinav.navigation.task.task import LinePath as LinePath
 from pinav.navigation.task.task import ReachGoal as ReachGoal
 from pinav.navigation.task.task import Rectangle as Rectangle
 from pinav.navigation.task.task import Task as Task

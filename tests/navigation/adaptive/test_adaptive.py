@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.navigate import following
 from tests.navigation.steering_worlds import frame_at, learned, vortex
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
@@ -19,7 +18,7 @@ from pinav.forces import (
     UniaxialTensor,
     ZeroForce,
 )
-from pinav.navigation import Disc, Rectangle, physics_only, time_to_go
+from pinav.navigation import Disc, Rectangle, physics_only, task, time_to_go
 from pinav.navigation.adaptive.flight import fly
 from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.safety import check_command
@@ -201,7 +200,7 @@ def test_no_thrust_is_no_refuge_where_a_current_pushes(adaptive):
 
 def test_a_path_to_follow_is_refused():
     with pytest.raises(InputError, match="expected a place to reach, got FollowPath"):
-        AdaptiveController.of(following.task("follow-line"))
+        AdaptiveController.of(task("follow-line"))
 
 
 def test_the_window_lies_about_the_goal_and_within_the_arena(adaptive):

@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.navigate.following import FollowPath, LinePath
 from tests.navigation import steering_worlds
 from tests.navigation.steering_worlds import drifted_time, planned, rolling, swimming
 
@@ -20,7 +19,7 @@ from pinav.forces import (
 )
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.predictors import tabulate_model
-from pinav.navigation.task.task import Disc, Wall
+from pinav.navigation.task.task import Disc, FollowPath, LinePath, Wall
 
 GOAL, TOLERANCE = steering_worlds.GOAL[2], steering_worlds.TOLERANCE[2]
 

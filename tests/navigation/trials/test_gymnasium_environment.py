@@ -7,13 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.navigate import following
-from benchmarks.navigate.following import FollowPath, LinePath
 from tests.navigation.steering_worlds import AHEAD, open_water
 
 from pinav.errors import InputError
 from pinav.navigation.task import catalogue as tasks
-from pinav.navigation.task.task import Disc, ReachGoal
+from pinav.navigation.task.task import Disc, FollowPath, LinePath, ReachGoal
 from pinav.navigation.trials.closed_loop import run
 
 gymnasium = pytest.importorskip(
@@ -34,7 +32,7 @@ def test_gymnasium_finds_nothing_wrong(name):
 
     with warnings.catch_warnings():  # it asks for a registered name, and for pictures
         warnings.filterwarnings("ignore", message=".*(spec|render).*")
-        check_env(environment(following.task(name)), skip_render_check=True)
+        check_env(environment(tasks.task(name)), skip_render_check=True)
 
 
 def test_an_agent_meets_the_same_world_as_a_controller():

@@ -7,12 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
-from benchmarks.navigate.following import FollowPath, LinePath, tracking_errors
 from tests.navigation.steering_worlds import AHEAD, open_water
 from tests.refusals import refusals
 
 from pinav.errors import InputError
-from pinav.navigation.task.task import ReachGoal
+from pinav.navigation.task.task import FollowPath, LinePath, ReachGoal
 from pinav.navigation.trials import metrics
 from pinav.navigation.trials.closed_loop import Episodes, run_many
 
@@ -86,17 +85,16 @@ def test_summary_of_a_straight_run():
     np.testing.assert_allclose(found.effort, 0.8)  # eight steps at frequency 1
     np.testing.assert_allclose(found.turning, 0.0, atol=1e-12)
     np.testing.assert_allclose(found.clearance, 99.25)
+    assert math.isnan(found.tracking)
 
 
 def test_summary_of_a_path_that_runs_away():
     """A point at speed 1.5 gains 0.5 on the swimmer in every unit of time."""
     path = FollowPath(LinePath([0.0, 0.0], [3.0, 0.0], 2.0))
     task = open_water(objective=path)
-    episodes = run_many(task, AHEAD, KEYS)
-    assert not episodes.violated.any()
-    np.testing.assert_allclose(tracking_errors(episodes, task), 0.5)
+    found = metrics.summary(run_many(task, AHEAD, KEYS), task)
+    assert found.success.value == 1.0
+    np.testing.assert_allclose(found.tracking, 0.5)
     squares = (0.05 * jnp.arange(21.0)) ** 2
-    found = tracking_errors(episodes, task, power=2)
-    np.testing.assert_allclose(found, jnp.mean(squares))
-    arrival = metrics.summary(episodes, task).arrival
-    assert all(math.isnan(value) for value in arrival)
+    np.testing.assert_allclose(found.tracking_rms, jnp.sqrt(jnp.mean(squares)))
+    assert all(math.isnan(value) for value in found.arrival)

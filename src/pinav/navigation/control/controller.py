@@ -183,7 +183,41 @@ class ArrivalCost(AbstractCost):
         before = jnp.concatenate([jnp.ones_like(away[:1]), away[:-1]])
         time_cost = plan.tables.time_cost
         running_cost = jax.vmap(time_cost.running_cost)(ts[1:], xs[1:])
-        inside = jax.vmap(time_cost.clearance)(xs[1:]) < 0
-        running_cost = running_cost + inside.astype(xs.dtype) * plan.horizon
+        running_cost = running_cost + _collisions(time_cost, xs) * plan.horizon
         running = before * jnp.minimum(fraction, 1.0) * jnp.diff(ts) * running_cost
         return jnp.sum(running) + away[-1] * plan.at(ys[-1], ts[-1])
+
+
+class TrackingCost(AbstractCost):
+    r"""Mean square distance from the target, $\int |x - r(t)|^2 dt$ [L² T].
+
+    Attributes:
+        objective: the target r.
+        time_cost: walls; what time costs more near them is added.
+        effort: weight of the squared change of the control from step to step.
+    """
+
+    objective: AbstractObjective
+    time_cost: predictors.TimeCost
+    effort: float = 0.0
+
+    def __call__(self, ts: Times, ys: Course, controls: Controls) -> Float[Array, ""]:
+        xs = ys[:, : self.time_cost.arena.dim]
+        targets = jax.vmap(self.objective.target)(ts[1:])
+        error = jnp.sum((xs[1:] - targets) ** 2, axis=1)
+        running_cost = jax.vmap(self.time_cost.running_cost)(ts[1:], xs[1:]) - 1
+        walls = running_cost + COLLISION * _collisions(self.time_cost, xs)
+        change = jnp.sum(jnp.diff(controls, axis=0) ** 2)
+        return jnp.sum((error + walls) * jnp.diff(ts)) + self.effort * change
+
+
+COLLISION = 1e3
+"""Cost of a unit of time in a wall, where a path is followed [L²]."""
+
+
+def _collisions(
+    time_cost: predictors.TimeCost, xs: Float[Array, "time dim"]
+) -> Float[Array, " step"]:
+    """One for each later position in a wall."""
+    clearance = jax.vmap(time_cost.clearance)(xs[1:])
+    return (clearance < 0).astype(xs.dtype)

@@ -18,13 +18,14 @@ from pinav.navigation.control.controller import (
     ArrivalCost,
     GradientGuide,
     Observation,
+    TrackingCost,
     TrajectoryPrediction,
 )
-from pinav.navigation.control.mppi import PathIntegral
+from pinav.navigation.control.mppi import GradientMPC, PathIntegral
 from pinav.navigation.planning.plan import check_places, time_to_go
 from pinav.navigation.predictors import AbstractPredictor, tabulate_model
 from pinav.navigation.task.steering import Command, SteeredSwimmer
-from pinav.navigation.task.task import Task, Timing
+from pinav.navigation.task.task import ReachGoal, Task, Timing
 
 
 def controller(
@@ -32,8 +33,9 @@ def controller(
 ) -> AbstractController:
     """Plan and control a task with a model: the truth of the task is not used.
 
-    Path integral control towards the plan's time-to-go, inside a filter where the task
-    has a noisy sensor, and a compensation of the delay if there is one.
+    To reach a place: path integral control towards the plan's time-to-go. To follow a
+    path: shooting. Both inside a filter where the task has a noisy sensor, and a
+    compensation of the delay if there is one.
 
     Args:
         model: what is believed: a fitted model, physics alone, or the truth.
@@ -45,21 +47,18 @@ def controller(
     """
     check_places(task)
     tables = tabulate_model(task, model, samples=samples)
-    plan = time_to_go(task, model, tables=tables)
-    drive = tables.control_map
-    ahead = TrajectoryPrediction(tables.predictor, drive, task.step, STEPS)
-    steered = PathIntegral(ahead, ArrivalCost(plan), GradientGuide(plan))
-    return compensate(task, tables.predictor, steered)
+    predictor = tables.predictor
 
+    def predict(steps: int) -> TrajectoryPrediction:
+        return TrajectoryPrediction(predictor, tables.control_map, task.step, steps)
 
-STEPS = 20
-"""Steps that the control of an arrival looks ahead."""
-
-
-def compensate(
-    task: Task, predictor: AbstractPredictor, steered: AbstractController
-) -> AbstractController:
-    """A controller with what the delay and the noisy sensor of a task ask for."""
+    steered: AbstractController
+    if isinstance(task.objective, ReachGoal):
+        plan = time_to_go(task, model, tables=tables)
+        steered = PathIntegral(predict(STEPS), ArrivalCost(plan), GradientGuide(plan))
+    else:
+        cost = TrackingCost(task.objective, tables.time_cost)
+        steered = GradientMPC(predict(TRACKING_STEPS), cost)
     # The filter stands outside: it must see observations as they are, not ahead.
     if task.delay > 0:
         steered = DelayCompensation(steered, predictor, task.timing)
@@ -73,6 +72,13 @@ def compensate(
             dim=task.dim,
         )
     return steered
+
+
+STEPS = 20
+"""Steps that the control of an arrival looks ahead."""
+
+TRACKING_STEPS = 10
+"""Steps that the control of a path looks ahead."""
 
 
 Inner = TypeVar("Inner", bound=PyTree)

@@ -1,12 +1,18 @@
-r"""Model-predictive control by path integrals.
+r"""Model-predictive control: path integrals, and descent on the gradient.
 
 References:
     Williams, Aldrich and Theodorou, J. Guid. Control Dyn. 40, 344 (2017).
+
+References:
+    Kingma and Ba, ICLR 2015, for the steps.
 """
+
+from typing import cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.arguments import Scalar, check_positive
@@ -20,7 +26,7 @@ from pinav.navigation.control.controller import (
     TrajectoryPrediction,
 )
 from pinav.navigation.predictors import within_ball
-from pinav.navigation.task.steering import Command
+from pinav.navigation.task.steering import Command, direction
 
 
 class PathIntegral(AbstractController[Controls]):
@@ -132,3 +138,79 @@ STEPS_PER_KNOT = 4
 BEYOND = 1.5
 """Length of the longest controls. Any beyond 1 gives the greatest thrust: where that is
 best, means of shorter ones would fall short of it."""
+
+
+_Descent = tuple[Controls, optax.OptState, Controls, Float[Array, ""]]
+"""Controls, moments of Adam's steps, the best controls so far, and their cost."""
+
+
+class GradientMPC(AbstractController[Controls]):
+    r"""Improves a sequence of thrusts by steps along the gradient of its cost.
+
+    The sequence takes Adam's steps whose length falls to nothing, is brought back to
+    the allowed thrust after each, and the best one met is the answer. It is kept, and
+    moved on by one, from step to step.
+
+    Attributes:
+        cost: of a course; differentiable almost everywhere.
+        iterations: steps of descent, positive.
+        rate: length of the first step, where 1 is the greatest thrust, positive.
+
+    Raises:
+        InputError: `iterations` or `rate` is not positive.
+    """
+
+    prediction: TrajectoryPrediction
+    cost: AbstractCost
+    iterations: int = eqx.field(static=True, default=20)
+    rate: float = 0.15
+
+    def __check_init__(self) -> None:
+        check_positive(self, "iterations", "rate")
+
+    def start(self, observation: Observation) -> Controls:
+        ahead = SMALL * direction(observation.pending[-1, 1:])
+        return jnp.tile(
+            ahead.astype(observation.state.dtype), (self.prediction.steps, 1)
+        )
+
+    def __call__(
+        self, observation: Observation, memory: Controls, *, key: PRNGKeyArray
+    ) -> tuple[Command, Controls]:
+        del key
+        best = self._descend(observation, jnp.concatenate([memory[1:], memory[-1:]]))
+        return self.prediction.command(observation, best[0]), best
+
+    def _descend(self, observation: Observation, controls: Controls) -> Controls:
+        """The best sequence met on the way down."""
+
+        def cost(controls: Controls) -> Float[Array, ""]:
+            value = self.cost(*self.prediction(observation, controls), controls)
+            return jnp.where(jnp.isfinite(value), value, jnp.inf)
+
+        method = optax.scale_by_adam()
+
+        def descend(carry: _Descent, length: Float[Array, ""]) -> tuple[_Descent, None]:
+            controls, progress, best, least = carry
+            value, slope = jax.value_and_grad(cost)(controls)
+            better = value < least
+            best = jnp.where(better, controls, best)
+            least = jnp.where(better, value, least)
+            # One step of a lost rollout must not poison Adam's moments for all others.
+            slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
+            with jax.numpy_dtype_promotion("standard"):  # as optax expects
+                change, progress = method.update(slope, progress)
+            controls = within_ball(controls - length * cast(Array, change))
+            return (controls, progress, best, least), None
+
+        least = jnp.asarray(jnp.inf, controls.dtype)
+        begin = (controls, method.init(controls), controls, least)
+        # Lengths of the steps are half a cosine, from the rate to zero.
+        done = jnp.arange(self.iterations, dtype=controls.dtype) / self.iterations
+        lengths = self.rate * (1 + jnp.cos(jnp.pi * done)) / 2
+        (last, _, best, least), _ = jax.lax.scan(descend, begin, lengths)
+        return jnp.where(cost(last) < least, last, best)
+
+
+SMALL = 0.1
+"""Size of the first controls: the heading of no thrust has no derivative."""

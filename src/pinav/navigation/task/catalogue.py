@@ -26,9 +26,15 @@ from pinav.errors import InputError
 from pinav.forces import AbstractCommandedForce, WallMobility
 from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
 from pinav.navigation.task.task import (
+    AbstractObjective,
+    AbstractPath,
     AbstractZone,
     Behind,
+    CirclePath,
     Disc,
+    FigureEightPath,
+    FollowPath,
+    LinePath,
     ReachGoal,
     Rectangle,
     Task,
@@ -77,7 +83,7 @@ def _screw_task(
     name: str,
     thrust: float,
     start: Any,
-    objective: ReachGoal,
+    objective: AbstractObjective,
     sides: tuple[float, float],
     time_limit: float,
 ) -> Task:
@@ -114,14 +120,23 @@ def _zermelo(name: str, *, start: list[float], goal: list[float]) -> Task:
     return dataclasses.replace(task, noise=0.02)
 
 
-def _junction(name: str) -> Task:
+def _follow_task(name: str, path: AbstractPath, duration: float) -> Task:
+    return _drift_task(name, path(0.0), FollowPath(path), time_limit=duration)
+
+
+def _drift_task(
+    name: str,
+    start: Any,
+    objective: AbstractObjective,
+    zones: tuple[AbstractZone, ...] = (),
+    time_limit: float = 30.0,
+) -> Task:
     """With an unknown drift, a camera's error and delay, and coils that turn slowly."""
-    goal = ReachGoal([7.5, 8.25], 0.3)
-    task = _screw_task(name, 1.0, [0.7, 5.0], goal, (-1.0, 11.0), 30.0)
+    task = _screw_task(name, 1.0, start, objective, (-1.0, 11.0), time_limit)
     return dataclasses.replace(
         task,
         limits=CommandLimits(task.limits.max_frequency, max_turning_rate=4.0),
-        keep_out=_vessel(),
+        keep_out=zones,
         noise=0.05,
         sensor_noise=0.02,
         delay=0.2,
@@ -288,8 +303,26 @@ TASKS: dict[str, tuple[Callable[[str], Task], str]] = {
         "channel-current",
     ),
     "vortex": (partial(_zermelo, start=[1.0, 5.0], goal=[9.0, 5.0]), "vortex-current"),
+    # Keep up with a point on a path, in an unknown drift, with a delay of 0.2.
+    "follow-line": (
+        lambda name: _follow_task(name, LinePath([1.5, 2.0], [8.5, 8.0], 20.0), 20.0),
+        "drift-current",
+    ),
+    "follow-circle": (
+        lambda name: _follow_task(name, CirclePath([5.0, 5.0], 2.5, 30.0), 30.0),
+        "drift-current",
+    ),
+    "follow-eight": (
+        lambda name: _follow_task(name, FigureEightPath([5.0, 5.0], 3.0, 50.0), 50.0),
+        "drift-current",
+    ),
     # Into the upper branch of a vessel that is 1.04 wide, in a drift that leads to the
     # lower one; images, and so commands, are late by 0.2.
-    "y-junction": (_junction, "drift-current"),
+    "y-junction": (
+        lambda name: _drift_task(
+            name, [0.7, 5.0], ReachGoal([7.5, 8.25], 0.3), _vessel()
+        ),
+        "drift-current",
+    ),
 }
 """Each task by its name, and the scenario in which its swimmers are observed."""

@@ -12,7 +12,7 @@ from scipy.stats import binom, binomtest
 
 from pinav.errors import InputError
 from pinav.navigation.task.steering import direction
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.task import FollowPath, Task
 from pinav.navigation.trials.closed_loop import Episodes
 
 
@@ -43,9 +43,12 @@ class Summary(eqx.Module):
     Quantiles do not interpolate. What nobody achieved is not a number.
 
     Attributes:
-        success: fraction that did the task without a violation.
+        success: fraction that did the task without a violation: reached the goal, or
+            followed the path until the time was up.
         violation: fraction that entered a forbidden place.
         efficiency: straight distance / length of the way, mean of those that arrived.
+        tracking: mean distance from the target, averaged over episodes [L]; of paths.
+        tracking_rms: root mean square of that distance [L].
         clearance: least of all episodes [L].
         effort: mean of the integral of the squared frequency [cycles² T⁻¹].
         turning: mean sum of the changes of heading [rad].
@@ -56,6 +59,8 @@ class Summary(eqx.Module):
     violation: Interval
     arrival: Quantiles
     efficiency: float
+    tracking: float
+    tracking_rms: float
     clearance: float
     effort: float
     turning: float
@@ -64,16 +69,25 @@ class Summary(eqx.Module):
 def summary(episodes: Episodes, task: Task) -> Summary:
     """Metrics of the episodes of a task."""
     count = len(episodes.steps)
+    follows = isinstance(task.objective, FollowPath)
+    done = ~episodes.violated if follows else episodes.reached
     arrived = episodes.arrival_time[episodes.reached]
     during = _within_episode(episodes, episodes.commands.shape[1])
     squares = np.where(during, episodes.commands[..., 0] ** 2, 0.0)
     efficiencies = _efficiencies(episodes, task)[episodes.reached]
+    nothing = np.full(count, np.nan)
+    tracking, squares = (
+        tracking_errors(episodes, task, power=power) if follows else nothing
+        for power in (1, 2)
+    )
     return Summary(
         runs=count,
-        success=proportion(int(episodes.reached.sum()), count),
+        success=proportion(int(done.sum()), count),
         violation=proportion(int(episodes.violated.sum()), count),
         arrival=quantiles(arrived),
         efficiency=float(np.mean(efficiencies)) if len(efficiencies) else math.nan,
+        tracking=float(np.mean(tracking)),
+        tracking_rms=float(np.sqrt(np.mean(squares))),
         clearance=float(np.min(episodes.clearance)),
         effort=float(np.mean(task.step * np.sum(squares, axis=1))),
         turning=float(np.mean(_turnings(episodes))),
@@ -137,6 +151,18 @@ def quantiles(values: Float[np.ndarray, " value"]) -> Quantiles:
         return Quantiles(math.nan, math.nan, math.nan)
     parts = np.quantile(values, [0.05, 0.5, 0.95], method="inverted_cdf")
     return Quantiles(*(float(part) for part in parts))
+
+
+def tracking_errors(
+    episodes: Episodes, task: Task, *, power: int = 1
+) -> Float[np.ndarray, " episode"]:
+    """Mean of the distance from the target [L], to a power, of each episode."""
+    targets = np.asarray(jax.vmap(task.objective.target)(jnp.asarray(episodes.ts)))
+    distances = np.linalg.norm(
+        episodes.states[..., : task.dim] - targets[None], axis=-1
+    )
+    during = _within_episode(episodes, len(episodes.ts), offset=1)
+    return np.mean(distances**power, axis=1, where=during)
 
 
 def _efficiencies(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode"]:
