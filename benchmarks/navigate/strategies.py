@@ -6,8 +6,8 @@ from pathlib import Path
 from tqdm import tqdm
 
 from pinav.codec import decode, encode
-from pinav.commands.navigate.cells import online_task
-from pinav.commands.navigate.online_sections import online_table
+from pinav.commands.navigate.job import online_task
+from pinav.commands.navigate.sections import online_table
 from pinav.navigation import (
     AdaptiveController,
     Flight,

@@ -11,7 +11,7 @@ from tests.sweeps.here import here
 
 from pinav.commands import NAVIGATE, sweep
 from pinav.commands.navigate import NavigateOptions, NavigateSettings, cells
-from pinav.commands.navigate.cells import navigation_problem, sweep_loops
+from pinav.commands.navigate.job import navigation_problem, sweep_loops
 from pinav.commands.settings import WorkerSettings
 from pinav.commands.sweep import start_sweep
 from pinav.learning.learned import Learned

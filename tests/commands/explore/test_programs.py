@@ -15,9 +15,9 @@ import pinav.forces as forces
 from pinav.actuation import StepOutResponse
 from pinav.commands.explore import printing
 from pinav.commands.explore.document import script_json
-from pinav.commands.explore.force_table import TableBox, tabulate
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.primitives import RULES
+from pinav.commands.explore.programs import TableBox, tabulate
 from pinav.dynamics import FixedStep, drive_by_commands, rollout
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.learning.learned import Learned

@@ -9,9 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.commands.explore.force_table import TableBox
 from pinav.commands.explore.printing import Tree, pack_array
-from pinav.commands.explore.programs import Controls, Programs
+from pinav.commands.explore.programs import Controls, Programs, TableBox
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer, takes_commands
 from pinav.dynamics.swimmers import unbound
 from pinav.errors import InputError
