@@ -22,7 +22,12 @@ from pinav.commands.explore.printing import (
     UnknownPrimitive,
     print_function,
 )
-from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer, drive_by_arrays
+from pinav.dynamics import (
+    AbstractDynamics,
+    AbstractSwimmer,
+    OverdampedSwimmer,
+    drive_by_arrays,
+)
 from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.forces import (
@@ -108,8 +113,6 @@ def tabulate(force: AbstractForce, box: TableBox) -> tuple[TabulatedForce, float
     return table, float(missed / max(np.abs(exact).max(), np.finfo(float).tiny))
 
 
-SWIMMERS = Swimmer | OverdampedSwimmer
-
 Potential = Callable[[Scalar, Vector], Float[Array, ""]]
 
 
@@ -155,7 +158,7 @@ class Controls:
             times, frequency, heading = values
             commands = {"frequency": frequency, "heading": heading}
             return drive_by_arrays(model, times, commands)
-        if not isinstance(model, SWIMMERS):
+        if not isinstance(model, AbstractSwimmer):
             return model
         propulsion = OperatedForce(model.propulsion, *values)
         return dataclasses.replace(model, propulsion=propulsion)
@@ -200,7 +203,7 @@ class Programs:
         try:
             return self._add(_ModelPrinter(self, model, posterior))
         except UnknownPrimitive as unknown:
-            if isinstance(model, SWIMMERS):
+            if isinstance(model, AbstractSwimmer):
                 table, error = tabulate(model.environment, self.box)
                 with contextlib.suppress(UnknownPrimitive):
                     printer = _ModelPrinter(self, model.with_environment(table), None)
@@ -262,7 +265,7 @@ class _ModelPrinter:
         place: dict[str, tuple[int, ...]] = {"t": (), "x": (2,)}
         state: dict[str, tuple[int, ...]] = {"t": (), "y": (self.states,)}
         printed = {"rate": self._print(_rate, **state)}
-        if not isinstance(self.fixed, SWIMMERS):
+        if not isinstance(self.fixed, AbstractSwimmer):
             return printed
         printed["force"] = self._print(_force, **place)
         if potential_of(self.fixed.environment) is not None:

@@ -10,7 +10,6 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import msgspec
 
@@ -20,7 +19,7 @@ from pinav.commands.navigate import NavigateOptions, NavigateSettings, OnlineSet
 from pinav.commands.results import keep, start_run
 from pinav.commands.settings import ALONE
 from pinav.commands.steering import observe_positions, system_task, way_of
-from pinav.commands.sweep import Sweep, start_sweep
+from pinav.commands.sweep import FILE, Sweep, start_sweep
 from pinav.dynamics import AbstractSwimmer
 from pinav.errors import InputError
 from pinav.learning.learned import Learned
@@ -170,13 +169,8 @@ def online_problem(
     )
 
 
-Result = TypeVar("Result")
-
 LOOPS_OF_A_CELL = 10
 """Closed loops in a cell: fewer would take less time than the plan before them."""
-
-FILE = "result"
-"""File of the result of a cell, without ending."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -259,7 +253,7 @@ def _loops(sweep: Sweep, cells: Sequence[Cell]) -> Episodes | str:
     """The loops of several cells; the reason where a model sees no way."""
     parts = []
     for cell in cells:
-        loops = _result(sweep, cell, Loops)
+        loops = sweep.result(cell, Loops)
         if loops.episodes is None:
             return loops.refused
         parts.append(loops.episodes)
@@ -293,10 +287,7 @@ def _steering(run: str, settings: NavigateSettings, model: str) -> AbstractContr
 
 
 def sweep_flights(
-    sweep: Sweep,
-    settings: NavigateSettings,
-    online: OnlineSettings,
-    prior: Path | None,
+    sweep: Sweep, settings: NavigateSettings, online: OnlineSettings, prior: Path | None
 ) -> list[SwimmerFlights]:
     """The flights of every swimmer, by the workers of a sweep."""
     system = Path(online.learn_online or "")
@@ -315,7 +306,7 @@ def sweep_flights(
         for number in range(settings.seeds)
     ]
     sweep.run(cells, "swimmers")
-    return [_result(sweep, cell, SwimmerFlights) for cell in cells]
+    return [sweep.result(cell, SwimmerFlights) for cell in cells]
 
 
 def do_flights(cell: Cell, folder: Path) -> None:
@@ -347,12 +338,3 @@ def _digest(*paths: Path | None) -> str:
             if path is not None and (path / name).is_file():
                 digest.update((path / name).read_bytes())
     return digest.hexdigest()[:16]
-
-
-def _result(sweep: Sweep, cell: Cell, wanted: type[Result]) -> Result:
-    """The result of a cell."""
-    outcome = sweep.store.outcome(cell)
-    if outcome is None or outcome.failure:
-        reason = "it was not done" if outcome is None else outcome.failure
-        raise InputError(f"{cell.label}: {reason}")
-    return RunFolder(sweep.store.folder(cell)).load(FILE, wanted)
