@@ -27,8 +27,7 @@ class FileCheckpoint(AbstractCheckpoint):
         if not self.path.exists():
             return None
         return read_tree(
-            self.path,
-            lambda header: _at(like(len(header["starts"]) - 1), header),
+            self.path, lambda header: _at(like(len(header["starts"]) - 1), header)
         )
 
     def save(self, state: FitState) -> None:

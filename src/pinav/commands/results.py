@@ -42,10 +42,7 @@ def start_run(
     if resume:
         return RunFolder.resume(options.out, config)
     return RunFolder.create(
-        options.out,
-        config,
-        overwrite=options.overwrite,
-        resumable=command.resumable,
+        options.out, config, overwrite=options.overwrite, resumable=command.resumable
     )
 
 
