@@ -13,7 +13,7 @@ from pinav.analysis import Analysis, Discovery
 from pinav.evaluation import BASELINE, ErrorCurve, Evaluation
 from pinav.figures.analysis import growth_map
 from pinav.figures.errors import error_over_time
-from pinav.figures.heat import place_names, probe_curves
+from pinav.figures.heat import probe_curves
 from pinav.figures.identification import errors_by_horizon, horizon_errors, speed_law
 from pinav.figures.laws import law_agreement, law_ranking
 from pinav.figures.learned_tissue import perfusion_law
@@ -260,12 +260,11 @@ def thermal(workshop: Workshop) -> Figure:
     """Probes and their fit, and the perfusion of muscle that it took."""
     folder = workshop.tutorial("bioheat") / "runs" / "learn"
     found = RunFolder.open(folder).load("metrics", LearnedTissue)
-    assert found.probes is not None
-    data, predicted = found.probes.data, found.probes.predicted
+    curves = found.curves
     figure = new_figure(WIDTH, 5.4)
     above, below = figure.subplots(2, 1)
-    readings, places = (data.times, data.values), place_names(data.points)
-    probe_curves(data.times, predicted, places, readings=readings, ax=above)
+    readings, shown = (curves.times, curves.read), (curves.fitted, curves.names)
+    probe_curves(curves.times, *shown, readings=readings, ax=above)
     above.set_ylim(top=49.5)
     add_legend(above, columns=4, loc="upper left")
     perfusion_law(found.laws["tissue"], ax=below)

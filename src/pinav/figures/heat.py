@@ -39,6 +39,7 @@ from pinav.figures.style import (
     style_of,
 )
 from pinav.thermal.heated_run import Cut, HeatedRun
+from pinav.thermal.readings import place_names
 
 ISOTHERMS = (39.0, 41.0, 43.0, 45.0, 47.0)
 """Temperatures [°C] that are marked."""
@@ -274,11 +275,6 @@ def probes_figure(run: HeatedRun) -> Picture:
     draw = partial(probe_curves, run.times, run.probes, place_names(run.points))
     caption = "Temperature of each probe."
     return titled_picture("probes", run.title, lambda: figure_of(draw()), caption)
-
-
-def place_names(points: Float[np.ndarray, "probe axis"]) -> list[str]:
-    """Names of probes by their places [m]."""
-    return [", ".join(f"{1e3 * x:g}" for x in point) + " mm" for point in points]
 
 
 def figure_of(ax: Axes) -> Figure:

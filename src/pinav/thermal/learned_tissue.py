@@ -16,7 +16,7 @@ from pinav.thermal import learning
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.heated_run import FOLLOWED, AbstractHeatResult, Watched
 from pinav.thermal.protocols import plan_steps
-from pinav.thermal.readings import Readings
+from pinav.thermal.readings import Readings, place_names
 from pinav.thermal.setup import Setup
 from pinav.thermal.solve import Solution, run, solve
 from pinav.thermal.tissue_fit import (
@@ -146,38 +146,33 @@ class HeldOut(eqx.Module):
     constant: float
 
 
-class FittedProbes(eqx.Module):
-    """Readings of probes, and what the fit predicts of them.
+class FittedCurves(eqx.Module):
+    """Readings over time, and the fit: of probes, or means over voxels of tissues.
 
     Attributes:
-        predicted: temperatures at their times and places [°C].
-    """
-
-    data: Readings
-    predicted: Float[np.ndarray, "time probe"]
-
-
-class MeanCurve(eqx.Module):
-    """Mean temperature of the voxels of a tissue that are read."""
-
-    read: Float[np.ndarray, " time"]
-    fitted: Float[np.ndarray, " time"]
-
-
-class FittedFrames(eqx.Module):
-    """Readings of voxels without turns and drift, and the fit.
-
-    Attributes:
-        read: last frame [°C]; NaN where no voxel is read.
-        fitted: fit of the last frame [°C].
+        names: names of the probes or tissues.
+        read: temperatures without turns and drift [°C].
     """
 
     times: Float[np.ndarray, " time"]
+    names: tuple[str, ...]
+    read: Float[np.ndarray, "time place"]
+    fitted: Float[np.ndarray, "time place"]
+
+
+class FittedFrame(eqx.Module):
+    """The last frame that was fitted, without turns and drift, and its fit.
+
+    Attributes:
+        time: of the frame [s].
+        read: [°C]; NaN where no voxel is read.
+    """
+
+    time: float
     read: Float[np.ndarray, "*grid"]
     fitted: Float[np.ndarray, "*grid"]
     target: Float[np.ndarray, "*grid"]
     spacing: tuple[float, ...]
-    means: dict[str, MeanCurve]
 
 
 class LearnedTissue(AbstractHeatResult):
@@ -204,8 +199,8 @@ class LearnedTissue(AbstractHeatResult):
     held_out: tuple[HeldOut, ...]
     quantities: tuple[LearnedQuantity, ...]
     forecast: Forecast | None
-    probes: FittedProbes | None
-    frames: FittedFrames | None
+    curves: FittedCurves
+    frame: FittedFrame | None
 
 
 def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
@@ -224,7 +219,13 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
     )
     constants = fit.constants.items()
     held_out = settings.held_out if task.fitted is None else ()
-    in_frames = data.points is None
+    in_frames, frame = data.points is None, None
+    if data.points is not None:
+        names = tuple(place_names(data.points))
+        curves = FittedCurves(data.times, names, data.values, comparison.predicted)
+    else:
+        curves = _tissue_curves(setup, residuals, comparison)
+        frame = _last_frame(setup, residuals, comparison)
     return LearnedTissue(
         title=setup.title,
         outcome=fit.outcome,
@@ -241,8 +242,8 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
             _held_out(setup, fit.model, constant.model, power) for power in held_out
         ),
         forecast=_forecast(task, fit),
-        probes=None if in_frames else FittedProbes(data, comparison.predicted),
-        frames=_frames(setup, residuals, comparison) if in_frames else None,
+        curves=curves,
+        frame=frame,
     )
 
 
@@ -273,10 +274,26 @@ class _Comparison(NamedTuple):
         return cls(predicted, read, (predicted - read) * np.asarray(residuals.weights))
 
 
-def _frames(
+def _tissue_curves(
     setup: Setup, residuals: learning.Residuals, comparison: _Comparison
-) -> FittedFrames:
-    predicted, corrected = comparison.predicted, comparison.read
+) -> FittedCurves:
+    """Means over the voxels of each tissue that are read."""
+    assert isinstance(residuals.observe, learning.Voxels)
+    cells, means = np.asarray(residuals.observe.cells), {}
+    for name, fraction in setup.body.fractions.items():
+        inside = np.asarray(fraction).reshape(-1)[cells] > 0.5
+        if inside.any():
+            read = np.nanmean(comparison.read[:, inside], axis=1)
+            means[name] = read, comparison.predicted[:, inside].mean(axis=1)
+    read, fitted = (
+        np.stack(curves, axis=1) for curves in zip(*means.values(), strict=True)
+    )
+    return FittedCurves(residuals.schedule.times, tuple(means), read, fitted)
+
+
+def _last_frame(
+    setup: Setup, residuals: learning.Residuals, comparison: _Comparison
+) -> FittedFrame:
     assert isinstance(residuals.observe, learning.Voxels)
     grid, cells = setup.model.grid, np.asarray(residuals.observe.cells)
 
@@ -285,19 +302,12 @@ def _frames(
         full[cells] = values
         return full.reshape(grid.shape)
 
-    means = {}
-    for name, fraction in setup.body.fractions.items():
-        inside = np.asarray(fraction).reshape(-1)[cells] > 0.5
-        if inside.any():
-            read = np.nanmean(corrected[:, inside], axis=1)
-            means[name] = MeanCurve(read, predicted[:, inside].mean(axis=1))
-    return FittedFrames(
-        times=residuals.schedule.times,
-        read=image(corrected[-1]),
-        fitted=image(predicted[-1]),
+    return FittedFrame(
+        time=float(residuals.schedule.times[-1]),
+        read=image(comparison.read[-1]),
+        fitted=image(comparison.predicted[-1]),
         target=np.asarray(setup.body.target),
         spacing=grid.cell_sizes,
-        means=means,
     )
 
 

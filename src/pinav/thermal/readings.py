@@ -102,6 +102,11 @@ class Readings(eqx.Module):
         )
 
 
+def place_names(points: Float[np.ndarray, "probe axis"]) -> list[str]:
+    """Names of probes by their places [m]."""
+    return [", ".join(f"{1e3 * x:g}" for x in point) + " mm" for point in points]
+
+
 def simulate_probes(
     model: Bioheat,
     protocol: AbstractProtocol,

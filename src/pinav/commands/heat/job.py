@@ -11,11 +11,10 @@ from pinav.commands.heat import HeatOptions
 from pinav.commands.results import keep
 from pinav.figures.heat import fields_figure, probes_figure, protocol_figure
 from pinav.figures.learned_tissue import (
-    fitted_probes_figure,
+    curves_figure,
     forecast_figure,
     last_frame_figure,
     laws_figure,
-    mean_curves_figure,
 )
 from pinav.report import Paragraph, Section, Table
 from pinav.runs import RunFolder
@@ -59,17 +58,18 @@ def run(options: HeatOptions) -> CommandResult:
     if isinstance(heated, HeatedRun):
         end = {"temperature": heated.temperature, "dose": heated.dose}
         folder.write_arrays(END, end)
-    if setup.body.image is not None and setup.body.image.is_nifti:
+    image = setup.body.image
+    if image is not None and image.affine is not None:
         for name, values in _images(heated).items():
-            write_image(folder.path / f"{name}.nii.gz", values, setup.body.image)
+            write_image(folder.path / f"{name}.nii.gz", values, image)
             folder.record(f"{name}.nii.gz")
     return keep(HEAT, folder, result)
 
 
 def _images(result: AbstractHeatResult) -> dict[str, np.ndarray]:
     """Fields that are written as NIfTI, too, where the labels are."""
-    if isinstance(result, LearnedTissue) and result.frames is not None:
-        return {"reading": result.frames.read, "fit": result.frames.fitted}
+    if isinstance(result, LearnedTissue) and result.frame is not None:
+        return {"reading": result.frame.read, "fit": result.frame.fitted}
     if not isinstance(result, HeatedRun):
         return {}
     dead = {} if result.dead is None else {"dead": result.dead}
@@ -151,18 +151,16 @@ def _constraints(found: PlannedRun) -> Section:
 
 
 def _learned(found: LearnedTissue) -> list[Section]:
-    title = found.title
     parts = [Section("The fit", [CAUTION, fit_table(found)])]
     if found.laws:
         parts.append(Section("Learned perfusion", [laws_figure(found)]))
-    if found.probes is not None:
-        figure = fitted_probes_figure(title, found.probes)
-        parts.append(Section("Probes", [figure]))
-    if (frames := found.frames) is not None:
-        figures = mean_curves_figure(title, frames), last_frame_figure(title, frames)
-        parts.append(Section("Frames", figures))
+    if found.frame is None:
+        parts.append(Section("Probes", [curves_figure(found)]))
+    else:
+        last = last_frame_figure(found.title, found.frame)
+        parts.append(Section("Frames", [curves_figure(found), last]))
     if found.forecast is not None:
-        figure = forecast_figure(title, found.forecast)
+        figure = forecast_figure(found.title, found.forecast)
         parts.append(Section("Prediction", [figure]))
     return parts
 

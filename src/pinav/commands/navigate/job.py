@@ -145,6 +145,7 @@ class OnlineProblem:
     units: Mapping[str, str]
 
 
+@functools.lru_cache(maxsize=1)
 def online_problem(
     settings: NavigateSettings, online: OnlineSettings, prior: Path | None
 ) -> OnlineProblem:
@@ -312,16 +313,10 @@ def sweep_flights(
 def do_flights(cell: Cell, folder: Path) -> None:
     """Do the flights of one swimmer."""
     one = cell.read(FlightsCell)
-    adaptive = _online_problem(one.settings, one.online, one.prior).adaptive
+    prior = None if one.prior is None else Path(one.prior)
+    adaptive = online_problem(one.settings, one.online, prior).adaptive
     flights = fly_swimmer(adaptive, one.settings.seed, cell.seed, one.online.visits)
     RunFolder(folder).store(FILE, flights)
-
-
-@functools.lru_cache(maxsize=1)
-def _online_problem(
-    settings: NavigateSettings, online: OnlineSettings, prior: str | None
-) -> OnlineProblem:
-    return online_problem(settings, online, None if prior is None else Path(prior))
 
 
 OF_A_FIT = (
