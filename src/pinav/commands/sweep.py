@@ -61,7 +61,7 @@ class Sweep:
             del cell, outcome  # one that is done makes the run worth keeping
             name = f"{FOLDER}/{SWEEP_FILE}"
             if name not in self.folder.manifest.entries():
-                self.folder.record(name)
+                self.folder.manifest.record(name)
 
         return map_cells(
             cells,

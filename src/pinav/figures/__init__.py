@@ -1,4 +1,8 @@
-"""Figures of results: functions that take results and return axes or figures."""
+"""Figures of results: functions that take results and return axes or figures.
+
+A panel is drawn on `ax`, on a new figure unless that is given. `units` are the units of
+the channels; one that is not listed is dimensionless.
+"""
 
 from pinav.figures.analysis import constants_figure as constants_figure
 from pinav.figures.analysis import helmholtz_figure as helmholtz_figure

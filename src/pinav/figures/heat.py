@@ -109,7 +109,6 @@ def plane_map(
         limits: of the colours; those of the values unless given. About zero, blue is
             below and red above it.
         title: of the panel.
-        ax: where to draw.
     """
     prepare_axes(ax)
     shown = np.log10(np.maximum(values, 1e-3)) if logarithmic else values
@@ -159,7 +158,6 @@ def probe_curves(
         predicted: [°C].
         names: of the probes.
         readings: their times [s], and values [°C] of the same probes.
-        ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
     for index, name in enumerate(names):

@@ -117,8 +117,6 @@ def map_panel(
         path: positions to overlay [L].
         shade: grey out what is not near the data. A learned force is extrapolated
             there; a true one is not. None marks no data at all.
-        units: unit of each channel; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
     """
     size = np.linalg.norm(values, axis=-1) if values.ndim == 3 else values
     if limits is None:
@@ -214,7 +212,6 @@ def force_comparison(
         true: the true force on the same grid, where it is known.
         sd: standard deviation of the learned force [L T⁻²], where it is known.
         path: positions to overlay [L].
-        units: unit of each channel; "1" means dimensionless.
     """
     field = learned if true is None else true
     size = np.linalg.norm(field.force, axis=-1)

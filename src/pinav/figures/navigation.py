@@ -79,10 +79,7 @@ def plan_map(
     Args:
         time: time-to-go at equally spaced points of the arena [T]; infinite where the
             goal cannot be reached.
-        course: start, goal and obstacles.
         route: the planned way [L].
-        units: unit of each channel; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
     """
     x, y = map(np.linspace, *course.arena, time.shape)
     values, nothing = time.T, np.zeros((y.size, x.size))
@@ -153,12 +150,9 @@ def spread_map(
     Args:
         field: the learned force.
         sd: standard deviation of each component [L T⁻²].
-        course: start, goal and obstacles.
         thrust: top of the colour scale: greatest thrust of the swimmer [L T⁻²].
         route: the planned way [L].
         suggestion: predicted path of the suggested trajectory [L].
-        units: unit of each channel; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
     """
     top = min(thrust, max(float(np.nanmax(np.linalg.norm(sd, axis=-1))), 1e-12))
     shown = {"limits": (0.0, top), "shade": None, "units": units}
@@ -185,13 +179,10 @@ def closed_loop_figure(
     """Paths over the true and the learned force, and what is known of it.
 
     Args:
-        course: start, goal and obstacles.
-        maps: the forces.
         paths: positions of the runs of each controller [L].
         thrust: greatest thrust of the swimmer [L T⁻²].
         route: the planned way [L].
         suggestion: predicted path of the suggested trajectory [L].
-        units: unit of each channel; "1" means dimensionless.
     """
     limit, panels = greatest_force(maps), {}
     for name, field in (("true force", maps.truth), ("learned force", maps.learned)):

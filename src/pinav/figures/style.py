@@ -323,7 +323,6 @@ def band(
         width: of the line [pt].
         alpha: opacity of the band.
         labels: of the axes; left alone unless given.
-        ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
     if truth is not None:

@@ -30,7 +30,6 @@ from pinav.fitting.environments.catalogue import (
 )
 from pinav.fitting.environments.summary import (
     TIMED,
-    DataSummary,
     ModelChoice,
     summarise_for,
 )
@@ -247,7 +246,9 @@ def fit_model(
     summary = summarise_for(choice, data)
     swimmer, inputs = known.swimmer, with_all_channels(data, known)
     if name == "first-order" and isinstance(swimmer, Swimmer):
-        swimmer = _without_inertia(swimmer, summary)
+        # the limit of strong drag: the mobility is one over the drag
+        mobility = 1 / mean_drag(swimmer, summary)
+        swimmer = OverdampedSwimmer(swimmer.propulsion, swimmer.environment, mobility)
         inputs = data.only(known.position_channels)
     if name == "isotropic-drag":
         swimmer = with_linear_drag(swimmer, summary)
@@ -268,12 +269,6 @@ def fit_model(
         )
 
 
-def _without_inertia(swimmer: Swimmer, summary: DataSummary) -> OverdampedSwimmer:
-    """The limit of strong drag: the mobility is one over the drag."""
-    mobility = 1 / mean_drag(swimmer, summary)
-    return OverdampedSwimmer(swimmer.propulsion, swimmer.environment, mobility)
-
-
 def verdicts(rows: dict[str, ComparedModel]) -> list[ComparisonVerdict]:
     """The answer of the evidence to each question that two of the models answer.
 
@@ -290,7 +285,8 @@ def _verdict(
     names: tuple[str, str], meanings: list[str], rows: dict[str, ComparedModel]
 ) -> ComparisonVerdict:
     simple, rich = (rows[name].log_evidence for name in names)
-    caveats = _caveats(rows, names)
+    bad = [name for name in names if rows[name].outcome != str(Outcome.CONVERGED)]
+    caveats = " and ".join(f"the fit of {name} {rows[name].outcome}" for name in bad)
     if simple is None or rich is None:
         text = f"No verdict on {meanings[0]} or {meanings[1]}: {caveats}."
         return ComparisonVerdict(names, None, text)
@@ -304,14 +300,6 @@ def _verdict(
     if caveats:
         text += f" Caution: {caveats}."
     return ComparisonVerdict(names, difference, text)
-
-
-def _caveats(rows: dict[str, ComparedModel], names: tuple[str, str]) -> str:
-    bad = [name for name in names if rows[name].outcome != CONVERGED]
-    return " and ".join(f"the fit of {name} {rows[name].outcome}" for name in bad)
-
-
-CONVERGED = str(Outcome.CONVERGED)
 
 
 def run(options: CompareOptions) -> CommandResult:

@@ -53,7 +53,7 @@ def run(options: HeatOptions) -> CommandResult:
     result, readings = compute()
     if readings is not None:
         save_probes(readings, folder.path / READINGS, overwrite=True)
-        folder.record(READINGS)
+        folder.manifest.record(READINGS)
     heated = result.result if isinstance(result, PlannedRun) else result
     if isinstance(heated, HeatedRun):
         end = {"temperature": heated.temperature, "dose": heated.dose}
@@ -62,7 +62,7 @@ def run(options: HeatOptions) -> CommandResult:
     if image is not None and image.affine is not None:
         for name, values in _images(heated).items():
             write_image(folder.path / f"{name}.nii.gz", values, image)
-            folder.record(f"{name}.nii.gz")
+            folder.manifest.record(f"{name}.nii.gz")
     return keep(HEAT, folder, result)
 
 

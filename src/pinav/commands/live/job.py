@@ -117,7 +117,8 @@ def run(options: LiveOptions) -> CommandResult:
     with contextlib.ExitStack() as stack:
         page = None
         if options.page is not None:
-            page = stack.enter_context(Page.serve(options.page, _places(options)))
+            places = Places(options.settings.goal(), tuple(options.settings.discs()))
+            page = stack.enter_context(Page.serve(options.page, places))
             print(f"page: {page.address}", file=sys.stderr, flush=True)
         tally = Tally(EventPrinter(_print, people=options.status), page)
         if options.replay:
@@ -132,11 +133,6 @@ def run(options: LiveOptions) -> CommandResult:
 def _print(text: str) -> None:
     sys.stdout.write(text)
     sys.stdout.flush()
-
-
-def _places(options: LiveOptions) -> Places:
-    discs = tuple(options.settings.discs())
-    return Places(options.settings.goal(), discs)
 
 
 def _live(options: LiveOptions, tally: Tally) -> None:
