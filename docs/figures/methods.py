@@ -11,19 +11,12 @@ from matplotlib.figure import Figure
 
 from pinav.analysis import Analysis, Discovery
 from pinav.evaluation import BASELINE, ErrorCurve, Evaluation
-from pinav.figures.analysis import growth_map
+from pinav.figures.analysis import growth_map, law_agreement, law_ranking
 from pinav.figures.errors import error_over_time
 from pinav.figures.heat import probe_curves
 from pinav.figures.identification import errors_by_horizon, horizon_errors, speed_law
-from pinav.figures.laws import law_agreement, law_ranking
 from pinav.figures.learned_tissue import perfusion_law
-from pinav.figures.maps import (
-    ERROR,
-    FORCE,
-    largest_near,
-    map_panel,
-    trust_map,
-)
+from pinav.figures.maps import ERROR, FORCE, largest_near, map_panel, trust_map
 from pinav.figures.navigation import greatest_force, paths_map, spread_map
 from pinav.figures.palette import GREY, TRUTH
 from pinav.figures.style import (
@@ -229,15 +222,7 @@ def discovery(workshop: Workshop) -> Figure:
 
 def adaptive(workshop: Workshop) -> Figure:
     """Three moments of a flight through a vortex of which nothing was known."""
-    words = (
-        "navigate",
-        "--learn-online",
-        "vortex",
-        "--seeds",
-        "1",
-        "--visits",
-        "1",
-    )
+    words = ("navigate", "--learn-online", "vortex", "--seeds", "1", "--visits", "1")
     result = RunFolder(workshop.run("vortex", *words)).load("metrics", OnlineNavigation)
     shown, course, path = result.shown, result.course, result.paths["visit 1"][0]
     times, limit = shown.times, greatest_force(shown.maps)

@@ -79,7 +79,7 @@ class Piecewise(AbstractProtocol):
     ) -> "Piecewise":
         """A constant amplitude [A m⁻¹] between each two edges [s]."""
         values = jnp.asarray(amplitudes, float)
-        return cls(edges, values, values, frequency)
+        return cls(edges=edges, starts=values, ends=values, frequency=frequency)
 
     @classmethod
     def ramp(
@@ -87,7 +87,8 @@ class Piecewise(AbstractProtocol):
     ) -> "Piecewise":
         """Linear between amplitudes [A m⁻¹] given at each edge [s]."""
         values = jnp.asarray(amplitudes, float)
-        return cls(edges, values[:-1], values[1:], frequency)
+        starts, ends = values[:-1], values[1:]
+        return cls(edges=edges, starts=starts, ends=ends, frequency=frequency)
 
     @classmethod
     def on_off(
@@ -120,8 +121,12 @@ class Piecewise(AbstractProtocol):
                 f"{time:g} s"
             )
         count = self.edges.index(time)
-        parts = self.edges[: count + 1], self.starts[:count], self.ends[:count]
-        return Piecewise(*parts, self.frequency)
+        return Piecewise(
+            edges=self.edges[: count + 1],
+            starts=self.starts[:count],
+            ends=self.ends[:count],
+            frequency=self.frequency,
+        )
 
     @property
     def largest(self) -> float:

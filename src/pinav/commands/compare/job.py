@@ -12,7 +12,7 @@ from pinav.commands.results import fingerprint, keep, start_run
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.figures import Picture
-from pinav.figures.laws import evidence_bars
+from pinav.figures.analysis import evidence_bars
 from pinav.fitting import (
     Estimate,
     EvidenceFit,
@@ -28,11 +28,7 @@ from pinav.fitting.environments.catalogue import (
     with_linear_drag,
     with_tensor_drag,
 )
-from pinav.fitting.environments.summary import (
-    TIMED,
-    ModelChoice,
-    summarise_for,
-)
+from pinav.fitting.environments.summary import TIMED, ModelChoice, summarise_for
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.learning.evidence import rotational_part
 from pinav.learning.plan import choose_system
