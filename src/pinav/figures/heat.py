@@ -56,7 +56,6 @@ def profiles(
     ax: Axes,
 ) -> None:
     """Temperature along the radius, one line a time, and the edge of the tumour [m]."""
-    prepare_axes(ax)
     shades = colormaps[GRADED](np.linspace(0.0, 0.85, len(temperatures)))
     for shade, (name, values) in zip(shades, temperatures.items(), strict=True):
         ax.plot(1e3 * radius, values, color=shade, lw=THIN, label=name)
@@ -77,7 +76,6 @@ def dose_curves(
     ax: Axes,
 ) -> Axes:
     """Doses [CEM43 min] on a logarithmic scale, if there are any."""
-    prepare_axes(ax)
     for color, (name, dose) in zip(colors, doses.items(), strict=True):
         shown = np.where(dose > LEAST_DOSE, dose, np.nan)
         ax.plot(places, shown, color=color, lw=THIN, label=name)
@@ -110,7 +108,6 @@ def plane_map(
             below and red above it.
         title: of the panel.
     """
-    prepare_axes(ax)
     shown = np.log10(np.maximum(values, 1e-3)) if logarithmic else values
     lowest, highest = np.nanmin(shown), np.nanmax(shown)
     extent = [1e3 * n * h for n, h in zip(values.shape, spacing, strict=True)]
@@ -304,7 +301,6 @@ def _protocol(run: HeatedRun, bound: float | None) -> Figure:
 
 
 def _field(run: HeatedRun, *, ax: Axes) -> None:
-    prepare_axes(ax)
     field = run.protocol
     at = np.repeat(np.asarray(field.edges) / 60, 2)[1:-1]
     values = np.stack([field.starts, field.ends], axis=1).reshape(-1)
@@ -314,7 +310,6 @@ def _field(run: HeatedRun, *, ax: Axes) -> None:
 
 
 def _temperatures(run: HeatedRun, bound: float | None, *, ax: Axes) -> None:
-    prepare_axes(ax)
     for index, (name, curve) in enumerate(run.temperatures.items()):
         label = {"hottest": "hottest cell"}.get(name, name)
         color = style_of(label, index).color
@@ -325,7 +320,6 @@ def _temperatures(run: HeatedRun, bound: float | None, *, ax: Axes) -> None:
 
 
 def _volume(run: HeatedRun, *, ax: Axes) -> None:
-    prepare_axes(ax)
     label = "V43, of the tumour above 43 °C"
     ax.plot(run.times / 60, run.above, color=SPARE[0], lw=THIN, label=label)
     ax.set_ylim(-0.05, 1.05)

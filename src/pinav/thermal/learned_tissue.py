@@ -119,19 +119,6 @@ def follow_target(
     return follow
 
 
-class LearnedQuantity(eqx.Module):
-    """A number that was learned, and its true value where that is known.
-
-    Attributes:
-        name: its name, with the unit.
-    """
-
-    name: str
-    value: float
-    sd: float
-    true: float | None = None
-
-
 class HeldOut(eqx.Module):
     """Largest errors of the temperature at a power that was not fitted.
 
@@ -183,6 +170,8 @@ class LearnedTissue(AbstractHeatResult):
         noise: estimated standard deviation of a reading [K].
         relative: True if both are in units of a map of the noise instead.
         constants: other numbers learned, by name.
+        quantities: numbers that can be compared with a truth, by name with its unit.
+        true: their true values, where they are known.
         constant_residual: root mean square residual of the best constant perfusion [K].
     """
 
@@ -197,7 +186,8 @@ class LearnedTissue(AbstractHeatResult):
     laws: dict[str, learning.PerfusionCurve]
     constant_residual: float
     held_out: tuple[HeldOut, ...]
-    quantities: tuple[LearnedQuantity, ...]
+    quantities: dict[str, Estimate]
+    true: dict[str, float]
     forecast: Forecast | None
     curves: FittedCurves
     frame: FittedFrame | None
@@ -219,6 +209,7 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
     )
     constants = fit.constants.items()
     held_out = settings.held_out if task.fitted is None else ()
+    quantities, true = _compare(task, fit)
     in_frames, frame = data.points is None, None
     if data.points is not None:
         names = tuple(place_names(data.points))
@@ -235,7 +226,8 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
         relative=in_frames,
         log_evidence=fit.hyperparameters.log_evidence,
         constants={describe_constant(name, setup): one for name, one in constants},
-        quantities=_compare(task, fit),
+        quantities=quantities,
+        true=true,
         laws={} if is_constant else _laws(task, fit),
         constant_residual=_rms(by_constant.scaled),
         held_out=tuple(
@@ -247,18 +239,18 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
     )
 
 
-def _compare(task: TissueFit, fit: EvidenceFit) -> tuple[LearnedQuantity, ...]:
+def _compare(
+    task: TissueFit, fit: EvidenceFit
+) -> tuple[dict[str, Estimate], dict[str, float]]:
+    """Numbers that were learned, and the true ones where they are known."""
     names, quantities = quantities_of(task)
     if not names:
-        return ()
-    true: list[float | None] = [None] * len(names)
-    if task.truth is not None:
-        true = np.asarray(quantities(task.truth.model)).tolist()
-    estimates = derive(fit.posterior, quantities)
-    return tuple(
-        LearnedQuantity(name, one.value, one.sd, truth)
-        for name, one, truth in zip(names, estimates, true, strict=True)
-    )
+        return {}, {}
+    learned = dict(zip(names, derive(fit.posterior, quantities), strict=True))
+    if task.truth is None:
+        return learned, {}
+    true = np.asarray(quantities(task.truth.model)).tolist()
+    return learned, dict(zip(names, true, strict=True))
 
 
 class _Comparison(NamedTuple):

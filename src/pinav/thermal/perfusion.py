@@ -291,11 +291,7 @@ class AbstractLearnedPerfusion(AbstractPerfusion):
 
 
 class NeuralPerfusion(AbstractLearnedPerfusion):
-    """Perfusion by a small network of the temperature; make one by `neural_perfusion`.
-
-    Attributes:
-        log_level: logarithm of the perfusion [kg m⁻³ s⁻¹] where the network is zero.
-    """
+    """Perfusion by a small network of temperature; make one by `neural_perfusion`."""
 
     network: eqx.nn.MLP
     log_level: Scalar
@@ -316,9 +312,6 @@ class KernelPerfusion(AbstractLearnedPerfusion):
     $g(T) = \sum_j v_j\,(k(T, c)\,L^{-\top})_j$ with
     $k(T, c) = \exp(-(T-c)^2/2\ell^2)$ and $L L^\top = k(c, c)$: for independent $v_j$
     of one variance a Gaussian process of length scale $\ell$.
-
-    Attributes:
-        log_level: logarithm of the perfusion [kg m⁻³ s⁻¹] where $g$ is zero.
     """
 
     values: Float[Array, " kernel"]

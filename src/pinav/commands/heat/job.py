@@ -232,9 +232,9 @@ def fit_table(found: LearnedTissue) -> Table:
     if not found.quantities:
         for name, one in found.constants.items():
             rows.append((name, f"{one.value:.5g} ± {one.sd:.2g}"))
-    for row in found.quantities:
-        true = "" if row.true is None else f"; true {row.true:.5g}"
-        rows.append((row.name, f"{row.value:.5g} ± {row.sd:.2g}{true}"))
+    for name, one in found.quantities.items():
+        true = f"; true {found.true[name]:.5g}" if name in found.true else ""
+        rows.append((name, f"{one.value:.5g} ± {one.sd:.2g}{true}"))
     if found.laws:
         name = f"residual of the best constant perfusion {unit}"
         rows.append((name, found.constant_residual))
