@@ -66,7 +66,7 @@ def sections(result: AbstractNavigation) -> list[Section]:
     return [
         *parts,
         Section("Plan", [_plan(result)]),
-        Section("Closed loop", [_loops(result, result.maps)]),
+        Section("Closed loop", [_loops(result)]),
         Section("A run", [_movie("navigate-run", "run", result, result.maps, first)]),
     ]
 
@@ -179,22 +179,12 @@ def _in_space(result: Navigation) -> Picture:
         "the way planned on the learned force (dashed). The controllers differ in the "
         "model with which they plan. Balls must not be entered."
     )
-    shown = {"route": result.plan.route, "units": result.units}
-    draw = partial(space_figure, result.course, _paths(result), **shown)
+    draw = partial(space_figure, result, _paths(result))
     return Picture("navigate-closed-loop", draw, caption)
 
 
-def _loops(result: Navigation, maps: ForceMaps) -> Picture:
-    draw = partial(
-        closed_loop_figure,
-        result.course,
-        maps,
-        _paths(result),
-        thrust=result.thrust,
-        route=result.plan.route,
-        suggestion=None if result.suggestion is None else result.suggestion.path,
-        units=result.units,
-    )
+def _loops(result: Navigation) -> Picture:
+    draw = partial(closed_loop_figure, result, _paths(result))
     caption = (
         f"Paths of at most {DRAWN} runs of each controller, in "
         f"{environment_words(result)}. The controllers differ in the model with which "
@@ -215,9 +205,6 @@ def _movie(
     write = partial(save_animation, result.course, maps, trails, units=units)
     return Movie(name, write, f"One {what} of each controller with the same noise.")
 
-
-FIRST = "visit 1"
-"""The controller whose first flight is shown."""
 
 ONLINE_CAPTION = (
     "Success, violation and arrival within the task's own limit (in time) with "
@@ -242,20 +229,13 @@ def online_sections(result: OnlineNavigation) -> list[Section]:
     )
     belief = Picture(
         "learn-online-belief",
-        lambda: moments_figure(
-            result.course,
-            shown,
-            result.paths[FIRST][0],
-            step=result.step,
-            thrust=result.thrust,
-            units=result.units,
-        ),
+        partial(moments_figure, result),
         "The first flight over its belief at several moments. Top: the mean force; "
         "bottom: its standard deviation. Where nothing was seen the mean is zero.",
     )
     bands = Picture(
         "learn-online-bands",
-        lambda: bands_figure(shown, step=result.step, units=result.units),
+        partial(bands_figure, result),
         "The force along the first flight, as it was (line) and as it is believed at "
         "the end (mean and band of 95 %).",
         width=0.8,
