@@ -3,19 +3,13 @@
 from pathlib import Path
 
 import equinox as eqx
-import jax
 import numpy as np
-from jaxtyping import Bool, Float, PRNGKeyArray
+from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
 from pinav.files import write_text
 from pinav.recordings.source import Source
-from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Number
-from pinav.thermal.solve import probes_at, solve
-from pinav.thermal.starts import AT_REST, AbstractStart
-from pinav.thermal.steppers import AbstractStepper
 
 HOTTEST_READING = 150.0
 """Magnitude [°C] of a reading that is taken for kelvins."""
@@ -105,31 +99,6 @@ class Readings(eqx.Module):
 def place_names(points: Float[np.ndarray, "probe axis"]) -> list[str]:
     """Names of probes by their places [m]."""
     return [", ".join(f"{1e3 * x:g}" for x in point) + " mm" for point in points]
-
-
-def simulate_probes(
-    model: Bioheat,
-    protocol: AbstractProtocol,
-    points: Float[np.ndarray, "probe axis"],
-    *,
-    every: Number,
-    noise: Number,
-    key: PRNGKeyArray,
-    stepper: AbstractStepper | None = None,
-    start: AbstractStart = AT_REST,
-) -> Readings:
-    """Synthetic readings of a model."""
-    solution = solve(
-        model,
-        protocol,
-        observe=probes_at(model, points),
-        save_every=every,
-        stepper=stepper,
-        start=start,
-    )
-    clean = np.asarray(solution.observed)
-    noisy = clean + noise * np.asarray(jax.random.normal(key, clean.shape))
-    return Readings(np.asarray(solution.times), noisy, points)
 
 
 def save_probes(data: Readings, path: Path, *, overwrite: bool = False) -> None:

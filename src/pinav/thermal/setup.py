@@ -17,8 +17,8 @@ from pinav.thermal.dose import Arrhenius
 from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.protocols import LIMITS, HfLimit, Piecewise
 from pinav.thermal.quantities import Field
-from pinav.thermal.readings import Readings, simulate_probes
-from pinav.thermal.solve import default_stepper
+from pinav.thermal.readings import Readings
+from pinav.thermal.solve import default_stepper, probes_at, solve
 from pinav.thermal.sources import (
     AbstractSource,
     ParticleSource,
@@ -88,16 +88,17 @@ class Setup(eqx.Module):
 
     def readings(self, noise: float = 0.0, seed: int = 0) -> Readings:
         """Readings of the probes, as if the case were the truth."""
-        return simulate_probes(
+        solution = solve(
             self.model,
             self.protocol,
-            self.points,
-            every=self.every,
-            noise=noise,
-            key=jax.random.key(seed),
+            observe=probes_at(self.model, self.points),
+            save_every=self.every,
             stepper=self.stepper,
             start=self.start,
         )
+        clean = np.asarray(solution.observed)
+        kicks = np.asarray(jax.random.normal(jax.random.key(seed), clean.shape))
+        return Readings(np.asarray(solution.times), clean + noise * kicks, self.points)
 
     @property
     def arterial(self) -> float:

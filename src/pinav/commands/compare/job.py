@@ -203,23 +203,17 @@ def compare(
     for name in dict.fromkeys(settings.models):
         stored = f"evidence-{name}"
         if not folder.has(f"{stored}.json"):
-            folder.store(stored, _candidate(name, settings, known, data, folder))
+            try:
+                one = _judge(fit_model(name, settings, known, data, folder), data)
+            except FitError as error:
+                one = ComparedModel("failed", reason=str(error))
+            folder.store(stored, one)
         rows[name] = folder.load(stored, ComparedModel)
     return Comparison(rows, tuple(verdicts(rows)))
 
 
-def _candidate(
-    name: str,
-    settings: CompareSettings,
-    known: System,
-    data: Trajectories,
-    folder: RunFolder,
-) -> ComparedModel:
-    """The evidence of one candidate."""
-    try:
-        result = fit_model(name, settings, known, data, folder)
-    except FitError as error:
-        return ComparedModel("failed", reason=str(error))
+def _judge(result: EvidenceFit, data: Trajectories) -> ComparedModel:
+    """The evidence of a fit."""
     return ComparedModel(
         outcome=str(result.outcome),
         evidence=model_evidence(result.linear, result.hyperparameters),
