@@ -303,7 +303,10 @@ def render(title: str, subtitle: str, sections: Sequence[Section]) -> str:
         for index, section in enumerate(sections, start=1)
     )
     body = "\n".join(
-        _section(index, section) for index, section in enumerate(sections, start=1)
+        f'<section id="section-{index}">\n<h2>{escape(section.heading)}</h2>\n'
+        + "\n".join(block.html() for block in section.blocks)
+        + "\n</section>"
+        for index, section in enumerate(sections, start=1)
     )
     return _source("page.html").format(
         style="\n" + _source("page.css"),
@@ -312,12 +315,6 @@ def render(title: str, subtitle: str, sections: Sequence[Section]) -> str:
         contents=contents,
         body=body,
     )
-
-
-def _section(index: int, section: Section) -> str:
-    blocks = "\n".join(block.html() for block in section.blocks)
-    heading = escape(section.heading)
-    return f'<section id="section-{index}">\n<h2>{heading}</h2>\n{blocks}\n</section>'
 
 
 def _source(name: str) -> str:

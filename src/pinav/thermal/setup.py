@@ -62,7 +62,11 @@ class Setup(eqx.Module):
         """The setup of a case."""
         model, body = build_body(case, folder)
         grid = model.grid
-        start = _start(case.start, grid.shape, folder)
+        start: starts.AbstractStart = starts.AT_REST
+        if isinstance(case.start, FromFile):
+            start = starts.read_state(folder / case.start.file, grid.shape)
+        elif case.start == "steady":
+            start = starts.AtSteadyState()
         sources = [_source(case, model, body, folder)]
         if case.eddy is not None:
             case.eddy.shape(grid)  # refuses a grid that has no axis
@@ -103,14 +107,6 @@ class Setup(eqx.Module):
     @property
     def arterial(self) -> float:
         return float(self.model.blood.arterial)
-
-
-def _start(
-    start: FromFile | str, shape: tuple[int, ...], folder: Path
-) -> starts.AbstractStart:
-    if isinstance(start, FromFile):
-        return starts.read_state(folder / start.file, shape)
-    return starts.AtSteadyState() if start == "steady" else starts.AT_REST
 
 
 def _stepper(case: Case, model: Bioheat) -> AbstractStepper:
