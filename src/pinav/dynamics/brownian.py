@@ -90,7 +90,6 @@ def sample_path(
     relaxation time $\tau$ a step $h$ makes the variance too large by $h / 2\tau$.
 
     Args:
-        dynamics: the swimmer.
         y0: initial position [L], a vector.
         ts: times [T], increasing, at least two.
         key: random key of the path: the Brownian motion is the same whatever the steps.

@@ -100,13 +100,10 @@ def plane_map(
     Args:
         values: along x in rows, along y in columns.
         spacing: of the cells [m].
-        levels: of the contours.
-        label: of the colour bar.
         outline: volume fraction of the target in each cell; outlined at one half.
         logarithmic: colour the logarithm; values below a thousandth as that.
         limits: of the colours; those of the values unless given. About zero, blue is
             below and red above it.
-        title: of the panel.
     """
     shown = np.log10(np.maximum(values, 1e-3)) if logarithmic else values
     lowest, highest = np.nanmin(shown), np.nanmax(shown)
@@ -153,7 +150,6 @@ def probe_curves(
     Args:
         times: [s].
         predicted: [°C].
-        names: of the probes.
         readings: their times [s], and values [°C] of the same probes.
     """
     ax = prepare_axes(ax)

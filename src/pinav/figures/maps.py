@@ -111,7 +111,6 @@ def map_panel(
             the data.
         values: the quantity at each grid point, not drawn where it is not finite; of a
             vector its size, and its direction in arrows.
-        look: of the quantity.
         limits: of the colours, shared between maps that are to be compared; from 0 to
             the largest size near the data unless given.
         path: positions to overlay [L].
@@ -187,7 +186,6 @@ def trust_map(
     A line surrounds places where the force is known to better than half of its size.
 
     Args:
-        field: the learned force.
         sd: standard deviation of each component [L T⁻²].
         shown: as of `map_panel`.
     """
@@ -208,7 +206,6 @@ def force_comparison(
     """A learned force beside the truth and its error, and beside its uncertainty.
 
     Args:
-        learned: the learned force.
         true: the true force on the same grid, where it is known.
         sd: standard deviation of the learned force [L T⁻²], where it is known.
         path: positions to overlay [L].

@@ -150,7 +150,6 @@ def spread_map(
     """Standard deviation of the learned force, with the route and what to record next.
 
     Args:
-        field: the learned force.
         sd: standard deviation of each component [L T⁻²].
         thrust: top of the colour scale: greatest thrust of the swimmer [L T⁻²].
         route: the planned way [L].

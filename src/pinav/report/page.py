@@ -63,7 +63,6 @@ def quantity(value: float | int | None, unit: str, digits: int = 3) -> str:
     """A number with its unit; dimensionless ("1") and unknown ("?") ones are left out.
 
     Args:
-        value: the number.
         unit: such as "um".
         digits: significant digits.
     """
@@ -88,7 +87,6 @@ def measured(value: float | None, sd: float | None) -> str:
     """A number to the last digit that its standard deviation leaves, and that.
 
     Args:
-        value: the estimate.
         sd: its standard deviation; None where there is none.
     """
     if value is None or sd is None or not (0 < sd < math.inf) or value == 0.0:
@@ -126,7 +124,6 @@ class Link(AbstractBlock):
 
     Attributes:
         target: name of the file.
-        text: the words to click.
     """
 
     target: str
@@ -156,7 +153,6 @@ class Table(AbstractBlock):
 
     Attributes:
         header: name of each column.
-        rows: the cells of each row.
         caption: what the table shows.
         name: of a file that keeps it, too, without ending; empty for none.
 
@@ -230,7 +226,6 @@ class Image(AbstractBlock):
     """A PNG, SVG or GIF file, embedded in the page.
 
     Attributes:
-        path: the file.
         alt: what it shows, for those who do not see it.
         caption: the words below it.
         width: share of the page's width, in (0, 1].
@@ -280,7 +275,6 @@ class Section:
 
     Attributes:
         heading: also its line in the table of contents.
-        blocks: in reading order.
     """
 
     heading: str
@@ -293,7 +287,6 @@ def render(title: str, subtitle: str, sections: Sequence[Section]) -> str:
     Args:
         title: the heading, also in the title bar.
         subtitle: one line below it, such as what was run and when.
-        sections: in reading order.
 
     Raises:
         InputError: an image cannot be read.

@@ -48,7 +48,6 @@ class Order(msgspec.Struct, frozen=True):
 
     Attributes:
         token: of the sweep, which the worker must find in that folder.
-        cell: the cell as TOML.
         client: process and machine of the client.
         timeout: seconds after which the cell has failed; none for no limit.
     """

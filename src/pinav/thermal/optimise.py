@@ -92,7 +92,6 @@ def optimise(
             too.
         initial: design variables to start from, such as the `numbers` of a plan for
             similar tissue; those of the variables unless given.
-        max_iterations: of the quadratic programming.
         tolerance: change of the objective at which it ends.
 
     Raises:

@@ -66,7 +66,6 @@ class ComparisonVerdict:
     """The answer of the evidence to a question.
 
     Attributes:
-        models: the simple and the rich model.
         difference: of their log evidence [nats]; none where one has none.
     """
 

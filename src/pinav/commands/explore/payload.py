@@ -43,7 +43,6 @@ def payload_of(run: Learned, plan: Tree | None = None) -> Tree:
     """A run as the page takes it.
 
     Args:
-        run: the fit.
         plan: of a navigation through the force that the fit has learned.
 
     Raises:
@@ -269,7 +268,6 @@ def directions(
     place.
 
     Args:
-        posterior: of the model.
         box: where the force is weighed, x from and to, y from and to [L].
         times: at which it is weighed [T].
 
@@ -309,7 +307,6 @@ def fit_of_plan(folder: RunFolder, stated: Path | None) -> Path:
     """The run of the model that a plan was made with.
 
     Args:
-        folder: of the plan.
         stated: where that run is; the one of its name beside the plan unless given.
 
     Raises:

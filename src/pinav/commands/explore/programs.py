@@ -87,7 +87,6 @@ def tabulate(force: AbstractForce, box: TableBox) -> tuple[TabulatedForce, float
     """A table of a force on a swimmer at rest, and its error.
 
     Args:
-        force: of an environment in the plane.
         box: where it is tabulated.
 
     Returns:
@@ -120,7 +119,6 @@ class OperatedForce(AbstractForce):
     """A propulsion as the reader of the page operates it.
 
     Attributes:
-        force: the propulsion.
         thrust: factor of its size.
         turn: angle by which it is turned [rad].
     """
@@ -246,8 +244,6 @@ class _ModelPrinter:
 
     Args:
         programs: those of the run.
-        model: the dynamics.
-        posterior: of its parameters, or None.
     """
 
     def __init__(
