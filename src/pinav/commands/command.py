@@ -65,14 +65,12 @@ class CommandResult:
         metrics: numbers for scripts: a struct or builtin values, printed with `--json`.
         folder: of the run whose report is to be written; none where there is no run.
         page: a report that the command has written itself.
-        failure: a sentence that is printed last where the command has failed.
     """
 
     metrics: Any
     text: str
     folder: RunFolder | None = None
     page: Path | None = None
-    failure: str = ""
 
 
 def resolve(reference: str) -> Any:

@@ -92,7 +92,6 @@ def new_session(
     """The session that settings ask for, with nothing learned but an earlier drive.
 
     Args:
-        token: shared secret.
         prior: folder of an earlier session.
 
     Raises:

@@ -255,12 +255,7 @@ def online_sections(result: OnlineNavigation) -> list[Section]:
 def online_table(
     controllers: Mapping[str, FlightOutcome], units: Mapping[str, str] = DIMENSIONLESS
 ) -> Table:
-    """One row for each controller.
-
-    Args:
-        controllers: outcomes by their names.
-        units: unit of each channel; "1" means dimensionless.
-    """
+    """One row for each controller."""
     length, time = units.get("x", "1"), units.get("t", "1")
     columns: dict[str, Callable[[FlightOutcome], Cell]] = {
         "success": lambda row: percent_interval(row.success),
