@@ -55,7 +55,7 @@ def compare_strategies(out: Path, tasks: Sequence[str], seeds: int) -> None:
             outcomes = _contest(name, range(seeds))
             document = {name: encode(one).document for name, one in outcomes.items()}
             folder.write_json(file, document)
-        folder.check_file(file)
+        folder.manifest.check(file)
         rows = decode(dict[str, FlightOutcome], folder.read_json(file), {})
         table = online_table(rows)
         folder.write_table(f"learn-online-{name}.csv", table.header, table.rows)
