@@ -28,7 +28,7 @@ from pinav.analysis.entropy import EntropyProduction
 from pinav.analysis.helmholtz import HelmholtzSplit, helmholtz_split
 from pinav.analysis.sensitivity.lyapunov import LyapunovMap
 from pinav.analysis.sensitivity.sobol import SobolIndices
-from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_commands
+from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_arrays
 from pinav.errors import FitError, InputError
 from pinav.evaluation import FieldMap, check_planar, field_map
 from pinav.fitting import AbstractLearned
@@ -179,7 +179,8 @@ def _subject(fit: AbstractLearned, points: int, reference: int) -> Subject:
             f"got {reference}"
         )
     check_planar(fit.data)
-    model = drive_by_commands(model, fit.data.trajectory(reference))
+    piece = fit.data.trajectory(reference)
+    model = drive_by_arrays(model, piece.times, piece.commands)
     field = field_map(model.environment, fit.data, points=points)
     return Subject(fit, model, field, reference)
 

@@ -38,7 +38,7 @@ class Trails:
     """Paths of controllers that move together.
 
     Attributes:
-        paths: positions of one run of each controller, its last one repeated [L].
+        paths: positions of one run of each controller until it ended [L].
         step: time between two of them [T].
     """
 

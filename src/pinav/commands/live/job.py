@@ -91,8 +91,6 @@ def new_session(
     """The session that settings ask for, with nothing learned but an earlier drive.
 
     Args:
-        settings: of the command line.
-        token: shared secret.
         prior: folder of an earlier session.
 
     Raises:
@@ -116,7 +114,8 @@ def run(options: LiveOptions) -> CommandResult:
     with contextlib.ExitStack() as stack:
         page = None
         if options.page is not None:
-            page = stack.enter_context(Page.serve(options.page, _places(options)))
+            places = Places(options.settings.goal(), tuple(options.settings.discs()))
+            page = stack.enter_context(Page.serve(options.page, places))
             print(f"page: {page.address}", file=sys.stderr, flush=True)
         tally = Tally(EventPrinter(_print, people=options.status), page)
         if options.replay:
@@ -131,11 +130,6 @@ def run(options: LiveOptions) -> CommandResult:
 def _print(text: str) -> None:
     sys.stdout.write(text)
     sys.stdout.flush()
-
-
-def _places(options: LiveOptions) -> Places:
-    discs = tuple(options.settings.discs())
-    return Places(options.settings.goal(), discs)
 
 
 def _live(options: LiveOptions, tally: Tally) -> None:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from pinav.dynamics import AbstractSwimmer, drive_by_commands
+from pinav.dynamics import AbstractSwimmer, drive_by_arrays
 from pinav.errors import InputError
 from pinav.learning.findings import ForceMaps
 from pinav.navigation.adaptive.flight import true_force
@@ -268,7 +268,7 @@ def frames_of(
     swimmer: AbstractSwimmer, piece: Trajectory, position_noise: float
 ) -> Iterator[Frame]:
     """The observed positions of a trajectory, with the thrust before each."""
-    driven = drive_by_commands(swimmer, piece)
+    driven = drive_by_arrays(swimmer, piece.times, piece.commands)
     seen = np.flatnonzero(piece.observed[:, :2].all(axis=1))
     last = None
     for k in seen:
