@@ -127,7 +127,7 @@ def test_xml_of_a_film_never_calibrated(read):
 
 DECLARED = '<?xml version="1.0" encoding="UTF-8"?>'
 GOOD = xml(EXAMPLE)
-SPOT = "particle 1, detection 2, attribute"
+SPOT = "particle 1, detection 2, column"
 SPACED = XML.format("px", "s", 1, "{}")
 LONE = [t._replace(frames=t.frames[:1], xs=t.xs[:1], ys=t.ys[:1]) for t in EXAMPLE]
 AT = 't="1" x="2'
@@ -141,8 +141,8 @@ BAD_XML = [
         GOOD.replace('nSpots="4"', 'nSpots="9"'),
         r"particle 1, attribute 'nSpots': expected 9 detections, got 4; export",
     ),
-    (GOOD.replace(' x="2.0"', ""), rf"{SPOT} 'x': .* got nothing; exp"),
-    (GOOD.replace(AT, 'x="2'), rf"{SPOT} 't': .* got nothing"),
+    (GOOD.replace(' x="2.0"', ""), rf"{SPOT} 'x': .* got an empty cell"),
+    (GOOD.replace(AT, 'x="2'), rf"{SPOT} 't': .* got an empty cell"),
     (GOOD.replace('x="2.0"', 'x="wall"'), rf"{SPOT} 'x': .* got 'wall'"),
     (GOOD.replace('x="2.0"', 'x="2_0"'), rf"{SPOT} 'x': .* got '2_0'"),
     (GOOD.replace('x="2.0"', 'x="NaN"'), rf"{SPOT} 'x': .* got 'NaN'"),

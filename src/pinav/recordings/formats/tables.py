@@ -10,7 +10,7 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.recordings import units
 from pinav.recordings.formats.column_map import long_table
-from pinav.recordings.rows import COMMAND_UNITS, Tracks, varying
+from pinav.recordings.rows import Tracks, read_commands, varying
 from pinav.recordings.source import AbstractFormat, Source
 from pinav.recordings.table import Table
 
@@ -178,16 +178,16 @@ Those without a column `Track` are of one particle.
 
 
 TIDY_COMMANDS: Mapping[str, str] = {
-    "freq_hz": "frequency",
-    "alpha_rad": "heading",
-    "gamma_rad": "gamma",
-    "psi_rad": "psi",
-    "bx": "field_x",
-    "by": "field_y",
-    "bz": "field_z",
-    "acoustic_hz": "acoustic_frequency",
+    "frequency": "freq_hz",
+    "heading": "alpha_rad",
+    "gamma": "gamma_rad",
+    "psi": "psi_rad",
+    "field_x": "bx",
+    "field_y": "by",
+    "field_z": "bz",
+    "acoustic_frequency": "acoustic_hz",
 }
-"""Commands by the names of their columns."""
+"""Column of each command."""
 
 
 @final
@@ -219,11 +219,9 @@ class Tidy(AbstractFormat):
         return Tracks.of_table(
             table,
             columns | {name: name for name in others if name in has},
-            commands={
-                name: table.numbers(column, lost=True)
-                for column, name in TIDY_COMMANDS.items()
-                if column in has
-            },
+            commands=read_commands(
+                table, {n: c for n, c in TIDY_COMMANDS.items() if c in has}, {}
+            ),
             length_unit=unit,
             y_down=not in_um,
         )
@@ -264,11 +262,7 @@ class SFI(AbstractFormat):
             time_unit="?",
             length_unit="?",
             y_down=False,
-            commands={
-                name: table.numbers(extras[name], lost=True)
-                for name in COMMAND_UNITS
-                if name in extras
-            },
+            commands=read_commands(table, extras, {}),
             facts={"comments": facts},
         )
 
