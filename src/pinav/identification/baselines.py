@@ -1,8 +1,5 @@
 """Plain regressions on a track: gain and drift, or a restoring force."""
 
-import time
-from collections.abc import Callable
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,34 +13,17 @@ WINDOW = 1.0
 """Velocities are central differences over this time [s]."""
 
 
-class Baseline(eqx.Module):
-    """A fitted baseline: the velocity at each sample of a segment [L T⁻¹]."""
+def least_squares(track: Track) -> Displacement:
+    """Gain matrix and drift by least squares of the velocity: no delay, no noise.
 
-    name: str = eqx.field(static=True)
-    velocity: Callable[[Trajectory], Float[np.ndarray, "time 2"]]
-    seconds: float
-
-    def displacement(self) -> Displacement:
-        """Its velocity, held from sample to sample, integrated."""
-
-        def path(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
-            return integrate_held(self.velocity(piece), piece.times)
-
-        return path
-
-
-def least_squares(track: Track) -> Baseline:
-    """Gain matrix and drift by least squares of the velocity: no delay, no noise."""
-    begin = time.perf_counter()
+    Returns:
+        The fitted velocity, held from sample to sample, integrated.
+    """
     parts = [(piece, *velocities(track, piece)) for piece in track.pieces]
     design = np.concatenate([_regressors(piece)[rows] for piece, _, rows in parts])
     targets = np.concatenate([values for _, values, _ in parts])
     best = np.linalg.lstsq(design, targets, rcond=None)[0]
-
-    def velocity(piece: Trajectory) -> np.ndarray:
-        return _regressors(piece) @ best
-
-    return Baseline("least squares", velocity, time.perf_counter() - begin)
+    return lambda piece: integrate_held(_regressors(piece) @ best, piece.times)
 
 
 def velocities(

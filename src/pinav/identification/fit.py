@@ -23,7 +23,7 @@ from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import NoWeights
 from pinav.identification import likelihood
 from pinav.identification.drive import fitted_coordinates, is_open
-from pinav.identification.estimates import constants_of, learned_numbers, posterior_over
+from pinav.identification.estimates import learned_posterior
 from pinav.identification.parameters import (
     BLOCK_NOISE,
     CORNER,
@@ -170,8 +170,7 @@ class CandidateSearch:
     def present(self) -> Bool[np.ndarray, " coefficient"]:
         """True for each of the four gains and two drifts that is open."""
         gains, drifts = self.design.still.gains, self.design.still.drifts
-        several = [np.any(gains, axis=(1, 2)), np.any(drifts, axis=1)]
-        return np.concatenate(several)
+        return np.concatenate([np.any(gains, axis=(1, 2)), np.any(drifts, axis=1)])
 
     @property
     def linear(self) -> dict[str, int]:
@@ -370,9 +369,9 @@ class CandidateSearch:
         cross = slopes @ spread
         covariance = np.block([[spread, cross.T], [cross, alone + cross @ slopes.T]])
         unknown = np.concatenate([learned, linear_mean(learned)])
-        numbers = learned_numbers(self.learned, self.linear, unknown)
-        posterior = posterior_over(swimmer, numbers, covariance)
-        return posterior, constants_of(numbers, covariance)
+        return learned_posterior(
+            swimmer, self.learned, self.linear, unknown, covariance
+        )
 
 
 DIFFERENCE, ACROSS_KINKS, WIDEST = 0.02, 0.25, 0.5

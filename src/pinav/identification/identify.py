@@ -242,7 +242,7 @@ def identify_track(
     if not drawn:
         return result, whole
     paths = Paths.of(held_out, predictor, rollouts)
-    baseline = least_squares(selection.train).displacement()
+    baseline = least_squares(selection.train)
     return dataclasses.replace(
         result,
         paths=paths,

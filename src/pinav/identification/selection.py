@@ -216,9 +216,9 @@ class Selection:
 
     def add_least_squares(self) -> None:
         """The baseline, and where commands were given its average with the choice."""
-        fitted = least_squares(self.train)
-        path = fitted.displacement()
-        self._add(LEAST_SQUARES, float("nan"), fitted.seconds, path)
+        begin = time.perf_counter()
+        path = least_squares(self.train)
+        self._add(LEAST_SQUARES, float("nan"), time.perf_counter() - begin, path)
         if self.train.commanded:
             begin, chosen = time.perf_counter(), forecast.path_of(self.best.model)
             weight = stacking_weight(self.train, chosen, path)
