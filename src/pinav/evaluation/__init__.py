@@ -7,13 +7,12 @@ from pinav.evaluation.conformal import least_count as least_count
 from pinav.evaluation.conformal import trajectory_scores as trajectory_scores
 from pinav.evaluation.coverage import NOMINAL as NOMINAL
 from pinav.evaluation.coverage import Bands as Bands
-from pinav.evaluation.coverage import estimated_start_bands as estimated_start_bands
-from pinav.evaluation.coverage import exact_start_bands as exact_start_bands
 from pinav.evaluation.coverage import force_coverage as force_coverage
 from pinav.evaluation.coverage import fraction_inside as fraction_inside
 from pinav.evaluation.coverage import inside_band as inside_band
 from pinav.evaluation.coverage import normal_interval as normal_interval
 from pinav.evaluation.coverage import normal_quantile as normal_quantile
+from pinav.evaluation.coverage import rollout_bands as rollout_bands
 from pinav.evaluation.coverage import rollout_coverage as rollout_coverage
 from pinav.evaluation.evaluation import BASELINE as BASELINE
 from pinav.evaluation.evaluation import Evaluation as Evaluation

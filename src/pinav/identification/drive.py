@@ -6,10 +6,8 @@ are parameters of the search.
 """
 
 import abc
-import contextlib
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -21,15 +19,12 @@ from jaxtyping import Array, Float, Int
 from pinav import actuation
 from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_arrays
 from pinav.errors import InputError
-from pinav.fitting import EvidenceFit
 from pinav.forces import RollingPropulsion, ZeroFlow, ZeroForce
 from pinav.identification.parameters import (
     GAIN,
     ROLLING,
-    Coordinates,
     Parameter,
     Scale,
-    fitted_noise,
 )
 from pinav.identification.tracks import Blocks
 from pinav.systems import FreeNumber, LogNormal, Normal, System
@@ -57,10 +52,6 @@ class AbstractDrive(eqx.Module):
     """
 
     parameters: eqx.AbstractVar[tuple[Parameter, ...]]
-
-    def coordinates(self, swimmer: OverdampedSwimmer) -> Coordinates:
-        """Coordinates of its parameters in a swimmer."""
-        return coordinates_of(self.parameters, swimmer)
 
     @abc.abstractmethod
     def displacements(
@@ -137,29 +128,6 @@ class RollingDrive(AbstractDrive):
 def is_open(system: System, path: str) -> bool:
     """True where a system leaves a number open."""
     return any(number.path == path for number in system.learn)
-
-
-def rolling_coordinates(swimmer: Swimmer | OverdampedSwimmer) -> Coordinates:
-    """Coordinates of `ROLLING` in a swimmer, absent ones without a propulsion."""
-    return coordinates_of(ROLLING, swimmer)
-
-
-def coordinates_of(
-    parameters: Sequence[Parameter], swimmer: Swimmer | OverdampedSwimmer
-) -> Coordinates:
-    """Coordinates of parameters in a swimmer, absent where it has no such number."""
-    coordinates = np.array([parameter.absent for parameter in parameters])
-    for place, parameter in enumerate(parameters):
-        with contextlib.suppress(InputError):
-            number = FreeNumber(parameter.path).pick(swimmer)
-            at = parameter.scale.coordinate(float(number))
-            coordinates[place] = coordinates[place] if math.isnan(at) else at
-    return coordinates
-
-
-def fitted_coordinates(fit: EvidenceFit) -> Coordinates:
-    """Coordinates of a rolling swimmer that was fitted, and of the noise found."""
-    return np.concatenate([rolling_coordinates(fit.model), fitted_noise(fit)])
 
 
 def gain_basis(ndim: int) -> Float[np.ndarray, "number 2 2"]:

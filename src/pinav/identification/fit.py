@@ -22,7 +22,7 @@ from pinav.fitting import (
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import NoWeights
 from pinav.identification import likelihood
-from pinav.identification.drive import fitted_coordinates, is_open
+from pinav.identification.drive import is_open
 from pinav.identification.estimates import learned_posterior
 from pinav.identification.parameters import (
     BLOCK_NOISE,
@@ -35,6 +35,8 @@ from pinav.identification.parameters import (
     Coordinates,
     Parameter,
     Prior,
+    coordinates_of,
+    fitted_coordinates,
     learned_noise,
     stated_noise,
 )
@@ -91,8 +93,7 @@ WHITE = ("wandering.memory", BLOCK_NOISE)
 
 def stated_coordinates(system: System, design: likelihood.Design) -> Coordinates:
     """Coordinates that a system states; NaN for noise of which it says nothing."""
-    drive: Any = system.swimmer
-    return np.concatenate([design.drive.coordinates(drive), stated_noise(system)])
+    return coordinates_of(design.parameters, system.swimmer, stated_noise(system))
 
 
 class CandidateSearch:
