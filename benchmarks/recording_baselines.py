@@ -20,12 +20,9 @@ from scipy.optimize import minimize
 from pinav.forces import tanh_network
 from pinav.identification import Track
 from pinav.identification.baselines import velocities
-from pinav.identification.forecast import (
-    Displacement,
-    command_vector,
-    integrate_held,
-)
+from pinav.identification.forecast import Displacement, integrate_held
 from pinav.identification.tracks import commands_of
+from pinav.recordings.drive import command_vector
 from pinav.trajectories import Trajectory
 
 

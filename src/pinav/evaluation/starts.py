@@ -26,7 +26,7 @@ from pinav.dynamics import (
 from pinav.errors import InputError
 from pinav.evaluation.scores import require_x64
 from pinav.fitting import Outcome
-from pinav.fitting.engine.local_model import ParametricModel
+from pinav.fitting.engine.local_model import ParametricModel, known_model
 from pinav.fitting.engine.multiple_shooting import Linearisation, advance, linearise
 from pinav.fitting.matching.state import Observations
 from pinav.trajectories import Trajectories, smooth_states
@@ -77,7 +77,7 @@ def estimate_starts(
     dim = head.dim
     states = on_device(smooth_states(head, dim))
     scale = np.maximum(np.ptp(np.asarray(states), axis=1), np.finfo(float).tiny)
-    free = ParametricModel(with_dtype(dynamics, jnp.float64), _nothing)
+    free = known_model(with_dtype(dynamics, jnp.float64))
     solver = FixedStep(substeps=4)
     nothing, settled = jnp.zeros(0), np.zeros(len(head), bool)
     for _ in range(STEPS):
@@ -89,11 +89,6 @@ def estimate_starts(
         if (settled | ~np.isfinite(change).all(axis=1)).all():
             break
     return _starts(np.asarray(states), settled, count)
-
-
-def _nothing(theta: Float[Array, "0"]) -> None:
-    """No leaf of the model is free."""
-    return
 
 
 class DrivenModel(eqx.Module):

@@ -5,8 +5,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
-from pinav.identification.forecast import Displacement, command_vector, integrate_held
+from pinav.identification.forecast import Displacement, integrate_held
 from pinav.identification.tracks import Track, commands_of
+from pinav.recordings.drive import command_vector
 from pinav.trajectories import Trajectory
 
 WINDOW = 1.0

@@ -24,6 +24,7 @@ from pinav.identification.parameters import (
     fitted_coordinates,
 )
 from pinav.identification.tracks import Track, commands_of, round_up_to
+from pinav.recordings.drive import command_vector
 from pinav.trajectories import Trajectory
 
 Vectors = Float[np.ndarray, "time 2"]
@@ -70,11 +71,6 @@ def cycles(
             drive, jnp.asarray(coordinates), programme_of(piece)
         )
     return np.asarray(integral)[: len(piece.times)]
-
-
-def command_vector(frequency: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    r"""$f\,n(\theta)$ [Hz]."""
-    return frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
 
 
 def integrate_held(velocity: np.ndarray, times: np.ndarray) -> np.ndarray:

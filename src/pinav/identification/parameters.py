@@ -16,7 +16,8 @@ from jaxtyping import Float
 
 from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
-from pinav.identification.tracks import Track, pairs_apart
+from pinav.identification.tracks import Track
+from pinav.recordings.drive import pairs_apart
 from pinav.systems import FreeNumber, System
 
 

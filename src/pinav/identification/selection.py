@@ -47,7 +47,8 @@ from pinav.identification.rollouts import (
     stack,
     stacking_weight,
 )
-from pinav.identification.tracks import Track, cut_track, pairs_apart
+from pinav.identification.tracks import Track, cut_track
+from pinav.recordings.drive import pairs_apart
 from pinav.settings import FRACTION
 from pinav.systems import System
 
