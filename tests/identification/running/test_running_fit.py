@@ -40,7 +40,7 @@ def run(fit, steps, robot=None, rest=20):
 
 def turned_by(fit, history, times):
     """What commands have turned by some times, for each drive and memory."""
-    turned = history.at(times, fit.grid.delays)[:, fit.grid.drive]
+    turned = history.at(times[:, None] - fit.grid.delays)[:, fit.grid.drive]
     return np.einsum("mab,tmb->tma", fit.bank.mean[:, :, 3:], turned - turned[0])
 
 
@@ -156,12 +156,12 @@ def test_the_position_is_followed_and_lost_frames_are_predicted(known):
 def test_commands_are_integrated_with_each_delay():
     grid, begun = small_grid(), CommandHistory.begin(small_grid(), 0.0, 0.0, 0.0)
     history = begun.extend(grid, *np.array([[1.0, 2.0], [1.0, 0.0], [0.5, 0.0]]))
-    turned = history.at(np.array([0.5, 1.5, 9.0]), grid.delays)
+    turned = history.at(np.array([[0.5], [1.5], [9.0]]) - grid.delays)
     linear = turned[:, [0, 2]] @ [math.cos(0.5), math.sin(0.5)]
     assert np.allclose(linear, [[0, 0], [0.4, 0.2], [1, 1]])
     kept = history.forget(1.5)
     assert list(kept.times) == [1.0, 2.0]
-    assert np.array_equal(kept.at(np.array([3.0]), grid.delays), turned[-1:])
+    assert np.array_equal(kept.at(3.0 - grid.delays[None]), turned[-1:])
 
 
 def test_the_bank_is_the_posterior_of_a_linear_model():

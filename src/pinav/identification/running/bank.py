@@ -278,18 +278,6 @@ class CommandHistory(eqx.Module):
         later = self.integrals[-1] + np.cumsum(steps, axis=0)
         return CommandHistory(times, rates, np.concatenate([self.integrals, later]))
 
-    def replace_last(
-        self,
-        grid: DriveGrid,
-        frequency: Float[np.ndarray, "1"],
-        heading: Float[np.ndarray, "1"],
-    ) -> "CommandHistory":
-        """The history with another command from its last time on."""
-        rates = np.concatenate(
-            [self.rates[:-1], effective_rates(grid, frequency, heading)]
-        )
-        return CommandHistory(self.times, rates, self.integrals)
-
     def forget(self, before: float) -> "CommandHistory":
         """Without what ended before a time; integrals keep their origin."""
         first = max(int(np.searchsorted(self.times, before, side="right")) - 1, 0)
@@ -300,13 +288,14 @@ class CommandHistory(eqx.Module):
         )
 
     def at(
-        self, times: Float[np.ndarray, " time"], delays: Float[np.ndarray, " delay"]
+        self, times: Float[np.ndarray, "time delay"]
     ) -> Float[np.ndarray, "time drive 2"]:
-        """Integrals of the delayed commands [cycles], delays first, then responses."""
-        query = times[:, None] - delays
-        place = np.searchsorted(self.times, query, side="right") - 1
-        elapsed = query - self.times[np.maximum(place, 0)]
-        elapsed = np.where(place < 0, 0.0, elapsed)
+        """Integrals of the commands up to delayed times [cycles].
+
+        Drives are counted delays first, then responses.
+        """
+        place = np.searchsorted(self.times, times, side="right") - 1
+        elapsed = np.where(place < 0, 0.0, times - self.times[np.maximum(place, 0)])
         place = np.maximum(place, 0)
         values = self.integrals[place] + elapsed[..., None, None] * self.rates[place]
         return values.reshape(len(times), -1, 2)

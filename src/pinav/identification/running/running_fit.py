@@ -204,7 +204,8 @@ class RunningFit(eqx.Module):
         time = float(observed.times.mean())
         position = observed.positions.mean(axis=0)
         frequency = float(observed.frequency.mean())
-        cycles = self.history.at(observed.times, self.grid.delays).mean(axis=0)
+        delayed = observed.times[:, None] - self.grid.delays
+        cycles = self.history.at(delayed).mean(axis=0)
         if self.cycles is None:
             bank = self.bank.place(position, self.grid.blur)
         else:

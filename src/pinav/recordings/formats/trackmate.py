@@ -144,6 +144,15 @@ Spot = tuple[str, str, Any]
 """Name of the particle of a position, its place for messages, and its element."""
 
 
+def _detections(parents: Iterable[Spot]) -> list[Spot]:
+    """The detections within elements, one element after the other."""
+    return [
+        (name, f"{place}, detection {count}", one)
+        for name, place, parent in parents
+        for count, one in enumerate(parent.iterfind("detection"), start=1)
+    ]
+
+
 def _table(spots: Sequence[Spot], names: Iterable[str], source: Source) -> Table:
     """The attributes of spots as columns of text."""
     particles, places, elements = zip(*spots, strict=True)
@@ -176,14 +185,11 @@ class TrackMateXML(AbstractFormat):
         particles = root.findall("particle")
         if not particles:
             raise InputError("element <Tracks>: no <particle> in it; export again")
-        spots: list[Spot] = []
         for index, particle in enumerate(particles, start=1):
-            detections = particle.findall("detection")
-            _check_count(particle, index, len(detections))
-            spots += [
-                (str(index - 1), f"particle {index}, detection {count}", one)
-                for count, one in enumerate(detections, start=1)
-            ]
+            _check_count(particle, index)
+        spots = _detections(
+            (str(i), f"particle {i + 1}", one) for i, one in enumerate(particles)
+        )
         if not spots:
             raise InputError("element <particle>: no <detection>; export again")
         factor, unit = units.length(root.get("spaceUnits"))
@@ -212,8 +218,8 @@ def _root(content: bytes) -> Any:
     return root
 
 
-def _check_count(particle: Any, index: int, count: int) -> None:
-    stated = particle.get("nSpots")
+def _check_count(particle: Any, index: int) -> None:
+    stated, count = particle.get("nSpots"), len(particle.findall("detection"))
     if stated is not None and stated.strip() != str(count):
         raise InputError(
             f"particle {index}, attribute 'nSpots': expected {stated} detections, got "
@@ -329,15 +335,12 @@ class Icy(AbstractFormat):
         return is_root and b"<trackgroup" in source.content
 
     def tracks(self, source: Source) -> Tracks:
-        names: list[str] = []
-        spots: list[Spot] = []
-        for track in _parse(source.content).iterfind("trackgroup/track"):
-            name = track.get("id") or str(len(set(names)))
-            names.append(name)
-            spots += [
-                (name, f"track {name}, detection {count}", one)
-                for count, one in enumerate(track.iterfind("detection"), start=1)
-            ]
+        tracks = _parse(source.content).findall("trackgroup/track")
+        names = [one.get("id") or str(place) for place, one in enumerate(tracks)]
+        spots = _detections(
+            (name, f"track {name}", one)
+            for name, one in zip(names, tracks, strict=True)
+        )
         if not spots:
             raise InputError(
                 "element <trackgroup>: no <detection>; save the tracks again"
