@@ -25,6 +25,7 @@ References:
     Van Loan, IEEE Trans. Autom. Control 23, 395 (1978), the integral of the noise.
 """
 
+import itertools
 from statistics import NormalDist
 
 import equinox as eqx
@@ -76,7 +77,15 @@ def wandering_variance(
     intervals = np.diff(piece.times)
     mean = 0.5 * (jacobians[1:] + jacobians[:-1])
     matrices, noises = _transitions(mean, strength, intervals, wandering)
-    variance = _propagate(matrices, noises, _start_weights(matrices, piece, count))
+    dim = path.shape[1]
+    steps = itertools.accumulate(
+        matrices[:, :dim, :dim], lambda done, step: step @ done, initial=np.eye(dim)
+    )
+    to_start = np.stack(list(steps))
+    rows = to_start[:count] * piece.observed[:count, :, None]
+    # Matrices L by which errors of the first samples add to the estimated start.
+    weights = np.linalg.pinv(rows.reshape(-1, dim)).reshape(dim, -1, dim)
+    variance = _propagate(matrices, noises, to_start, np.swapaxes(weights, 0, 1))
     variance[~finite] = np.nan
     return variance
 
@@ -124,28 +133,16 @@ def _transitions(
     return matrices, noises
 
 
-def _start_weights(
-    matrices: Float[np.ndarray, "step joint joint"], piece: Trajectory, count: int
-) -> Float[np.ndarray, "sample state state"]:
-    """Matrix L by which errors of the first samples add to the estimated start."""
-    dim = piece.states.shape[1]
-    to_start = [np.eye(dim)]
-    for matrix in matrices[: count - 1]:
-        to_start.append(matrix[:dim, :dim] @ to_start[-1])
-    rows = np.stack(to_start) * piece.observed[:count, :, None]
-    inverse = np.linalg.pinv(rows.reshape(-1, dim))
-    return np.swapaxes(inverse.reshape(dim, -1, dim), 0, 1)
-
-
 def _propagate(
     matrices: Float[np.ndarray, "step joint joint"],
     noises: Float[np.ndarray, "step joint joint"],
+    to_start: Float[np.ndarray, "time state state"],
     weights: Float[np.ndarray, "sample state state"],
 ) -> Float[np.ndarray, "time state"]:
     dim = weights.shape[1]
     size = 3 * dim
     joint = np.diag(np.repeat([0.0, 1.0, 1.0, 0.0], dim))
-    step, to_start = np.eye(4 * dim), np.eye(dim)
+    step = np.eye(4 * dim)
     variances = [np.zeros(dim)]
     for index, (matrix, noise) in enumerate(zip(matrices, noises, strict=True)):
         step[:size, :size] = matrix
@@ -155,8 +152,8 @@ def _propagate(
             added = np.eye(4 * dim)
             added[size:, :dim] = weights[index + 1]
             joint = added @ joint @ added.T
-        to_start = matrix[:dim, :dim] @ to_start
-        error = np.concatenate([np.eye(dim), np.zeros((dim, 2 * dim)), -to_start], 1)
+        blank, moved = np.zeros((dim, 2 * dim)), to_start[index + 1]
+        error = np.concatenate([np.eye(dim), blank, -moved], axis=1)
         variances.append(np.einsum("ij,jk,ik->i", error, joint, error))
     return np.stack(variances)
 
