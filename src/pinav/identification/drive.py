@@ -151,21 +151,16 @@ class SwitchedResponse(actuation.AbstractResponse):
     logit_residual: Float[Array, ""]
 
     def __call__(self, frequency: Array) -> Array:
-        branches = [
-            lambda f, a, b, made=made: _with_numbers(made, a, b)(f)
-            for made in RESPONSES.values()
-        ]
-        return jax.lax.switch(
-            self.index, branches, frequency, self.log_corner, self.logit_residual
-        )
-
-
-def _with_numbers(
-    response: actuation.AbstractResponse, log_corner: Array, logit_residual: Array
-) -> actuation.AbstractResponse:
-    values = {"corner": jnp.exp(log_corner), "residual": jax.nn.sigmoid(logit_residual)}
-    names = {field.name for field in dataclasses.fields(response)}
-    return dataclasses.replace(response, **{n: values[n] for n in values if n in names})
+        numbers = {
+            "corner": jnp.exp(self.log_corner),
+            "residual": jax.nn.sigmoid(self.logit_residual),
+        }
+        branches = []
+        for made in RESPONSES.values():
+            own = {name: numbers[name] for name in numbers if hasattr(made, name)}
+            response = dataclasses.replace(made, **own)
+            branches.append(lambda f, response=response: response(f))
+        return jax.lax.switch(self.index, branches, frequency)
 
 
 class OtherDrive(AbstractDrive):

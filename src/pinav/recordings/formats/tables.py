@@ -1,6 +1,7 @@
 """Tables and lines of text that are known by the names of their columns."""
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import final
@@ -249,7 +250,8 @@ class SFI(AbstractFormat):
         return {"particle_id", "frame"} <= set(next(lines, "").split(","))
 
     def tracks(self, source: Source) -> Tracks:
-        comments = _comments(source.text)
+        lines = source.text.splitlines()
+        comments = [*itertools.takewhile(lambda line: line.startswith("#"), lines)]
         table = source.read_text_table(skip=len(comments))
         facts = dict(_entry(line) for line in comments if ":" in line)
         frame = table.whole_numbers("frame", least=0)
@@ -265,12 +267,6 @@ class SFI(AbstractFormat):
             commands=read_commands(table, extras, {}),
             facts={"comments": facts},
         )
-
-
-def _comments(text: str) -> list[str]:
-    lines = text.splitlines()
-    rest = (i for i, line in enumerate(lines) if not line.startswith("#"))
-    return lines[: next(rest, len(lines))]
 
 
 def _entry(line: str) -> tuple[str, str]:

@@ -46,7 +46,8 @@ class TrackMateCSV(AbstractFormat):
     def tracks(self, source: Source) -> Tracks:
         table = source.read_text_table()
         stated: dict[str, str] = {}
-        if "POSITION_X" in table.columns and _is_raw(table):
+        first = [str(cell).strip() for cell in table.columns.get("POSITION_X", ())[:1]]
+        if first in (["X"], ["Position X"]):
             stated = _units(table)
             table = source.read_text_table(below=_ABOVE)
         for name in ("particle", "x", "y", "frame"):
@@ -75,10 +76,6 @@ class TrackMateCSV(AbstractFormat):
             notes=notes,
             facts={"header rows": 1 + _ABOVE if stated else 1},
         )
-
-
-def _is_raw(table: Table) -> bool:
-    return str(table.columns["POSITION_X"][0]).strip() in ("X", "Position X")
 
 
 def _units(table: Table) -> dict[str, str]:
