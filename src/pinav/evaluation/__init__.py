@@ -5,7 +5,6 @@ from pinav.evaluation.conformal import CalibrationOutcome as CalibrationOutcome
 from pinav.evaluation.conformal import calibrate as calibrate
 from pinav.evaluation.conformal import least_count as least_count
 from pinav.evaluation.conformal import trajectory_scores as trajectory_scores
-from pinav.evaluation.coverage import NOMINAL as NOMINAL
 from pinav.evaluation.coverage import Bands as Bands
 from pinav.evaluation.coverage import force_coverage as force_coverage
 from pinav.evaluation.coverage import fraction_inside as fraction_inside
@@ -18,9 +17,7 @@ from pinav.evaluation.evaluation import BASELINE as BASELINE
 from pinav.evaluation.evaluation import Evaluation as Evaluation
 from pinav.evaluation.evaluation import evaluate as evaluate
 from pinav.evaluation.force_fields import NEAR as NEAR
-from pinav.evaluation.force_fields import NEAR_FRACTION as NEAR_FRACTION
 from pinav.evaluation.force_fields import VISITED as VISITED
-from pinav.evaluation.force_fields import VISITED_FRACTION as VISITED_FRACTION
 from pinav.evaluation.force_fields import Agreement as Agreement
 from pinav.evaluation.force_fields import Decomposition as Decomposition
 from pinav.evaluation.force_fields import FieldMap as FieldMap

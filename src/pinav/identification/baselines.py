@@ -67,7 +67,6 @@ class RestoringForce(eqx.Module):
     Both are fitted together, so that neither takes what belongs to the other.
 
     Attributes:
-        interval: between the positions that were compared [T].
         pull: matrix $B$: the displacement in an interval for each unit of position.
         memory: matrix $\Phi$, which multiplies the previous displacement.
         offset: vector $a$ [L].
@@ -76,7 +75,6 @@ class RestoringForce(eqx.Module):
             there are none.
     """
 
-    interval: float
     pull: Float[np.ndarray, "2 2"]
     memory: Float[np.ndarray, "2 2"]
     offset: Float[np.ndarray, "2"]
@@ -87,7 +85,7 @@ class RestoringForce(eqx.Module):
     def rates(self) -> Float[np.ndarray, "2"]:
         """Rates at which the two principal displacements decay [1/T]."""
         left = np.abs(np.linalg.eigvals(np.eye(2) + self.pull))
-        return np.sort(-np.log(np.clip(left, 1e-12, None)) / self.interval)
+        return np.sort(-np.log(np.clip(left, 1e-12, None)) / INTERVAL)
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:
@@ -133,7 +131,6 @@ def restoring_force(train: Track, held_out: Track) -> RestoringForce:
     gain = 0.5 * count * (np.linalg.slogdet(without)[1] - np.linalg.slogdet(full)[1])
     offset, memory, pull = weights[0], weights[1:3].T, weights[3:].T
     return RestoringForce(
-        interval=INTERVAL,
         pull=pull,
         memory=memory,
         offset=offset,

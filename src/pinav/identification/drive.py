@@ -59,16 +59,6 @@ class AbstractDrive(eqx.Module):
     ) -> Float[Array, "sample 2"]:
         """Displacement since the first sample of a track, for a gain of 1."""
 
-    @abc.abstractmethod
-    def gains(self, system: System) -> Float[np.ndarray, "4 2 2"]:
-        """Gain matrix by each number of an open gain, zeros where there are fewer."""
-
-    @abc.abstractmethod
-    def known_gain(
-        self, system: System, mobility: Float[Array, "2 2"]
-    ) -> Float[Array, "2 2"]:
-        """Gain matrix that is not open, which a mobility makes a velocity of."""
-
 
 def drive_of(system: System) -> AbstractDrive:
     """The drive of the propulsion of a system."""
@@ -109,20 +99,26 @@ class RollingDrive(AbstractDrive):
         times = programme.times - delay
         return programme.lagged_integral(response, times, jnp.exp(lag))
 
-    def gains(self, system: System) -> Float[np.ndarray, "4 2 2"]:
-        gains, propulsion = np.zeros((4, 2, 2)), system.swimmer.propulsion
-        if isinstance(propulsion, RollingPropulsion) and is_open(system, GAIN):
-            basis = gain_basis(np.ndim(propulsion.gain))
-            gains[: len(basis)] = basis
-        return gains
 
-    def known_gain(
-        self, system: System, mobility: Float[Array, "2 2"]
-    ) -> Float[Array, "2 2"]:
-        propulsion = system.swimmer.propulsion
-        if isinstance(propulsion, RollingPropulsion) and not is_open(system, GAIN):
-            return mobility @ propulsion.matrix
-        return jnp.zeros((2, 2))
+def open_gains(system: System) -> Float[np.ndarray, "4 2 2"]:
+    """Gain matrix by each number of an open gain, zeros where there are fewer."""
+    gains, propulsion = np.zeros((4, 2, 2)), system.swimmer.propulsion
+    if isinstance(propulsion, RollingPropulsion) and is_open(system, GAIN):
+        basis = gain_basis(np.ndim(propulsion.gain))
+        gains[: len(basis)] = basis
+    return gains
+
+
+def known_gain(system: System, mobility: Float[Array, "2 2"]) -> Float[Array, "2 2"]:
+    """Gain matrix that is not open, which a mobility makes a velocity of.
+
+    That of another propulsion than a rolling one is 1: its drive is a displacement.
+    """
+    propulsion = system.swimmer.propulsion
+    if isinstance(propulsion, RollingPropulsion) and not is_open(system, GAIN):
+        return mobility @ propulsion.matrix
+    rolls = isinstance(propulsion, RollingPropulsion | ZeroForce)
+    return jnp.zeros((2, 2)) if rolls else jnp.eye(2)
 
 
 def is_open(system: System, path: str) -> bool:
@@ -200,14 +196,6 @@ class OtherDrive(AbstractDrive):
         driven = drive_by_arrays(swimmer, along.times, commands)
         jumps = getattr(driven.propulsion, "jumps", along.times)
         return integrate_between(driven, jumps, along.times, along.positions)
-
-    def gains(self, system: System) -> Float[np.ndarray, "4 2 2"]:
-        return np.zeros((4, 2, 2))
-
-    def known_gain(
-        self, system: System, mobility: Float[Array, "2 2"]
-    ) -> Float[Array, "2 2"]:
-        return jnp.eye(2)
 
 
 def _parameter(number: FreeNumber, system: System) -> Parameter:

@@ -154,7 +154,7 @@ BAD_XML = [
         r"particle 1, detection 3, column 't': frame 2 of '0' stands in particle 1, de",
     ),
     (xml(EXAMPLE, interval="fast"), r"'frameInterval': .* got 'fast'"),
-    (xml(EXAMPLE, interval="0"), r"'frameInterval': expected > 0, got"),
+    (xml(EXAMPLE, interval="0"), r"'frameInterval': expected a number > 0, got"),
     (xml(LONE), r"the longest of 2 segments has a single position"),
     (
         f'<!DOCTYPE t [<!ENTITY a "1"><!ENTITY b "&a;&a;">]>{GOOD}',

@@ -254,13 +254,15 @@ class SFI(AbstractFormat):
         comments = [*itertools.takewhile(lambda line: line.startswith("#"), lines)]
         table = source.read_text_table(skip=len(comments))
         facts = dict(_entry(line) for line in comments if ":" in line)
-        frame = table.whole_numbers("frame", least=0)
+        frame, time = table.whole_numbers("frame", least=0), None
+        if "dt" in facts:
+            time = frame * units.interval("comment 'dt'", facts["dt"])
         extras = {_PREFIX.sub("", name): name for name in table.columns}
         return Tracks.of_table(
             table,
             {"x": "x", "y": "y", "particle": "particle_id", "frame": "frame"},
             frame=frame,
-            time=frame * _interval(facts["dt"]) if "dt" in facts else None,
+            time=time,
             time_unit="?",
             length_unit="?",
             y_down=False,
@@ -272,18 +274,6 @@ class SFI(AbstractFormat):
 def _entry(line: str) -> tuple[str, str]:
     key, _, value = line.lstrip("# ").partition(":")
     return key.strip(), value.strip()
-
-
-def _interval(word: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < float("inf"):
-        raise InputError(
-            f"comment 'dt': expected a number > 0, got {word!r}; correct the comment"
-        )
-    return value
 
 
 @final

@@ -228,16 +228,8 @@ def _calibrated_times(
     root: Any, frame: np.ndarray, reading: Reading
 ) -> tuple[np.ndarray | None, str, tuple[str, ...]]:
     """Times from the frame interval, unless it is the 1 of a film never calibrated."""
-    text = root.get("frameInterval") or "1"
-    try:
-        interval = float(text)
-    except ValueError:
-        interval = np.nan
-    if not 0 < interval < np.inf:
-        raise InputError(
-            f"element <Tracks>, attribute 'frameInterval': expected > 0, got {text!r}; "
-            "correct it, or export again"
-        )
+    where = "element <Tracks>, attribute 'frameInterval'"
+    interval = units.interval(where, root.get("frameInterval") or "1")
     factor, unit = units.duration(root.get("timeUnits"))
     if unit == "frame":
         return None, unit, ()
