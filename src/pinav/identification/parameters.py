@@ -211,8 +211,9 @@ def coordinates_of(
     coordinates = np.array([parameter.absent for parameter in parameters])
     for place, parameter in enumerate(parameters):
         number = noise.get(parameter.path, math.nan)
-        with contextlib.suppress(InputError):
-            number = float(FreeNumber(parameter.path).pick(swimmer))
+        if parameter.path not in NOISE_PLACES:
+            with contextlib.suppress(InputError):
+                number = float(FreeNumber(parameter.path).pick(swimmer))
         at = parameter.scale.coordinate(number)
         coordinates[place] = at if math.isfinite(at) else coordinates[place]
     return coordinates

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from tests.defects import defects, told
-from tests.recordings.synthetic import EXAMPLE, check, rows_of, tracks
+from tests.recordings.synthetic import EXAMPLE, Track, check, rows_of, tracks
 
 from pinav.recordings import Reading, labels, read_recording
 
@@ -175,3 +175,12 @@ BAD_XML = [
 def test_damaged_xml_is_named_with_its_place(read, content, message):
     with told(rf"a\.xml: .*{message}"):
         read(content, name="a.xml")
+
+
+def test_a_bad_spot_is_left_out_and_counted(read):
+    line = [Track("0", list(range(20)), np.arange(20.0).tolist(), [0.0] * 20)]
+    text = xml(line).replace('x="7.0"', 'x="wall"')
+    data = read(text, name="a.xml", strict=False)
+    assert data.lengths.tolist() == [19]
+    (fault,) = data.provenance["bad rows left out"]
+    assert "particle 1, detection 8, column 'x'" in fault
