@@ -26,11 +26,10 @@ from pinav.identification import (
     with_learned,
     with_response,
 )
-from pinav.identification.drive import fitted_coordinates
 from pinav.identification.findings import extrapolation
 from pinav.identification.fit import CandidateSearch
 from pinav.identification.likelihood import Design, evidence_and_coefficients
-from pinav.identification.parameters import DELAY, Prior
+from pinav.identification.parameters import DELAY, Prior, fitted_coordinates
 from pinav.identification.rollouts import LENGTHS
 from pinav.identification.tracks import (
     COMPILATION,

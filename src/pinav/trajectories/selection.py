@@ -1,5 +1,6 @@
 """Parts of trajectories, several put together, and channels that nobody observed."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -10,8 +11,7 @@ from jaxtyping import Float, Int, PRNGKeyArray
 from pinav.errors import InputError
 from pinav.settings import FRACTION
 from pinav.systems import System, velocity_unit
-from pinav.trajectories.trajectories import Trajectories, check_names
-from pinav.trajectories.trajectory import Trajectory
+from pinav.trajectories.trajectories import Trajectories, check_names, read_only
 
 
 def with_missing_channels(
@@ -21,23 +21,16 @@ def with_missing_channels(
 
     A tracker gives positions; a swimmer with inertia has velocities too.
     """
-    extra = len(units)
-
-    def widen(piece: Trajectory) -> Trajectory:
-        blank = np.zeros((len(piece.times), extra))
-        return Trajectory(
-            times=piece.times,
-            states=np.concatenate([piece.states, blank], axis=1),
-            observed=np.concatenate([piece.observed, blank > 0], axis=1),
-            commands=piece.commands,
-        )
-
     channels = check_names((*trajectories.channels, *units), trajectories.commands)
-    return Trajectories.from_pieces(
-        [widen(piece) for piece in trajectories],
-        channels,
-        {**trajectories.units, **units},
-        trajectories.provenance,
+    blank = np.zeros((*trajectories.times.shape, len(units)))
+    states = np.concatenate([trajectories.states, blank], axis=2)
+    observed = np.concatenate([trajectories.observed, blank > 0], axis=2)
+    return dataclasses.replace(
+        trajectories,
+        states=read_only(states),
+        observed=read_only(observed),
+        channels=channels,
+        units={**trajectories.units, **units},
     )
 
 
