@@ -1,6 +1,7 @@
 """Parts of trajectories, several put together, and channels that nobody observed."""
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -79,6 +80,42 @@ def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> 
     order = np.asarray(jax.random.permutation(key, count))
     train, held_out = np.sort(order[:num_train]), np.sort(order[num_train:])
     return Split(trajectories.select(train), trajectories.select(held_out))
+
+
+def halve(trajectories: Trajectories, least: int) -> Trajectories:
+    """Each trajectory as two, one after the other, of half of its samples.
+
+    Args:
+        least: samples of a half; shorter trajectories stay whole.
+    """
+    pieces = []
+    for whole in trajectories:
+        middle = len(whole.times) // 2
+        ends = (middle, len(whole.times)) if middle >= least else (len(whole.times),)
+        for first, end in itertools.pairwise((0, *ends)):
+            part = slice(first, end)
+            pieces.append(jax.tree.map(lambda rows, part=part: rows[part], whole))
+    return Trajectories.from_pieces(
+        pieces, trajectories.channels, trajectories.units, trajectories.provenance
+    )
+
+
+def join_halves(
+    states: Float[np.ndarray, "half sample state"],
+    trajectories: Trajectories,
+    least: int,
+) -> Float[np.ndarray, "trajectory time state"]:
+    """States of trajectories from those of their halves; see `halve`."""
+    halves = iter(zip(states, halve(trajectories, least).lengths, strict=True))
+    joined = np.zeros((*trajectories.times.shape, states.shape[-1]))
+    for row, length in zip(joined, trajectories.lengths, strict=True):
+        filled = 0
+        while filled < length:
+            half, count = next(halves)
+            row[filled : filled + count] = half[:count]
+            filled += count
+        row[length:] = row[length - 1]
+    return joined
 
 
 def concatenate(several: Sequence[Trajectories]) -> Trajectories:
