@@ -13,6 +13,8 @@ from pinav.systems import Observation, system_text
 from pinav.trajectories import (
     Trajectories,
     concatenate,
+    halve,
+    join,
     simulate,
     split,
     with_missing_channels,
@@ -50,6 +52,21 @@ def test_padding_repeats_the_last_row_and_is_not_observed():
     np.testing.assert_array_equal(both.commands["heading"], [[1, 2, 2], [3, 4, 5]])
     np.testing.assert_array_equal(both.lengths, [2, 3])
     assert (len(both), both.num_observed) == (2, 10)
+
+
+@pytest.mark.parametrize("least", [1, 2, 3, 9])
+def test_halves_have_the_samples_of_the_whole_in_their_order(least):
+    whole = ragged(6, commands={"heading": [np.arange(float(n)) for n in range(2, 8)]})
+    halves = halve(whole, least)
+    assert len(halves) == sum(2 if n // 2 >= least else 1 for n in range(2, 8))
+    assert min(halves.lengths) >= min(least, 2)
+    np.testing.assert_array_equal(join(halves.states, halves, whole), whole.states)
+    for name in ("times", "states"):
+        pieces = [getattr(piece, name) for piece in halves]
+        kept = [getattr(piece, name) for piece in whole]
+        np.testing.assert_array_equal(np.concatenate(pieces), np.concatenate(kept))
+    again = halve(halves, least)
+    np.testing.assert_array_equal(join(again.states, again, whole), whole.states)
 
 
 def test_one_trajectory_and_one_vector_of_times_need_no_list():

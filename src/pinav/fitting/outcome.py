@@ -15,8 +15,9 @@ class Outcome(enum.IntEnum):
             promised more.
         UNDER_RESOLVED: converged, but the kernels are coarser than what the data show
             and finer ones would be too many.
-        MISFIT: another step would change nothing, and yet the residuals are no noise:
-            the model is too small, or the known physics are wrong.
+        MISFIT: another step would change nothing, and yet the residuals are no noise,
+            or kernels follow trajectories in pieces alone: the model is too small, or
+            the known physics are wrong.
     """
 
     COMPLETED = 0

@@ -22,8 +22,10 @@ from pinav.errors import FitError
 from pinav.fitting.bayes.fit_bayes import fit_bayes
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.parameters import Learn
+from pinav.fitting.bayes.pieces import fit_pieces
 from pinav.fitting.confirmed import best_fit
 from pinav.fitting.engine.evidence_fit import EvidenceProgress
+from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.policy import POLICY
 from pinav.fitting.rugged.free import fit_free, fit_rough, has_many_hills
@@ -97,6 +99,12 @@ def fit_structured(
             fit = _search(fits, weigh_rotation=weigh_rotation)
         else:
             fit = _weigh_few(fits) if weigh_rotation else fit_free(fits)
+        if fit.fit.outcome is Outcome.DIVERGED:
+            alone = fits.turning() if weigh_rotation else fits
+            options = AS_FINE_AS_ASKED, max_iterations, fits.report
+            pieces = fit_pieces(alone.specification, fit.fit, *options)
+            trace.note((), f"free kernels of pieces of trajectories {pieces.outcome}")
+            fit = StructuredFit(pieces)
         return dataclasses.replace(fit, trace=tuple(trace.hypotheses))
 
 
@@ -130,7 +138,7 @@ def _fit_student(
         taught = fit_structured(pupil, data, weigh_rotation=weigh_rotation, **options)
     except FitError:  # as of a potential, where the force turns
         return StructuredFit(learning())
-    if taught.fit.outcome is Outcome.DIVERGED:
+    if taught.fit.outcome in (Outcome.DIVERGED, Outcome.MISFIT):
         return StructuredFit(learning())
     fit = learning(teacher=taught.fit)
     return StructuredFit(fit, taught.gain, taught.rotation, taught.fit, taught.trace)

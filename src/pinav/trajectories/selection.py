@@ -100,22 +100,22 @@ def halve(trajectories: Trajectories, least: int) -> Trajectories:
     )
 
 
-def join_halves(
-    states: Float[np.ndarray, "half sample state"],
+def join(
+    states: Float[np.ndarray, "piece sample state"],
+    pieces: Trajectories,
     trajectories: Trajectories,
-    least: int,
 ) -> Float[np.ndarray, "trajectory time state"]:
-    """States of trajectories from those of their halves; see `halve`."""
-    halves = iter(zip(states, halve(trajectories, least).lengths, strict=True))
-    joined = np.zeros((*trajectories.times.shape, states.shape[-1]))
-    for row, length in zip(joined, trajectories.lengths, strict=True):
-        filled = 0
-        while filled < length:
-            half, count = next(halves)
-            row[filled : filled + count] = half[:count]
-            filled += count
-        row[length:] = row[length - 1]
-    return joined
+    """States of trajectories from those of pieces into which they were cut."""
+    rows = zip(states, pieces.lengths, strict=True)
+    samples = np.concatenate([row[:length] for row, length in rows])
+    ends = np.cumsum(trajectories.lengths)[:-1]
+    most = trajectories.times.shape[1]
+    return np.stack(
+        [
+            np.pad(whole, ((0, most - len(whole)), (0, 0)), mode="edge")
+            for whole in np.split(samples, ends)
+        ]
+    )
 
 
 def concatenate(several: Sequence[Trajectories]) -> Trajectories:

@@ -12,6 +12,8 @@ from pinav.dynamics import FixedStep, rollout
 from pinav.errors import FitError, InputError
 from pinav.evaluation.force_fields import exact_forces, force_error_at_samples
 from pinav.fitting import Outcome, fit_bayes, kernel_environment
+from pinav.fitting.bayes.neural import FitSpecification
+from pinav.fitting.bayes.pieces import fit_pieces
 from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
 from pinav.forces.priors import WeightPrior
 from pinav.systems import Observation
@@ -174,6 +176,22 @@ def test_iterations_that_run_out_are_a_stall(untrained, data):
     found = fit_bayes(untrained, data, max_iterations=1, throw=False)
     assert found.outcome is Outcome.STALLED
     assert np.all(np.isfinite(found.posterior.mean))
+
+
+@pytest.mark.slow
+def test_pieces_of_trajectories_tell_the_force_of_a_fit_that_diverged(
+    untrained, fitted, scenario, data
+):
+    """A right model leaves the same noise in halves, which are long enough then."""
+    specification = FitSpecification(untrained, data, lambda _: (), None, FixedStep())
+    diverged = dataclasses.replace(fitted, outcome=Outcome.DIVERGED)
+    with jax.enable_x64():
+        pieces = fit_pieces(specification, diverged, None, 20)
+    assert pieces.outcome is Outcome.MISFIT
+    assert pieces.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
+    assert error(pieces, scenario, data) < 0.1
+    assert pieces.states.shape == data.states.shape
+    assert np.std((pieces.states - data.states)[data.observed]) < 1.1 * NOISE
 
 
 def test_rates_that_are_not_finite_are_a_divergence(untrained, data):

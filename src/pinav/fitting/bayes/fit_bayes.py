@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
-from pinav.errors import FitError, InputError
+from pinav.errors import InputError
 from pinav.fitting.bayes.neural import FitSpecification, Teacher
 from pinav.fitting.bayes.parameters import Learn, learned_environment
 from pinav.fitting.bayes.pieces import fit_pieces
@@ -82,7 +82,8 @@ def fit_bayes(
         max_iterations: after which the fit counts as stalled.
         teacher: of a network: a fit of the same data, of kernels with structured terms
             or without. Kernels of the same kind are fitted first unless given.
-        throw: raise where the fit did not converge.
+        throw: raise where the fit did not converge; else kernels that diverge are
+            fitted in pieces (`fit_pieces`).
 
     Raises:
         InputError: there is nothing to learn, the trajectories are not its own, or are
@@ -97,6 +98,7 @@ def fit_bayes(
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
         specification = FitSpecification(model, trajectories, learn, noise, solver)
+        learned = learned_environment(model)
         if teacher is None:
             ended = iterate_refined(
                 _first_problem(specification, refine),
@@ -109,13 +111,11 @@ def fit_bayes(
         else:
             fitted = Teacher.of_fit(teacher)
             ended = _learn(specification, fitted, max_iterations, on_step)
-        fit = evidence_fit(*ended, not_finite=NOT_FINITE, advice={})
-        learned = learned_environment(model)
-        is_linear = learned is not None and learned.is_linear
-        if fit.outcome is Outcome.DIVERGED and is_linear and learn is not None:
-            fit = fit_pieces(specification, fit, refine, max_iterations, on_step)
-        if throw and fit.outcome in ADVICE:
-            raise FitError(ADVICE[fit.outcome], str(fit.outcome))
+        advice = ADVICE if throw else {}
+        fit = evidence_fit(*ended, not_finite=NOT_FINITE, advice=advice)
+        is_linear = learn is not None and learned is not None and learned.is_linear
+        if fit.outcome is Outcome.DIVERGED and is_linear:
+            return fit_pieces(specification, fit, refine, max_iterations, on_step)
         return fit
 
 

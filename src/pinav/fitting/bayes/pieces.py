@@ -1,9 +1,9 @@
 """Fits of trajectories in pieces, where no force follows them whole.
 
-A rollout is a strong constraint: what kernels cannot represent, such as a jump, misses
-the rest of a trajectory, and where paths are unstable by more than the field is wide.
-In pieces, each with a start of its own, the force is determined by what it does at
-once. A right model leaves the same noise in pieces as in halves of them.
+A rollout is a strong constraint: what kernels cannot represent, such as a jump of the
+force, misses all of a trajectory that comes after it. In pieces, each with a start of
+its own, the force is determined by what it does at once. Pieces are short enough where
+halves of them leave the same noise, as they do of any trajectory under a right model.
 """
 
 import dataclasses
@@ -19,10 +19,10 @@ from pinav.fitting.engine.evidence_fit import (
 from pinav.fitting.environments.refinement import Refinement, iterate_refined
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.policy import POLICY
-from pinav.trajectories import halve, join_halves
+from pinav.trajectories import Trajectories, halve, join
 
 SHORTEST = 8
-"""Samples of a piece at least: a start takes the numbers of two."""
+"""Samples of a piece at least: its start has the numbers of two."""
 
 
 def fit_pieces(
@@ -32,40 +32,38 @@ def fit_pieces(
     max_iterations: int,
     on_step: Callable[[EvidenceProgress], None] | None = None,
 ) -> EvidenceFit:
-    """The fit of kernels to the longest pieces that they explain, as a `MISFIT`.
+    """The fit of kernels to the longest pieces that they explain: a `MISFIT`.
 
     Args:
         whole: the fit of the same kernels that diverged.
 
     Returns:
-        The fit, with states of the whole trajectories that are not continuous from
-        piece to piece; `whole` where even the shortest pieces diverge.
+        The fit, with states that jump from piece to piece; `whole` where no pieces
+        converge.
     """
-    data = specification.trajectories
-    halves = halve(data, SHORTEST)
-    if len(halves) == len(data):
+
+    def fit(
+        pieces: Trajectories, refine: Refinement | None, steps: int
+    ) -> EvidenceFit | None:
+        part = dataclasses.replace(specification, trajectories=pieces)
+        begin = part.problem(part.model)
+        try:
+            ended = iterate_refined(begin, part.problem, refine, pieces, steps, on_step)
+            made = evidence_fit(*ended, not_finite="", advice={})
+        except FitError:  # nothing is finite
+            return None
+        return None if made.outcome is Outcome.DIVERGED else made
+
+    data = pieces = specification.trajectories
+    least = float("inf")
+    while len(halves := halve(pieces, SHORTEST)) > len(pieces):
+        begun = fit(halves, None, POLICY.first_steps)
+        noise = float("inf") if begun is None else begun.hyperparameters.noise
+        if noise > least / (1 + POLICY.same):
+            break
+        pieces, least = halves, noise
+    best = fit(pieces, refine, max_iterations)
+    if best is None or best.states is None:
         return whole
-    inner = dataclasses.replace(specification, trajectories=halves)
-    try:
-        problem, outcome, steps = iterate_refined(
-            inner.problem(inner.model),
-            inner.problem,
-            refine,
-            halves,
-            max_iterations,
-            on_step,
-        )
-        fit = evidence_fit(problem, outcome, steps, not_finite="", advice={})
-    except FitError:  # its first linearisation is not finite
-        return whole
-    is_same = fit.hyperparameters.noise > whole.hyperparameters.noise / (
-        1 + POLICY.same
-    )
-    if whole.outcome is not Outcome.DIVERGED and is_same:
-        return whole
-    fit = fit_pieces(inner, fit, refine, max_iterations, on_step)
-    if fit.outcome is Outcome.DIVERGED:
-        return whole
-    assert fit.states is not None
-    states = join_halves(fit.states, data, SHORTEST)
-    return dataclasses.replace(fit, outcome=Outcome.MISFIT, states=states)
+    states = join(best.states, pieces, data)
+    return dataclasses.replace(best, outcome=Outcome.MISFIT, states=states)
