@@ -14,7 +14,6 @@ from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.errors import InputError
 from pinav.fitting.bayes.neural import FitSpecification, Teacher
 from pinav.fitting.bayes.parameters import Learn, learned_environment
-from pinav.fitting.bayes.pieces import fit_pieces
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.evidence_fit import (
     EvidenceFit,
@@ -82,8 +81,7 @@ def fit_bayes(
         max_iterations: after which the fit counts as stalled.
         teacher: of a network: a fit of the same data, of kernels with structured terms
             or without. Kernels of the same kind are fitted first unless given.
-        throw: raise where the fit did not converge; else kernels that diverge are
-            fitted in pieces (`fit_pieces`).
+        throw: raise where the fit did not converge.
 
     Raises:
         InputError: there is nothing to learn, the trajectories are not its own, or are
@@ -98,7 +96,6 @@ def fit_bayes(
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
         specification = FitSpecification(model, trajectories, learn, noise, solver)
-        learned = learned_environment(model)
         if teacher is None:
             ended = iterate_refined(
                 _first_problem(specification, refine),
@@ -111,12 +108,9 @@ def fit_bayes(
         else:
             fitted = Teacher.of_fit(teacher)
             ended = _learn(specification, fitted, max_iterations, on_step)
-        advice = ADVICE if throw else {}
-        fit = evidence_fit(*ended, not_finite=NOT_FINITE, advice=advice)
-        is_linear = learn is not None and learned is not None and learned.is_linear
-        if fit.outcome is Outcome.DIVERGED and is_linear:
-            return fit_pieces(specification, fit, refine, max_iterations, on_step)
-        return fit
+        return evidence_fit(
+            *ended, not_finite=NOT_FINITE, advice=ADVICE if throw else {}
+        )
 
 
 NOT_FINITE = (
