@@ -1,3 +1,5 @@
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -5,12 +7,12 @@ import pytest
 from benchmarks.fields.families import random_system
 
 from pinav.dynamics import FixedStep
-from pinav.fitting import fit_structured
+from pinav.fitting import fit_structured, structured
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.environments.kernels import KernelGrid, kernel_environment
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure.fits import Fits
+from pinav.fitting.structure.fits import Fits, StructuredFit
 from pinav.fitting.structure.starts import Region, linear_term
 from pinav.fitting.structure.survey import Survey
 from pinav.fitting.structure.trace import Trace
@@ -64,6 +66,20 @@ def test_a_linear_force_is_found_and_each_step_names_what_is_fitted():
     true = forces_at(truth.environment, times, places)
     learned = forces_at(found.fit.model.environment, times, places)
     assert jnp.linalg.norm(learned - true) < 0.05 * jnp.linalg.norm(true)
+
+
+@pytest.mark.slow
+def test_a_fit_that_diverges_ends_in_pieces_of_the_trajectories(monkeypatch):
+    truth, model, positions = saddle()
+
+    def diverge(fits):
+        return StructuredFit(dataclasses.replace(fits.fit(), outcome=Outcome.DIVERGED))
+
+    monkeypatch.setattr(structured, "fit_free", diverge)
+    fit = fit_structured(model, positions.select([0, 1, 2]), throw=False)
+    assert fit.fit.outcome is Outcome.MISFIT
+    assert fit.trace[-1].ended == "free kernels of pieces of trajectories misfit"
+    assert fit.fit.states.shape[:2] == positions.times[:3].shape
 
 
 @pytest.mark.slow
