@@ -115,7 +115,9 @@ class RollerPilot(AbstractPilot):
 
     def _probes_still(self, time: float) -> bool:
         """True while a probe after a stall lasts."""
-        return self.stalls > 0 and 0 <= time - self.best[1] < LEAST_PROBES * PROBE_TIME
+        return self.stalls > 0 and bool(
+            0 <= time - self.best[1] < LEAST_PROBES * PROBE_TIME
+        )
 
     def _watch_progress(self, position: Point, time: float) -> "RollerPilot":
         """Note the way to go, and a stall where it has not shrunk for long."""

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int, PyTree
 from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
 from pinav.fitting.bayes.parameters import derive
-from pinav.fitting.engine.posterior import Posterior
+from pinav.fitting.engine.posterior import TWO_SIDED, Posterior
 from pinav.fitting.engine.problem import ShortenedStep
 from pinav.fitting.least_squares import fit_regression
 from pinav.forces import IsotropicPrior
@@ -302,7 +302,7 @@ class PerfusionCurve(eqx.Module):
     @property
     def band(self) -> Float[np.ndarray, "2 temperature"]:
         """Bounds between which the law lies with a nominal probability of 95 %."""
-        return self.values * np.exp(1.96 * np.array([[-1.0], [1.0]]) * self.sd)
+        return self.values * np.exp(TWO_SIDED * np.array([[-1.0], [1.0]]) * self.sd)
 
     @property
     def inside(self) -> np.ndarray:

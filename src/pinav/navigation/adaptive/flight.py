@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from pinav.fitting.engine.posterior import TWO_SIDED
 from pinav.learning.findings import ForceMaps
 from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.steering import AdaptiveController, ControllerState
@@ -28,9 +29,6 @@ from pinav.navigation.trials.situation import Situation
 
 ORACLE = "oracle"
 """The controller that knows the true force."""
-
-NOMINAL = 1.96
-"""Half width of a band of 95 %, in standard deviations."""
 
 
 def true_force(
@@ -58,7 +56,7 @@ def score_force(
     truth = true_force(task, path)
     mean, sd = belief.force(path)
     error = float(np.linalg.norm(mean - truth) / np.linalg.norm(truth))
-    return error, float(np.mean(np.abs(mean - truth) <= NOMINAL * sd))
+    return error, float(np.mean(np.abs(mean - truth) <= TWO_SIDED * sd))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
