@@ -30,6 +30,7 @@ from pinav.fitting.environments.kernels import (
     KernelGrid,
     finest_kernels,
 )
+from pinav.fitting.environments.rates import ForceSamples
 from pinav.fitting.environments.refinement import Refinement
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
@@ -74,26 +75,18 @@ class ForcePrior(eqx.Module):
 
     @classmethod
     def of(
-        cls,
-        environment: AbstractLearnedForce,
-        positions: Float[np.ndarray, "point dim"],
-        forces: Float[np.ndarray, "point dim"],
+        cls, environment: AbstractLearnedForce, samples: ForceSamples
     ) -> "ForcePrior":
-        """Search for the prior of highest evidence.
-
-        Args:
-            positions: at which the force is known [L].
-            forces: there [L T⁻²].
-        """
-        columns, targets = force_columns(environment, positions), forces.reshape(-1)
+        """Search for the prior of highest evidence."""
+        columns = force_columns(environment, samples.positions)
+        targets = samples.forces.reshape(-1)
         size = _root_mean_square(targets) or 1.0
         data, prior = _independent(columns, targets), environment.prior()
         chosen = best_hyperparameters(data, prior, prior.start, NOISE * size)
         mean = posterior_mean(Whitened.of(data, prior.covariance(chosen.shape)), chosen)
-        missed = _root_mean_square(columns @ mean - targets)
-        # Standard deviation of weights which together make up for a missed force.
-        white = WHITE * missed / float(np.sqrt(np.mean(np.sum(columns**2, axis=1))))
-        return cls(environment, chosen, mean, missed / size, white)
+        missed = columns @ mean - targets
+        white = white_part(columns, missed)
+        return cls(environment, chosen, mean, _root_mean_square(missed) / size, white)
 
     @property
     def suits(self) -> bool:
@@ -115,26 +108,24 @@ class ForcePrior(eqx.Module):
         return (vectors * np.sqrt(variances))[:, ::-1]
 
 
-def choose_kernels(
-    kind: KernelKind,
-    places: Float[np.ndarray, "place dim"],
-    positions: Float[np.ndarray, "point dim"],
-    forces: Float[np.ndarray, "point dim"],
-) -> ForcePrior | None:
-    """The coarsest kernels of one width that suit the forces; None if none do.
-
-    Args:
-        places: which the kernels surround [L].
-        positions: at which the force is known [L].
-        forces: there [L T⁻²].
-    """
-    for laid in kernel_ladder(kind, places):
+def choose_kernels(kind: KernelKind, samples: ForceSamples) -> ForcePrior | None:
+    """The coarsest kernels of one width that suit the forces; None if none do."""
+    least = NOISE * _root_mean_square(samples.forces)
+    for laid in kernel_ladder(kind, samples.places):
         # No prior makes it easier to explain forces that no weights do.
-        if _explains(laid, positions, forces):
-            prior = ForcePrior.of(laid, positions, forces)
+        if _root_mean_square(regress(laid, samples)[1]) <= least:
+            prior = ForcePrior.of(laid, samples)
             if prior.suits:
                 return prior
     return None
+
+
+def white_part(
+    columns: Float[np.ndarray, "row weight"], missed: Float[np.ndarray, " row"]
+) -> float:
+    """Standard deviation of weights which together make up for missed forces."""
+    lengths = np.sqrt(np.mean(np.sum(columns**2, axis=1)))
+    return WHITE * _root_mean_square(missed) / float(lengths)
 
 
 def kernel_ladder(
@@ -171,21 +162,14 @@ def _root_mean_square(values: Float[np.ndarray, "..."]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _explains(
-    environment: AbstractLearnedForce,
-    positions: Float[np.ndarray, "point dim"],
-    forces: Float[np.ndarray, "point dim"],
-) -> bool:
-    columns = force_columns(environment, positions)
-    missed = columns @ regress(columns, forces) - forces.reshape(-1)
-    return _root_mean_square(missed) <= NOISE * _root_mean_square(forces)
-
-
 def regress(
-    columns: Float[np.ndarray, "row weight"], forces: Float[np.ndarray, "point dim"]
-) -> Float[np.ndarray, " weight"]:
-    """Weights of least squares, as small as they can be."""
-    return np.linalg.lstsq(columns, forces.reshape(-1))[0]
+    environment: AbstractLearnedForce, samples: ForceSamples
+) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, " row"]]:
+    """Weights of least squares, as small as they can be, and what they miss."""
+    columns = force_columns(environment, samples.positions)
+    targets = samples.forces.reshape(-1)
+    weights = np.linalg.lstsq(columns, targets)[0]
+    return weights, columns @ weights - targets
 
 
 @eqx.filter_jit

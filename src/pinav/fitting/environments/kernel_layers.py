@@ -5,16 +5,17 @@ swimmer goes, and a grid that is fine enough for its flanks has thousands of ker
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from pinav.fitting.environments.force_prior import (
     AS_FINE_AS_FORCES,
     NOISE,
-    WHITE,
     force_columns,
     regress,
+    white_part,
 )
 from pinav.fitting.environments.kernels import num_weights
+from pinav.fitting.environments.rates import ForceSamples
 from pinav.forces import KernelPotential, LayeredPotential, kernel_centers
 from pinav.forces.priors import Matrix
 
@@ -36,57 +37,43 @@ ROUNDS = 12
 """Iterations of the variances of layers."""
 
 
-def lay_layers(
-    places: Float[np.ndarray, "place dim"],
-    positions: Float[np.ndarray, "point dim"],
-    forces: Float[np.ndarray, "point dim"],
-) -> LayeredPotential:
+def lay_layers(samples: ForceSamples) -> LayeredPotential:
     """Layers of kernels, each half as wide as the one before.
 
-    Each layer surrounds the positions whose force the wider ones leave unexplained.
-
-    Args:
-        places: which the widest kernels surround, not all the same [L].
-        positions: where the force is known [L].
-        forces: there [L T⁻²].
+    The widest layer surrounds all places; each further one the positions whose force
+    the wider ones leave unexplained.
     """
-    levels = np.zeros(len(positions), int)
-    laid = _layers_around(places, positions, levels)
+    forces = samples.forces
+    levels = np.zeros(len(forces), int)
+    laid = _layers_around(samples, levels)
     largest = float(np.linalg.norm(forces, axis=1).max())
     while True:
-        columns = force_columns(laid, positions)
-        explained = columns @ regress(columns, forces)
-        errors = np.linalg.norm(explained.reshape(forces.shape) - forces, axis=1)
+        _, missed = regress(laid, samples)
+        errors = np.linalg.norm(missed.reshape(forces.shape), axis=1)
         asking = errors > max(EXPLAINED * largest, SHARE * errors.max())
         levels = levels + asking
         if not asking.any() or levels.max() >= MOST_LAYERS:
             return laid
-        finer = _layers_around(places, positions, levels)
+        finer = _layers_around(samples, levels)
         if num_weights(finer) > AS_FINE_AS_FORCES.max_weights:
             return laid
         laid = finer
 
 
 def _layers_around(
-    places: Float[np.ndarray, "place dim"],
-    positions: Float[np.ndarray, "point dim"],
-    levels: Int[np.ndarray, " point"],
+    samples: ForceSamples, levels: Int[np.ndarray, " point"]
 ) -> LayeredPotential:
     """Kernels of every level around the positions of this level or of finer ones."""
-    extent, layers = float(np.ptp(places, axis=0).max()), []
+    extent, layers = float(np.ptp(samples.places, axis=0).max()), []
     for level in range(levels.max() + 1):
-        around = positions[levels >= level] if level else places
+        around = samples.positions[levels >= level] if level else samples.places
         spacing = extent / ACROSS / 2.0**level
         centers = kernel_centers(around, spacing=spacing, margin=MARGIN * spacing)
         layers.append(KernelPotential.with_zero_weights(centers, WIDTH * spacing))
     return LayeredPotential(tuple(layers))
 
 
-def layers_root(
-    environment: LayeredPotential,
-    positions: Float[np.ndarray, "point dim"],
-    forces: Float[np.ndarray, "point dim"],
-) -> Matrix:
+def layers_root(environment: LayeredPotential, samples: ForceSamples) -> Matrix:
     r"""A root of the prior of layers: weights of one layer are alike in size.
 
     A layer is as fine as its kernels, so that its weights need no length scale. Their
@@ -97,7 +84,8 @@ def layers_root(
     References:
         MacKay, Neural Computation 4, 415 (1992), eq. (21).
     """
-    columns, targets = force_columns(environment, positions), forces.reshape(-1)
+    columns = force_columns(environment, samples.positions)
+    targets = samples.forces.reshape(-1)
     noise = NOISE * float(np.sqrt(np.mean(targets**2))) or 1.0
     rows = columns / noise
     normal, pull = rows.T @ rows, rows.T @ (targets / noise)
@@ -112,6 +100,5 @@ def layers_root(
         squares, known = (np.bincount(layer, w) for w in (mean**2, determined))
         # A layer that explains nothing keeps a variance next to none.
         variances = np.maximum(squares / known, 1e-20 * squares.sum())[layer]
-    missed = float(np.sqrt(np.mean((columns @ mean - targets) ** 2)))
-    white = WHITE * missed / float(np.sqrt(np.mean(np.sum(columns**2, axis=1))))
+    white = white_part(columns, columns @ mean - targets)
     return np.diag(np.sqrt(variances + white**2))

@@ -186,6 +186,50 @@ def _all_rates(
     return jax.vmap(lambda t, y: model(t, y))(times, states)
 
 
+class ForceSamples(NamedTuple):
+    """Forces that the known physics leave unexplained, at samples of a regression.
+
+    Attributes:
+        places: all positions at which a force acts, which kernels surround [L].
+        positions: those of the samples that enter the regression [L].
+        forces: the forces there [L T⁻²].
+    """
+
+    places: Float[np.ndarray, "place dim"]
+    positions: Float[np.ndarray, "point dim"]
+    forces: Float[np.ndarray, "point dim"]
+
+    @classmethod
+    def of(cls, swimmer: Swimmer, rates: Rates) -> "ForceSamples":
+        """The most informative samples at which splines agree on the force.
+
+        Where they agree on less than half of them, all samples count.
+        """
+        forces = residual_forces(swimmer, rates)
+        sizes = np.linalg.norm(forces, axis=1)
+        acting = sizes >= LEAST_FORCE * sizes.max()
+        if acting.sum() <= DEGREE:
+            acting = np.ones_like(acting)
+        known = np.ones_like(acting)
+        if rates.doubts is not None:
+            reliable = rates.doubts <= RELIABLE * sizes.max()
+            known = reliable if reliable.mean() > MOSTLY else known
+        parts = [np.flatnonzero(known & acting), np.flatnonzero(known & ~acting)]
+        kept = np.concatenate(
+            [rows[informative_rows(rates.states[rows], MOST_SAMPLES)] for rows in parts]
+        )
+        positions = rates.states[:, : forces.shape[1]]
+        return cls(positions[acting], positions[kept], forces[kept])
+
+
+RELIABLE, MOSTLY = 1e-3, 0.5
+"""Doubts of a force that count as none, relative to the largest one; share of the
+points above which the others are left out."""
+
+LEAST_FORCE = 1e-7
+"""Relative to the largest force: what acts less is left without kernels."""
+
+
 class ForceRegion(NamedTuple):
     """Where the unknown force acts.
 
