@@ -61,20 +61,16 @@ def path_spline(trajectory: Trajectory, dim: int) -> PathSpline | None:
     kinds = [_through_states]
     if states.shape[1] == 2 * dim:
         kinds.append(_through_positions_and_slopes)
-    paths = [_with_doubts(times, states, kind) for kind in kinds]
+
+    def through(kind: Callable[..., tuple[Curve, Curve]]) -> PathSpline:
+        curve, rates = kind(times, states, DEGREE)
+        _, others = kind(times, states, DEGREE - 2)
+        return PathSpline(
+            times, curve, rates, lambda t: np.linalg.norm(rates(t) - others(t), axis=1)
+        )
+
+    paths = map(through, kinds)
     return min(paths, key=lambda path: float(np.mean(path.doubts(times) ** 2)))
-
-
-def _with_doubts(
-    times: Float[np.ndarray, " time"],
-    states: Table,
-    kind: Callable[..., tuple[Curve, Curve]],
-) -> PathSpline:
-    curve, rates = kind(times, states, DEGREE)
-    others = kind(times, states, DEGREE - 2)[1]
-    return PathSpline(
-        times, curve, rates, lambda t: np.linalg.norm(rates(t) - others(t), axis=1)
-    )
 
 
 def _through_states(

@@ -212,7 +212,10 @@ def fit_many(
     # A float32 fit must not meet float64 defaults inside the minimisers.
     with jax.enable_x64(jnp.dtype(dtype) == jnp.float64):
         observations = _stack([Observations.of(own, dtype) for own in several])
-        phases = [_in_mode(phase) for phase in recipe]
+        # Arrays made with x64 on become what the precision of the fit makes of them.
+        phases = jax.tree.map(
+            lambda a: on_device(np.asarray(a)) if eqx.is_array(a) else a, list(recipe)
+        )
         task = _FitTask.of(models, observations, phases, trainable, objective, at_once)
         start = task.state_before(0)
         state = checkpoint.load(task.state_before) if checkpoint else None
@@ -358,13 +361,6 @@ def _program(phase: AbstractPhase) -> Hashable:
     """What phases that share a compiled program have in common."""
     leaves, structure = jax.tree.flatten(phase)
     return structure, tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
-
-
-def _in_mode(tree: PyTree) -> PyTree:
-    """Arrays made with x64 on, as the mode in force would have made them."""
-    return jax.tree.map(
-        lambda leaf: on_device(np.asarray(leaf)) if eqx.is_array(leaf) else leaf, tree
-    )
 
 
 def _stack(several: list[Observations]) -> Observations:

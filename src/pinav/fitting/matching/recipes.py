@@ -38,10 +38,6 @@ def paper_recipe(
 ) -> tuple[AbstractPhase, ...]:
     """The paper's two phases: Adam at 0.01, then L-BFGS.
 
-    Args:
-        adam_steps: 7500 in the paper.
-        lbfgs_steps: 500 in the paper.
-
     References:
         PI-NAV paper, Table 1.
     """
