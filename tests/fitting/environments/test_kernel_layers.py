@@ -3,8 +3,11 @@ import numpy as np
 import pytest
 
 from pinav.evaluation import exact_forces
-from pinav.fitting.environments.force_prior import AS_FINE_AS_FORCES
-from pinav.fitting.environments.kernel_layers import lay_layers, layers_root
+from pinav.fitting.environments.force_prior import (
+    AS_FINE_AS_FORCES,
+    lay_layers,
+    layers_root,
+)
 from pinav.fitting.environments.kernels import num_weights
 from pinav.fitting.environments.rates import ForceSamples
 from pinav.forces import GaussianBarrier, KernelPotential, LayeredPotential, power_hill

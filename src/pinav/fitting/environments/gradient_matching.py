@@ -23,10 +23,11 @@ from pinav.fitting.environments.force_prior import (
     KernelKind,
     choose_kernels,
     kernel_ladder,
+    lay_layers,
+    layers_root,
     regress,
     with_weights,
 )
-from pinav.fitting.environments.kernel_layers import lay_layers, layers_root
 from pinav.fitting.environments.rates import (
     MOST_SAMPLES,
     ForceSamples,
