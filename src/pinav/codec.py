@@ -116,7 +116,7 @@ def _encode(path: str, wanted: Any, value: Any, arrays: Arrays) -> Json:
         return _word(value)
     if isinstance(value, msgspec.Struct):
         return msgspec.to_builtins(value)
-    if _is_record(type(value)):
+    if dataclasses.is_dataclass(value) or hasattr(value, "_fields"):
         return _encode_record(path, wanted, value, arrays)
     if isinstance(value, dict):
         _, part = typing.get_args(wanted) or (str, Any)
@@ -217,7 +217,7 @@ def _decode_record(path: str, wanted: type, found: dict, left: Arrays) -> Any:
         cls = known[kind]
     hints, defaults = _hints(cls), _fields(cls)
     keys = found.keys() - {"kind", *_derived(cls)}
-    needed = {name for name in hints if defaults[name] is dataclasses.MISSING}
+    needed = {name for name in hints if defaults[name] is inspect.Parameter.empty}
     if odd := sorted((keys - hints.keys()) | (needed - keys)):
         state = "is missing" if odd[0] in hints else "is unknown"
         raise InputError(f"{_join(path, odd[0])}: this key {state}")
@@ -302,47 +302,26 @@ def _hints(cls: type) -> Mapping[str, Any]:
 
 @functools.cache
 def _fields(cls: type) -> Mapping[str, Any]:
-    """The default of each field that the constructor takes, or `MISSING`."""
-    if not dataclasses.is_dataclass(cls):
-        defaults = getattr(cls, "_field_defaults", {})
-        names = getattr(cls, "_fields", ())
-        return {name: defaults.get(name, dataclasses.MISSING) for name in names}
-    missing = dataclasses.MISSING
-    return {
-        field.name: field.default
-        if field.default_factory is missing
-        else field.default_factory
-        for field in dataclasses.fields(cls)
-        if field.init
-    }
-
-
-def _is_record(cls: type) -> bool:
-    return dataclasses.is_dataclass(cls) or hasattr(cls, "_fields")
+    """The default of each field that the constructor takes, or `empty`."""
+    parameters = inspect.signature(cls).parameters
+    return {name: one.default for name, one in parameters.items()}
 
 
 def _of_option(wanted: Any) -> Any:
     """The annotation without `| None`."""
     if isinstance(wanted, types.UnionType) or typing.get_origin(wanted) is typing.Union:
         real = [one for one in typing.get_args(wanted) if one is not type(None)]
+        if len(real) == 1:
+            return real[0]
         if float in real:  # a Scalar: a plain number, or an array without axes
             return float
-        family = _family(real)
-        if family is None:
+        shared = [set(getattr(kind, "__mro__", ())) for kind in real]
+        common = set.intersection(*shared)
+        family = next((c for c in getattr(real[0], "__mro__", ()) if c in common), None)
+        if not dataclasses.is_dataclass(family):
             raise TypeError(f"{wanted}: what a file holds must be of one kind or null")
         return family
     return wanted
-
-
-def _family(kinds: list[Any]) -> Any:
-    """The only kind of several, or the records that they all are; None without one."""
-    if len(kinds) == 1:
-        return kinds[0]
-    if not all(isinstance(kind, type) for kind in kinds):
-        return None
-    shared = (c for c in kinds[0].__mro__ if all(issubclass(k, c) for k in kinds))
-    nearest = next(shared)
-    return nearest if dataclasses.is_dataclass(nearest) else None
 
 
 def _parts(wanted: Any, count: int) -> tuple[Any, ...]:

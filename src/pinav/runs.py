@@ -118,7 +118,12 @@ class RunFolder:
             raise InputError(
                 f"{path} is not empty and holds no run; choose another --out"
             )
-        _make_folder(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"{path} cannot be made ({error.strerror}); choose another --out"
+            ) from error
         folder.write_json("environment.json", environment())
         identity = {"schema": SCHEMA, **config.get("run", {})}
         folder.write_text("config.toml", tomli_w.dumps(config | {"run": identity}))
@@ -392,12 +397,3 @@ def _as_json(content: Any) -> bytes:
 def _plain(value: Any) -> Any:
     """A builtin value for a number or an array of NumPy."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be made ({error.strerror}); choose another --out"
-        ) from error

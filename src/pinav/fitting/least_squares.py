@@ -120,17 +120,12 @@ def fit_regression(
             outcome,
             steps,
             not_finite="its residuals are not finite where it starts",
-            advice=_advice(len(steps)) if throw else {},
+            advice=dict.fromkeys(
+                (Outcome.STALLED, Outcome.DIVERGED) if throw else (),
+                f"the fit {outcome} after {len(steps)} steps; change where it starts, "
+                "raise max_iterations, or pass throw=False",
+            ),
         )
-
-
-def _advice(count: int) -> dict[Outcome, str]:
-    """What to raise for the outcomes that do not count, after so many steps."""
-    return {
-        outcome: f"the fit {outcome} after {count} steps; change where it starts, "
-        "raise max_iterations, or pass throw=False"
-        for outcome in (Outcome.STALLED, Outcome.DIVERGED)
-    }
 
 
 class Regression(AbstractProblem):

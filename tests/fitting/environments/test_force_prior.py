@@ -11,6 +11,7 @@ from pinav.fitting.environments.force_prior import (
     choose_kernels,
     force_columns,
 )
+from pinav.fitting.environments.rates import ForceSamples
 from pinav.forces import GaussianBarrier, KernelForce, KernelPotential
 
 PATH = np.stack(
@@ -22,7 +23,7 @@ PATH = np.stack(
 def laid(kind, scale=1.5):
     """Kernels for the forces of a barrier along the path."""
     forces = exact_forces(GaussianBarrier(3.0, [2.0, 0.3], scale), PATH)
-    prior = choose_kernels(kind, PATH, PATH, forces)
+    prior = choose_kernels(kind, ForceSamples(PATH, PATH, forces))
     assert prior is not None
     return prior, forces
 
@@ -64,18 +65,20 @@ def test_the_force_of_the_mean_is_that_at_the_samples(kind):
 @pytest.mark.slow
 def test_forces_that_no_grid_explains_have_no_kernels_of_one_width():
     noise = np.random.default_rng(0).normal(size=PATH.shape)
-    assert choose_kernels(KernelPotential, PATH, PATH, noise) is None
+    samples = ForceSamples(PATH, PATH, noise)
+    assert choose_kernels(KernelPotential, samples) is None
 
 
 def test_a_potential_does_not_explain_a_force_that_turns():
     turning = np.stack([-PATH[:, 1], PATH[:, 0]], axis=1)
     both = np.concatenate([PATH, PATH + [0.0, 1.0]])
     forces = np.concatenate([turning, turning + [-1.0, 0.0]])
-    kernels = choose_kernels(KernelForce, both, both, forces)
+    samples = ForceSamples(both, both, forces)
+    kernels = choose_kernels(KernelForce, samples)
     assert kernels is not None
     laid = kernels.environment.kernels
     potential = KernelPotential.with_zero_weights(
         np.asarray(laid.centers), float(laid.width)
     )
-    other = ForcePrior.of(potential, both, forces)
+    other = ForcePrior.of(potential, samples)
     assert kernels.chosen.log_evidence > other.chosen.log_evidence

@@ -110,9 +110,7 @@ def test_the_recipe_finds_the_constants_of_exact_data(data):
 
 
 def test_bad_requests_are_refused(data):
-    with pytest.raises(InputError, match="DefectMatching.steps: expected >= 1, got 0"):
-        fitting.DefectMatching(jnp.asarray(1), 0.0, steps=0)
-    with pytest.raises(InputError, match="defect_recipe max_steps: expected >= 1"):
+    with pytest.raises(InputError, match="DefectMatching.steps: expected > 0, got 0"):
         fitting.defect_recipe(data, max_steps=0)
     hidden = data.observed.copy()
     hidden[0, 3] = False

@@ -117,7 +117,7 @@ def test_the_same_seed_gives_the_same_numbers_and_progress_covers_every_step_onc
 class Halving(fitting.AbstractPhase):
     """Halves all parameters until they are small; says each time that it did."""
 
-    heard: Callable[[], None] = eqx.field(static=True)
+    heard: Callable[[], None] = eqx.field(static=True, default=print)
     side_by_side: bool = eqx.field(static=True, default=False)
     name: str = eqx.field(static=True, default="halving")
     num_steps: int = eqx.field(static=True, default=30)
@@ -145,7 +145,7 @@ class Halving(fitting.AbstractPhase):
 def halvings(models, data, **options):
     """How often the fits of several models took a step in all."""
     heard = []
-    recipe = (Halving(lambda: heard.append(1), **options),)
+    recipe = (Halving(heard=lambda: heard.append(1), **options),)
     fitting.fit_many(models, data, recipe, **ASKED)
     jax.effects_barrier()
     return len(heard)

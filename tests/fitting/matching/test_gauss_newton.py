@@ -232,11 +232,11 @@ def test_windows_follow_the_longest_trajectory(data):
 
 
 def test_bad_requests_are_refused(data):
-    with pytest.raises(InputError, match="GaussNewton.rank: expected 1 or more, got 0"):
+    with pytest.raises(InputError, match="GaussNewton.rank: expected > 0, got 0"):
         fitting.GaussNewton(window=jnp.asarray(1), target=0.0, rank=0)
-    with pytest.raises(InputError, match="curriculum max_steps: expected >= 1, got 0"):
+    with pytest.raises(InputError, match="GaussNewton.steps: expected > 0, got 0"):
         fitting.curriculum(data, max_steps=0)
-    with pytest.raises(InputError, match="RateMatching.steps: expected >= 1, got 0"):
+    with pytest.raises(InputError, match="RateMatching.steps: expected > 0, got 0"):
         fitting.RateMatching(
             fitting.Rates(np.zeros(1), np.zeros((1, 4)), np.zeros((1, 2))), 0
         )

@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector
 from pinav.fitting.bayes.distillation import DistillationTargets, forces
@@ -157,10 +157,14 @@ class TangentWeights(AbstractWeights):
         Args:
             wanted: the field's forces there.
         """
+        from scipy.spatial import KDTree
+
         free, point = ravel_model(network, lambda force: force.parameters)
         values = np.asarray(forces(network, places.times, places.positions))
         off = values - wanted.reshape(values.shape)
-        near = _neighbours(np.asarray(places.positions))
+        positions = np.asarray(places.positions)
+        count = min(NEIGHBOURS, len(positions))
+        near = KDTree(positions).query(positions, k=count)[1].reshape(-1, count)
         smooth = len(wanted) / min(RANK, len(point), len(wanted))
         variance = smooth * np.mean(off**2, axis=1)[near].mean(axis=1)
         least = LEAST_MISFIT**2 * np.sum(process.directions**2) / len(wanted)
@@ -199,7 +203,9 @@ class TangentWeights(AbstractWeights):
         factor = scipy.linalg.cho_factor(hessian + tangent.precision)
         change = -scipy.linalg.cho_solve(factor, gradient + tangent.linear)
         covariance = scipy.linalg.cho_solve(factor, np.eye(len(change)))
-        squares = quadratic.squares / chosen.noise**2 + tangent.squares(change)
+        off = change + np.linalg.solve(tangent.precision, tangent.linear)
+        squares = quadratic.squares / chosen.noise**2
+        squares += float(off @ tangent.precision @ off)  # from the mean of the prior
         squares += 2 * gradient @ change + change @ hessian @ change
         log_evidence = -0.5 * (
             quadratic.num_free * np.log(2 * np.pi * chosen.noise**2)
@@ -256,11 +262,6 @@ class _Tangent(eqx.Module):
     precision: Float[np.ndarray, "tangent tangent"]
     linear: Float[np.ndarray, " tangent"]
 
-    def squares(self, change: Float[np.ndarray, " tangent"]) -> float:
-        """Squared distance of a change to the mean of the prior, whitened."""
-        off = change + np.linalg.solve(self.precision, self.linear)
-        return float(off @ self.precision @ off)
-
 
 @eqx.filter_jit
 def _slopes(
@@ -274,14 +275,3 @@ def _slopes(
     slopes = jax.vmap(jax.jacrev(force), (None, 0, 0))
     jacobian = slopes(theta, places.times, places.positions)
     return jacobian.reshape(-1, theta.shape[0])
-
-
-def _neighbours(
-    positions: Float[np.ndarray, "point dim"],
-) -> Int[np.ndarray, "point neighbour"]:
-    """Indices of the nearest places to each, itself included."""
-    from scipy.spatial import KDTree
-
-    count = min(NEIGHBOURS, len(positions))
-    indices = KDTree(positions).query(positions, k=count)[1]
-    return np.reshape(indices, (len(positions), count))

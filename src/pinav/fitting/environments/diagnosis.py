@@ -22,12 +22,11 @@ from pinav.fitting.environments.force_prior import (
     force_columns,
     kernel_ladder,
 )
-from pinav.fitting.environments.gradient_matching import (
-    RELIABLE,
-    match_kernels,
-)
+from pinav.fitting.environments.gradient_matching import match_kernels
 from pinav.fitting.environments.rates import (
     MOST_SAMPLES,
+    RELIABLE,
+    ForceSamples,
     forces_beside_drag,
     observed_rates,
     residual_forces,
@@ -196,13 +195,14 @@ def _explain(
     # Where a narrow force acts, forces change although states hardly do.
     told = np.hstack([states, forces])[rows]
     rows = rows[informative_rows(told, MOST_SAMPLES)]
-    positions, velocities, forces = states[rows, :dim], states[rows, dim:], forces[rows]
+    samples = ForceSamples(places, states[rows, :dim], forces[rows])
+    velocities = states[rows, dim:]
     along = velocities[:, :, None]
     if dim == 2:  # where a velocity can be turned
         along = np.stack([velocities, velocities[:, ::-1] * [-1.0, 1.0]], axis=2)
     nothing = along[:, :, :0]
     potential, free, with_drag, free_with_drag = (
-        _best_evidence(kind, places, positions, forces, extra)
+        _best_evidence(kind, samples, extra)
         for extra in (nothing, along)
         for kind in (KernelPotential, KernelForce)
     )
@@ -211,19 +211,18 @@ def _explain(
 
 def _best_evidence(
     kind: KernelKind,
-    places: Float[np.ndarray, "place dim"],
-    positions: Float[np.ndarray, "point dim"],
-    forces: Float[np.ndarray, "point dim"],
+    samples: ForceSamples,
     extra: Float[np.ndarray, "point dim column"],
 ) -> float:
     """Evidence of the forces by the best grid of kernels around places."""
     evidence = [-np.inf]
-    for laid in kernel_ladder(kind, places):
-        columns = force_columns(laid, positions).reshape(*positions.shape, -1)
+    for laid in kernel_ladder(kind, samples.places):
+        columns = force_columns(laid, samples.positions)
+        columns = columns.reshape(*samples.forces.shape, -1)
         size = LIMITS.broad * np.sqrt(np.sum(columns**2, axis=(0, 1)).max())
         beside = size * extra / np.sqrt(np.sum(extra**2, axis=(0, 1)))
         columns = np.concatenate([columns, beside], axis=2)
-        evidence.append(regression_evidence(columns, forces))
+        evidence.append(regression_evidence(columns, samples.forces))
     return max(evidence)
 
 

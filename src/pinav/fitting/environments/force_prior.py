@@ -8,6 +8,10 @@ would decide. What the mean of that process leaves unexplained along the paths i
 size of a white part, with which trajectories can be followed to rounding: the
 covariance is $a^2 K + \tau^2 I$.
 
+A grid of one width serves a hill that ends. One with a long tail acts wherever the
+swimmer goes, and a grid that is fine enough for its flanks has thousands of kernels:
+such a force gets layers of kernels, finer where it asks for them.
+
 References:
     MacKay, Neural Computation 4, 415 (1992); Rasmussen and Williams, Gaussian
     Processes for Machine Learning (2006), chapter 5.
@@ -21,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from pinav.arguments import on_device
 from pinav.fitting.environments.kernels import (
@@ -29,7 +33,9 @@ from pinav.fitting.environments.kernels import (
     OFTEN,
     KernelGrid,
     finest_kernels,
+    num_weights,
 )
+from pinav.fitting.environments.rates import ForceSamples
 from pinav.fitting.environments.refinement import Refinement
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
@@ -38,7 +44,13 @@ from pinav.fitting.evidence.evidence import (
     best_hyperparameters,
     posterior_mean,
 )
-from pinav.forces import AbstractLearnedForce, KernelForce, KernelPotential
+from pinav.forces import (
+    AbstractLearnedForce,
+    KernelForce,
+    KernelPotential,
+    LayeredPotential,
+    kernel_centers,
+)
 from pinav.forces.priors import Matrix
 
 KernelKind = type[KernelPotential] | type[KernelForce]
@@ -74,26 +86,18 @@ class ForcePrior(eqx.Module):
 
     @classmethod
     def of(
-        cls,
-        environment: AbstractLearnedForce,
-        positions: Float[np.ndarray, "point dim"],
-        forces: Float[np.ndarray, "point dim"],
+        cls, environment: AbstractLearnedForce, samples: ForceSamples
     ) -> "ForcePrior":
-        """Search for the prior of highest evidence.
-
-        Args:
-            positions: at which the force is known [L].
-            forces: there [L T⁻²].
-        """
-        columns, targets = force_columns(environment, positions), forces.reshape(-1)
+        """Search for the prior of highest evidence."""
+        columns = force_columns(environment, samples.positions)
+        targets = samples.forces.reshape(-1)
         size = _root_mean_square(targets) or 1.0
         data, prior = _independent(columns, targets), environment.prior()
         chosen = best_hyperparameters(data, prior, prior.start, NOISE * size)
         mean = posterior_mean(Whitened.of(data, prior.covariance(chosen.shape)), chosen)
-        missed = _root_mean_square(columns @ mean - targets)
-        # Standard deviation of weights which together make up for a missed force.
-        white = WHITE * missed / float(np.sqrt(np.mean(np.sum(columns**2, axis=1))))
-        return cls(environment, chosen, mean, missed / size, white)
+        missed = columns @ mean - targets
+        white = white_part(columns, missed)
+        return cls(environment, chosen, mean, _root_mean_square(missed) / size, white)
 
     @property
     def suits(self) -> bool:
@@ -115,26 +119,24 @@ class ForcePrior(eqx.Module):
         return (vectors * np.sqrt(variances))[:, ::-1]
 
 
-def choose_kernels(
-    kind: KernelKind,
-    places: Float[np.ndarray, "place dim"],
-    positions: Float[np.ndarray, "point dim"],
-    forces: Float[np.ndarray, "point dim"],
-) -> ForcePrior | None:
-    """The coarsest kernels of one width that suit the forces; None if none do.
-
-    Args:
-        places: which the kernels surround [L].
-        positions: at which the force is known [L].
-        forces: there [L T⁻²].
-    """
-    for laid in kernel_ladder(kind, places):
+def choose_kernels(kind: KernelKind, samples: ForceSamples) -> ForcePrior | None:
+    """The coarsest kernels of one width that suit the forces; None if none do."""
+    least = NOISE * _root_mean_square(samples.forces)
+    for laid in kernel_ladder(kind, samples.places):
         # No prior makes it easier to explain forces that no weights do.
-        if _explains(laid, positions, forces):
-            prior = ForcePrior.of(laid, positions, forces)
+        if _root_mean_square(regress(laid, samples)[1]) <= least:
+            prior = ForcePrior.of(laid, samples)
             if prior.suits:
                 return prior
     return None
+
+
+def white_part(
+    columns: Float[np.ndarray, "row weight"], missed: Float[np.ndarray, " row"]
+) -> float:
+    """Standard deviation of weights which together make up for missed forces."""
+    lengths = np.sqrt(np.mean(np.sum(columns**2, axis=1)))
+    return WHITE * _root_mean_square(missed) / float(lengths)
 
 
 def kernel_ladder(
@@ -146,6 +148,91 @@ def kernel_ladder(
     while laid is not None:
         yield laid
         laid = rule.finer(laid, places)
+
+
+ACROSS, WIDTH, MARGIN = 6, 1.5, 2.0
+"""Intervals of the widest layer along the extent of the positions; width of a kernel
+and reach of a layer beyond the positions that ask for it, in intervals of the layer."""
+
+MOST_LAYERS = 7
+"""Layers at most."""
+
+EXPLAINED = 1e-6
+"""Error of a force, relative to the largest one, that asks for no finer kernels."""
+
+SHARE = 0.3
+"""Forces whose error is above this share of the largest error ask for finer kernels.
+Others may miss because these do."""
+
+ROUNDS = 12
+"""Iterations of the variances of layers."""
+
+
+def lay_layers(samples: ForceSamples) -> LayeredPotential:
+    """Layers of kernels, each half as wide as the one before.
+
+    The widest layer surrounds all places; each further one the positions whose force
+    the wider ones leave unexplained.
+    """
+    forces = samples.forces
+    levels = np.zeros(len(forces), int)
+    laid = _layers_around(samples, levels)
+    largest = float(np.linalg.norm(forces, axis=1).max())
+    while True:
+        _, missed = regress(laid, samples)
+        errors = np.linalg.norm(missed.reshape(forces.shape), axis=1)
+        asking = errors > max(EXPLAINED * largest, SHARE * errors.max())
+        levels = levels + asking
+        if not asking.any() or levels.max() >= MOST_LAYERS:
+            return laid
+        finer = _layers_around(samples, levels)
+        if num_weights(finer) > AS_FINE_AS_FORCES.max_weights:
+            return laid
+        laid = finer
+
+
+def _layers_around(
+    samples: ForceSamples, levels: Int[np.ndarray, " point"]
+) -> LayeredPotential:
+    """Kernels of every level around the positions of this level or of finer ones."""
+    extent, layers = float(np.ptp(samples.places, axis=0).max()), []
+    for level in range(levels.max() + 1):
+        around = samples.positions[levels >= level] if level else samples.places
+        spacing = extent / ACROSS / 2.0**level
+        centers = kernel_centers(around, spacing=spacing, margin=MARGIN * spacing)
+        layers.append(KernelPotential.with_zero_weights(centers, WIDTH * spacing))
+    return LayeredPotential(tuple(layers))
+
+
+def layers_root(environment: LayeredPotential, samples: ForceSamples) -> Matrix:
+    r"""A root of the prior of layers: weights of one layer are alike in size.
+
+    A layer is as fine as its kernels, so that its weights need no length scale. Their
+    standard deviations $s_l$ follow from the evidence by
+    $s_l^2 \leftarrow \lVert m_l \rVert^2 / \gamma_l$, with the mean m of the weights
+    and the number $\gamma_l$ of those that the forces determine.
+
+    References:
+        MacKay, Neural Computation 4, 415 (1992), eq. (21).
+    """
+    columns = force_columns(environment, samples.positions)
+    targets = samples.forces.reshape(-1)
+    noise = NOISE * float(np.sqrt(np.mean(targets**2))) or 1.0
+    rows = columns / noise
+    normal, pull = rows.T @ rows, rows.T @ (targets / noise)
+    counts = [num_weights(layer) for layer in environment.layers]
+    layer = np.repeat(np.arange(len(counts)), counts)
+    variances = np.full(len(layer), 1.0 / normal.diagonal().mean())
+    mean = np.zeros_like(pull)
+    for _ in range(ROUNDS):
+        covariance = np.linalg.inv(normal + np.diag(1.0 / variances))
+        mean = covariance @ pull
+        determined = 1.0 - covariance.diagonal() / variances
+        squares, known = (np.bincount(layer, w) for w in (mean**2, determined))
+        # A layer that explains nothing keeps a variance next to none.
+        variances = np.maximum(squares / known, 1e-20 * squares.sum())[layer]
+    white = white_part(columns, columns @ mean - targets)
+    return np.diag(np.sqrt(variances + white**2))
 
 
 def force_columns(
@@ -171,21 +258,14 @@ def _root_mean_square(values: Float[np.ndarray, "..."]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _explains(
-    environment: AbstractLearnedForce,
-    positions: Float[np.ndarray, "point dim"],
-    forces: Float[np.ndarray, "point dim"],
-) -> bool:
-    columns = force_columns(environment, positions)
-    missed = columns @ regress(columns, forces) - forces.reshape(-1)
-    return _root_mean_square(missed) <= NOISE * _root_mean_square(forces)
-
-
 def regress(
-    columns: Float[np.ndarray, "row weight"], forces: Float[np.ndarray, "point dim"]
-) -> Float[np.ndarray, " weight"]:
-    """Weights of least squares, as small as they can be."""
-    return np.linalg.lstsq(columns, forces.reshape(-1))[0]
+    environment: AbstractLearnedForce, samples: ForceSamples
+) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, " row"]]:
+    """Weights of least squares, as small as they can be, and what they miss."""
+    columns = force_columns(environment, samples.positions)
+    targets = samples.forces.reshape(-1)
+    weights = np.linalg.lstsq(columns, targets)[0]
+    return weights, columns @ weights - targets
 
 
 @eqx.filter_jit

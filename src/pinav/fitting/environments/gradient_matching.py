@@ -11,28 +11,27 @@ References:
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.fitting.environments.force_prior import (
     ForcePrior,
     KernelKind,
     choose_kernels,
-    force_columns,
     kernel_ladder,
+    lay_layers,
+    layers_root,
     regress,
     with_weights,
 )
-from pinav.fitting.environments.kernel_layers import lay_layers, layers_root
 from pinav.fitting.environments.rates import (
-    DEGREE,
     MOST_SAMPLES,
+    ForceSamples,
     observed_rates,
-    residual_forces,
     thin_rates,
 )
 from pinav.fitting.matching import recipes
@@ -46,7 +45,7 @@ from pinav.forces import (
     ZeroForce,
     as_learned_force,
 )
-from pinav.trajectories import Trajectories, informative_rows
+from pinav.trajectories import Trajectories
 
 
 def match_kernels(swimmer: Swimmer, rates: Rates) -> AbstractForce:
@@ -58,15 +57,14 @@ def match_kernels(swimmer: Swimmer, rates: Rates) -> AbstractForce:
     Args:
         swimmer: the known physics; its environment is left out.
     """
-    samples = _ForceSamples.of(swimmer, rates)
+    samples = ForceSamples.of(swimmer, rates)
     kinds: tuple[KernelKind, ...] = (KernelPotential, KernelForce)
     for kind in kinds:
-        prior = choose_kernels(kind, *samples)
+        prior = choose_kernels(kind, samples)
         if prior is not None:
             return prior.force
-    layers = lay_layers(*samples)
-    columns = force_columns(layers, samples.positions)
-    return with_weights(layers, regress(columns, samples.forces))
+    layers = lay_layers(samples)
+    return with_weights(layers, regress(layers, samples)[0])
 
 
 def kernels_of(
@@ -77,12 +75,12 @@ def kernels_of(
     Where no grid of one width suits a potential it gets layers; a force without one has
     the finest kernels that there is room for.
     """
-    samples = _ForceSamples.of(swimmer, rates)
-    prior = choose_kernels(kind, *samples)
+    samples = ForceSamples.of(swimmer, rates)
+    prior = choose_kernels(kind, samples)
     if prior is not None:
         return prior.environment
     if kind is KernelPotential:
-        return lay_layers(*samples)
+        return lay_layers(samples)
     *_, finest = kernel_ladder(kind, samples.places)
     return finest
 
@@ -105,63 +103,10 @@ def prior_root(
     environment = as_learned_force(model.environment)
     if environment is None:
         return None
-    _, positions, forces = _ForceSamples.of(model, rates)
+    samples = ForceSamples.of(model, rates)
     if isinstance(environment, LayeredPotential):
-        return layers_root(environment, positions, forces)
-    return ForcePrior.of(environment, positions, forces).root()
-
-
-class _ForceSamples(NamedTuple):
-    """Forces at samples, those of a regression.
-
-    Attributes:
-        places: all positions at which a force acts [L].
-        positions: of the samples that enter the regression [L].
-    """
-
-    places: Float[np.ndarray, "place dim"]
-    positions: Float[np.ndarray, "point dim"]
-    forces: Float[np.ndarray, "point dim"]
-
-    @classmethod
-    def of(cls, swimmer: Swimmer, rates: Rates) -> "_ForceSamples":
-        dim = rates.states.shape[1] // 2
-        forces = residual_forces(swimmer, rates)
-        acting = _where_a_force_acts(forces)
-        known = _where_it_is_known(rates, forces)
-        parts = [np.flatnonzero(known & acting), np.flatnonzero(known & ~acting)]
-        kept = np.concatenate(
-            [rows[informative_rows(rates.states[rows], MOST_SAMPLES)] for rows in parts]
-        )
-        positions = rates.states[:, :dim]
-        return cls(positions[acting], positions[kept], forces[kept])
-
-
-def _where_a_force_acts(
-    forces: Float[np.ndarray, "point dim"],
-) -> Bool[np.ndarray, " point"]:
-    """At which samples more acts than a ten-millionth of the largest force."""
-    sizes = np.linalg.norm(forces, axis=1)
-    acting = sizes >= LEAST_FORCE * sizes.max()
-    return acting if acting.sum() > DEGREE else np.ones_like(acting)
-
-
-def _where_it_is_known(
-    rates: Rates, forces: Float[np.ndarray, "point dim"]
-) -> Bool[np.ndarray, " point"]:
-    """At which points splines agree on the force, unless that is almost nowhere."""
-    if rates.doubts is None:
-        return np.ones(len(forces), bool)
-    known = rates.doubts <= RELIABLE * np.linalg.norm(forces, axis=1).max()
-    return known if known.mean() > MOSTLY else np.ones_like(known)
-
-
-RELIABLE, MOSTLY = 1e-3, 0.5
-"""Doubts of a force that count as none, relative to the largest one; share of the
-points above which the others are left out."""
-
-LEAST_FORCE = 1e-7
-"""Relative to the largest force: what acts less is left without kernels."""
+        return layers_root(environment, samples)
+    return ForcePrior.of(environment, samples).root()
 
 
 def simpler_models(

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from pinav.arguments import check_positive
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractLearnedForce,
@@ -50,11 +51,7 @@ class KernelGrid(eqx.Module):
     margin: float = 4.0
 
     def __check_init__(self) -> None:
-        for name in ("across", "width", "margin"):
-            if not getattr(self, name) > 0:
-                raise InputError(
-                    f"KernelGrid.{name}: expected > 0, got {getattr(self, name)}"
-                )
+        check_positive(self, "across", "width", "margin")
 
 
 IN_TIME = KernelGrid(across=9, margin=2.0)

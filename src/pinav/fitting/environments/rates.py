@@ -61,20 +61,16 @@ def path_spline(trajectory: Trajectory, dim: int) -> PathSpline | None:
     kinds = [_through_states]
     if states.shape[1] == 2 * dim:
         kinds.append(_through_positions_and_slopes)
-    paths = [_with_doubts(times, states, kind) for kind in kinds]
+
+    def through(kind: Callable[..., tuple[Curve, Curve]]) -> PathSpline:
+        curve, rates = kind(times, states, DEGREE)
+        _, others = kind(times, states, DEGREE - 2)
+        return PathSpline(
+            times, curve, rates, lambda t: np.linalg.norm(rates(t) - others(t), axis=1)
+        )
+
+    paths = map(through, kinds)
     return min(paths, key=lambda path: float(np.mean(path.doubts(times) ** 2)))
-
-
-def _with_doubts(
-    times: Float[np.ndarray, " time"],
-    states: Table,
-    kind: Callable[..., tuple[Curve, Curve]],
-) -> PathSpline:
-    curve, rates = kind(times, states, DEGREE)
-    others = kind(times, states, DEGREE - 2)[1]
-    return PathSpline(
-        times, curve, rates, lambda t: np.linalg.norm(rates(t) - others(t), axis=1)
-    )
 
 
 def _through_states(
@@ -184,6 +180,50 @@ def _all_rates(
     model: Any, times: Float[Array, " point"], states: Float[Array, "point n"]
 ) -> Float[Array, "point n"]:
     return jax.vmap(lambda t, y: model(t, y))(times, states)
+
+
+class ForceSamples(NamedTuple):
+    """Forces that the known physics leave unexplained, at samples of a regression.
+
+    Attributes:
+        places: all positions at which a force acts, which kernels surround [L].
+        positions: those of the samples that enter the regression [L].
+        forces: the forces there [L T⁻²].
+    """
+
+    places: Float[np.ndarray, "place dim"]
+    positions: Float[np.ndarray, "point dim"]
+    forces: Float[np.ndarray, "point dim"]
+
+    @classmethod
+    def of(cls, swimmer: Swimmer, rates: Rates) -> "ForceSamples":
+        """The most informative samples at which splines agree on the force.
+
+        Where they agree on less than half of them, all samples count.
+        """
+        forces = residual_forces(swimmer, rates)
+        sizes = np.linalg.norm(forces, axis=1)
+        acting = sizes >= LEAST_FORCE * sizes.max()
+        if acting.sum() <= DEGREE:
+            acting = np.ones_like(acting)
+        known = np.ones_like(acting)
+        if rates.doubts is not None:
+            reliable = rates.doubts <= RELIABLE * sizes.max()
+            known = reliable if reliable.mean() > MOSTLY else known
+        parts = [np.flatnonzero(known & acting), np.flatnonzero(known & ~acting)]
+        kept = np.concatenate(
+            [rows[informative_rows(rates.states[rows], MOST_SAMPLES)] for rows in parts]
+        )
+        positions = rates.states[:, : forces.shape[1]]
+        return cls(positions[acting], positions[kept], forces[kept])
+
+
+RELIABLE, MOSTLY = 1e-3, 0.5
+"""Doubts of a force that count as none, relative to the largest one; share of the
+points above which the others are left out."""
+
+LEAST_FORCE = 1e-7
+"""Relative to the largest force: what acts less is left without kernels."""
 
 
 class ForceRegion(NamedTuple):

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from operator import attrgetter
 from typing import Any
 
@@ -183,15 +184,14 @@ def summarise_for(choice: ModelChoice, data: Trajectories) -> DataSummary:
     summary = summarise_data(data)
     if choice.name not in KERNELS:
         return summary
-    return dataclasses.replace(summary, environment=KERNELS[choice.name](data))
+    environment = KERNELS[choice.name](data, dim=data.dim)
+    return dataclasses.replace(summary, environment=environment)
 
 
-KERNELS: dict[str, Callable[[Trajectories], AbstractLearnedForce]] = {
-    "kernel-potential": lambda data: kernel_environment(
-        KernelPotential, data, dim=data.dim
-    ),
-    "kernel-force": lambda data: kernel_environment(KernelForce, data, dim=data.dim),
-    MIXTURE: lambda data: kernel_environment(KernelMixture, data, dim=data.dim),
-    TIMED: lambda data: changing_environment(data, dim=data.dim),
+KERNELS: dict[str, Callable[..., AbstractLearnedForce]] = {
+    "kernel-potential": partial(kernel_environment, KernelPotential),
+    "kernel-force": partial(kernel_environment, KernelForce),
+    MIXTURE: partial(kernel_environment, KernelMixture),
+    TIMED: changing_environment,
 }
 """Untrained environments of kernels around data, by the names of models."""

@@ -153,10 +153,7 @@ def damped_step(
 ) -> DampedStep:
     """The best of several damped steps with a projection of the Jacobian.
 
-    Args:
-        rank: of the random projection.
-        num_dampings: tried at once, a factor of ten apart.
-        chord_steps: iterations with the Jacobian held, after the first one.
+    After the first iteration there are `chord_steps` more; see `GaussNewton`.
     """
     left, scale, right = low_rank(problem.jacobian, rank)
     dtype = problem.theta.dtype
@@ -270,14 +267,9 @@ def pointwise(
     targets: Float[Array, "point value"],
     size: Float[Array, "*value"],
 ) -> tuple[Residuals, Float[Array, "residual parameter"]]:
-    """Residuals of a regression at many points, and their Jacobian at parameters.
+    """Residuals of a regression at times and places, and their Jacobian at parameters.
 
-    Args:
-        function: of parameters, time and place.
-        theta: where the Jacobian is taken.
-        points: times and places.
-        targets: there.
-        size: of the targets, which residuals are relative to; zero counts as one.
+    They are relative to the size of the targets, of which zero counts as one.
     """
     size = jnp.where(size > 0, size, 1.0)
 

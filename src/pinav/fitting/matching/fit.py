@@ -199,14 +199,23 @@ def fit_many(
         raise InputError("fit: expected at least one model and one phase")
     if at_once is not None and at_once < 1:
         raise InputError(f"fit_many at_once: expected 1 or more, got {at_once}")
-    several = _one_each(trajectories, len(models))
+    shared = isinstance(trajectories, Trajectories)
+    several = [trajectories] if shared else list(trajectories)
+    if not shared and len(several) != len(models):
+        raise InputError(
+            "fit_many trajectories: expected one, or one for each of the "
+            f"{len(models)} models, got {len(several)}"
+        )
     for own in several:
         objective.check(own)
     models = [with_dtype(model, dtype) for model in models]
     # A float32 fit must not meet float64 defaults inside the minimisers.
     with jax.enable_x64(jnp.dtype(dtype) == jnp.float64):
         observations = _stack([Observations.of(own, dtype) for own in several])
-        phases = [_in_mode(phase) for phase in recipe]
+        # Arrays made with x64 on become what the precision of the fit makes of them.
+        phases = jax.tree.map(
+            lambda a: on_device(np.asarray(a)) if eqx.is_array(a) else a, list(recipe)
+        )
         task = _FitTask.of(models, observations, phases, trainable, objective, at_once)
         start = task.state_before(0)
         state = checkpoint.load(task.state_before) if checkpoint else None
@@ -289,6 +298,7 @@ class _FitTask(eqx.Module):
     ) -> tuple[PyTree, PyTree, Float[Array, "member step"], Bool[Array, ""]]:
         """As `run_chunk`, from a state in the middle of its phase."""
         phase = self.recipe[state.phase]
+        alone = not phase.side_by_side and jax.default_backend() == "cpu"
         return run_chunk(
             self.problem,
             phase,
@@ -296,13 +306,8 @@ class _FitTask(eqx.Module):
             state.minimiser,
             state.losses,
             jnp.asarray([state.taken, count]),
-            self.abreast(phase),
+            1 if self.at_once is None and alone else self.at_once,
         )
-
-    def abreast(self, phase: AbstractPhase) -> int | None:
-        """How many members take a step side by side; None for all of them."""
-        alone = not phase.side_by_side and jax.default_backend() == "cpu"
-        return 1 if self.at_once is None and alone else self.at_once
 
     def advance(
         self,
@@ -356,26 +361,6 @@ def _program(phase: AbstractPhase) -> Hashable:
     """What phases that share a compiled program have in common."""
     leaves, structure = jax.tree.flatten(phase)
     return structure, tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
-
-
-def _in_mode(tree: PyTree) -> PyTree:
-    """Arrays made with x64 on, as the mode in force would have made them."""
-    return jax.tree.map(
-        lambda leaf: on_device(np.asarray(leaf)) if eqx.is_array(leaf) else leaf, tree
-    )
-
-
-def _one_each(
-    trajectories: Trajectories | Sequence[Trajectories], count: int
-) -> list[Trajectories]:
-    if isinstance(trajectories, Trajectories):
-        return [trajectories]
-    if len(trajectories) != count:
-        raise InputError(
-            f"fit_many trajectories: expected one, or one for each of the {count} "
-            f"models, got {len(trajectories)}"
-        )
-    return list(trajectories)
 
 
 def _stack(several: list[Observations]) -> Observations:

@@ -8,7 +8,7 @@ some tens, so one random projection captures it, and any damping costs nothing m
 """
 
 import abc
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -17,9 +17,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
-from pinav.arguments import Scalar, State
+from pinav.arguments import Scalar, State, check_positive
 from pinav.dynamics import RK4, FixedStep
-from pinav.errors import InputError
 from pinav.fitting.matching.damped_steps import (
     DAMPINGS,
     NETWORK_DAMPING,
@@ -67,15 +66,13 @@ def _number(value: ArrayLike) -> Float[Array, ""]:
 class AbstractDampedPhase(AbstractPhase):
     """A phase whose steps are damped, and which no longer moves once it has ended."""
 
+    side_by_side: ClassVar[bool] = False
+
     @abc.abstractmethod
     def take_step(
         self, problem: Any, params: PyTree, state: DampedState
     ) -> tuple[PyTree, DampedState]:
         """Parameters and state after a step of a phase that has not ended."""
-
-    @property
-    def side_by_side(self) -> bool:
-        return False
 
     def step(
         self, loss: Loss, params: PyTree, state: DampedState
@@ -115,6 +112,7 @@ class AbstractRolloutPhase(AbstractDampedPhase):
     converged: eqx.AbstractVar[Float[Array, ""]]
     steps: eqx.AbstractVar[int]
     linearisation: eqx.AbstractVar[FixedStep]
+    chunk_steps: ClassVar[int] = 1
 
     @abc.abstractmethod
     def best_step(
@@ -125,10 +123,6 @@ class AbstractRolloutPhase(AbstractDampedPhase):
     @property
     def num_steps(self) -> int:
         return self.steps
-
-    @property
-    def chunk_steps(self) -> int:
-        return 1
 
     def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> DampedState:
         return DampedState.begin(self.damping, value)
@@ -201,11 +195,7 @@ class GaussNewton(AbstractRolloutPhase):
     linearisation: FixedStep = FixedStep()
 
     def __check_init__(self) -> None:
-        for name in ("steps", "rank", "chord_steps", "num_dampings"):
-            if getattr(self, name) < 1:
-                raise InputError(
-                    f"GaussNewton.{name}: expected 1 or more, got {getattr(self, name)}"
-                )
+        check_positive(self, "steps", "rank", "chord_steps", "num_dampings")
 
     @property
     def name(self) -> str:
@@ -254,8 +244,7 @@ class DefectMatching(AbstractRolloutPhase):
     linearisation: FixedStep = FixedStep(RK4)
 
     def __check_init__(self) -> None:
-        if self.steps < 1:
-            raise InputError(f"DefectMatching.steps: expected >= 1, got {self.steps}")
+        check_positive(self, "steps")
 
     @property
     def name(self) -> str:
@@ -322,10 +311,10 @@ class RateMatching(AbstractDampedPhase):
     targets: Rates = eqx.field(converter=lambda rates: jax.tree.map(jnp.asarray, rates))
     steps: int = eqx.field(static=True, default=40)
     patience: int = eqx.field(static=True, default=3)
+    chunk_steps: ClassVar[int] = 5
 
     def __check_init__(self) -> None:
-        if self.steps < 1:
-            raise InputError(f"RateMatching.steps: expected >= 1, got {self.steps}")
+        check_positive(self, "steps")
 
     @property
     def name(self) -> str:
@@ -334,10 +323,6 @@ class RateMatching(AbstractDampedPhase):
     @property
     def num_steps(self) -> int:
         return self.steps
-
-    @property
-    def chunk_steps(self) -> int:
-        return 5
 
     def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> DampedState:
         damping = jnp.asarray(NETWORK_DAMPING, value.dtype)

@@ -5,6 +5,7 @@ A phase works on one model. `fit` batches it over many and runs it in chunks.
 
 import abc
 from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -20,7 +21,17 @@ Loss = Callable[[PyTree], Float[Array, ""]]
 
 
 class AbstractPhase(eqx.Module):
-    """An iterative minimiser written as a start and steps."""
+    """An iterative minimiser written as a start and steps.
+
+    Attributes:
+        chunk_steps: steps between two checkpoints: about a second of work.
+        side_by_side: whether a CPU is quicker with many fits side by side than one by
+            one. Many small steps are; large ones are not, and a fit that is done then
+            costs as much as one that is not.
+    """
+
+    chunk_steps: ClassVar[int]
+    side_by_side: ClassVar[bool]
 
     @property
     @abc.abstractmethod
@@ -50,24 +61,11 @@ class AbstractPhase(eqx.Module):
     def outcome(self, state: PyTree) -> Int[Array, ""]:
         """The `Outcome` of a phase that ended in this state."""
 
-    @property
-    @abc.abstractmethod
-    def chunk_steps(self) -> int:
-        """Steps between two checkpoints: about a second of work."""
-
-    @property
-    @abc.abstractmethod
-    def side_by_side(self) -> bool:
-        """Whether a CPU is quicker with many fits side by side than one by one.
-
-        Many small steps are; large ones are not, and a fit that is done then costs as
-        much as one that is not.
-        """
-
 
 class AbstractGradientPhase(AbstractPhase):
     """Many small steps along gradients, all of which are taken."""
 
+    side_by_side: ClassVar[bool] = True
     steps: eqx.AbstractVar[int]
 
     @property
@@ -79,10 +77,6 @@ class AbstractGradientPhase(AbstractPhase):
 
     def outcome(self, state: PyTree) -> Int[Array, ""]:
         return jnp.asarray(Outcome.COMPLETED)
-
-    @property
-    def side_by_side(self) -> bool:
-        return True
 
 
 class Adam(AbstractGradientPhase):
@@ -97,6 +91,7 @@ class Adam(AbstractGradientPhase):
 
     learning_rate: float = eqx.field(static=True)
     steps: int = eqx.field(static=True)
+    chunk_steps: ClassVar[int] = 250
 
     def __check_init__(self) -> None:
         check_positive(self, "learning_rate", "steps")
@@ -115,10 +110,6 @@ class Adam(AbstractGradientPhase):
         with jax.numpy_dtype_promotion("standard"):  # optax: float32 ** integer
             updates, state = optax.adam(self.learning_rate).update(gradient, state)
         return eqx.apply_updates(params, updates), state, value
-
-    @property
-    def chunk_steps(self) -> int:
-        return 250
 
 
 class LBFGS(AbstractGradientPhase):
@@ -142,6 +133,7 @@ class LBFGS(AbstractGradientPhase):
     steps: int = eqx.field(static=True)
     memory: int = eqx.field(static=True, default=10)
     max_evaluations: int = eqx.field(static=True, default=20)
+    chunk_steps: ClassVar[int] = 25
 
     def __check_init__(self) -> None:
         check_positive(self, "steps", "memory", "max_evaluations")
@@ -171,10 +163,6 @@ class LBFGS(AbstractGradientPhase):
         )
         params, next_value, next_gradient = step
         return params, (curvature, next_value, next_gradient), value
-
-    @property
-    def chunk_steps(self) -> int:
-        return 25
 
 
 _Candidate = tuple[PyTree, Float[Array, ""], PyTree]

@@ -38,10 +38,6 @@ def paper_recipe(
 ) -> tuple[AbstractPhase, ...]:
     """The paper's two phases: Adam at 0.01, then L-BFGS.
 
-    Args:
-        adam_steps: 7500 in the paper.
-        lbfgs_steps: 500 in the paper.
-
     References:
         PI-NAV paper, Table 1.
     """
@@ -68,8 +64,6 @@ def curriculum(
     Raises:
         InputError: `max_steps` is not positive.
     """
-    if max_steps < 1:
-        raise InputError(f"curriculum max_steps: expected >= 1, got {max_steps}")
     last = int(trajectories.lengths.max()) - 1
     windows = [5**power for power in range(20) if 5**power < last]
     spread = trajectories.spread
@@ -115,8 +109,6 @@ def defect_recipe(
     Raises:
         InputError: `max_steps` is not positive, or a state is not observed.
     """
-    if max_steps < 1:
-        raise InputError(f"defect_recipe max_steps: expected >= 1, got {max_steps}")
     if not is_complete(trajectories):
         raise InputError(
             "defect_recipe: expected every state observed, because each is the start "
@@ -206,12 +198,7 @@ def fit_in_turns(
             break
         chosen = [_shuffle(models[i], trainable, number) for i in missed]
         again = fit_many(chosen, trajectories, recipe, on_chunk=on_chunk, **options)
-        others = dict(zip(missed, again, strict=True))
-        worse = {i for i, fit in others.items() if _is_worse(fit, fits[i])}
-        fits = [
-            _join(fit, others.get(i), again[0], keep=i in worse)
-            for i, fit in enumerate(fits)
-        ]
+        fits = _keep_better(fits, dict(zip(missed, again, strict=True)), _is_worse)
     return fits
 
 
@@ -247,16 +234,12 @@ def fit_with_finer_steps(
             model = with_dtype(fit.model, dtype)
             return float(_loss(objective, model, observations))
 
-    losses = {
-        i: finer_loss(fit)
-        for i, fit in enumerate(fits)
-        if fit.outcome is Outcome.CONVERGED
-    }
     floor = trajectories.num_observed * (FOLLOWED * trajectories.spread) ** 2
     missed = [
         i
-        for i, loss in losses.items()
-        if not loss <= max(CONFIRMED**2 * fits[i].losses[-1], floor)
+        for i, fit in enumerate(fits)
+        if fit.outcome is Outcome.CONVERGED
+        and not finer_loss(fit) <= max(CONFIRMED**2 * fit.losses[-1], floor)
     ]
     if not missed:
         return list(fits)
@@ -269,14 +252,14 @@ def fit_with_finer_steps(
         dtype=dtype,
         on_chunk=on_chunk,
     )
-    after = dict(zip(missed, again, strict=True))
-    worse = {i for i, fit in after.items() if not finer_loss(fit) < losses[i]}
+    kept = _keep_better(
+        fits,
+        dict(zip(missed, again, strict=True)),
+        lambda after, before: not finer_loss(after) < finer_loss(before),
+    )
     return [
-        dataclasses.replace(
-            _join(fit, after.get(i), again[0], keep=i in worse),
-            initial_model=fit.initial_model,
-        )
-        for i, fit in enumerate(fits)
+        dataclasses.replace(one, initial_model=fit.initial_model)
+        for one, fit in zip(kept, fits, strict=True)
     ]
 
 
@@ -309,6 +292,24 @@ def _shuffle(
 def _is_worse(after: Fit, before: Fit) -> bool:
     lower = bool(after.losses[-1] <= before.losses[-1])
     return not lower and bool(np.isfinite(before.losses[-1]))
+
+
+def _keep_better(
+    fits: Sequence[Fit],
+    again: dict[int, Fit],
+    is_worse: Callable[[Fit, Fit], bool],
+) -> list[Fit]:
+    """The better of two attempts at some of the fits, and the others as they are."""
+    example = next(iter(again.values()))
+    return [
+        _join(
+            fit,
+            again.get(i),
+            example,
+            keep=i in again and is_worse(again[i], fit),
+        )
+        for i, fit in enumerate(fits)
+    ]
 
 
 def _join(before: Fit, after: Fit | None, example: Fit, *, keep: bool) -> Fit:
