@@ -232,7 +232,7 @@ def discover_law(
         trajectories = with_velocities(trajectories)
     learned = LearnedOnPaths.of(posterior, trajectories)
     sampling = Sampling.of(posterior, trajectories, learned.num_effective)
-    sample = sampling.of_force()
+    sample = sampling.sample(lambda force: force)
     structure, _ = split_structure(model.environment)
     terms = None if laws is not None else term_laws(structure, sampling)
     screened = screen(sample, library) if terms is None else screen_terms(terms, sample)
