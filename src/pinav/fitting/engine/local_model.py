@@ -174,16 +174,14 @@ def wide_priors(
         leaves: picks the leaves of a model.
         scales: of each leaf, the deviation of all of its numbers.
     """
-    entries: list[int] = []
-    priors: list[Normal] = []
+    priors: dict[int, Normal] = {}
     for index, scale in enumerate(scales):
         chosen = selected_entries(
             parametric, len(theta), lambda model, index=index: leaves(model)[index]
         )
         for entry in np.flatnonzero(chosen).tolist():
-            entries.append(entry)
-            priors.append(Normal(float(theta[entry]), scale))
-    return ConstantPriors(tuple(entries), tuple(priors))
+            priors[entry] = Normal(float(theta[entry]), scale)
+    return ConstantPriors(tuple(priors), tuple(priors.values()))
 
 
 @eqx.filter_jit

@@ -62,11 +62,7 @@ class LinearisedObservations(eqx.Module):
 
     @classmethod
     def of(cls, quadratic: Quadratic) -> "LinearisedObservations":
-        """The data behind `quadratic`, less directions lost in rounding.
-
-        Raises:
-            FitError: the data do not depend on the weights at all.
-        """
+        """The data behind `quadratic`, less directions lost in rounding."""
         values, vectors = np.linalg.eigh(quadratic.hessian)
         # Below this share eigenvalues are rounding; their directions the data do not
         # see.

@@ -121,7 +121,8 @@ def mix_shapes(
     Each shape is as likely as its evidence: $p(w) = \sum_k \pi_k\, p(w \mid s_k)$ with
     $\pi_k \propto Z(s_k) / q(s_k)$: importance sampling in stages, in which q is the
     mixture of the normal distributions of all stages so far. The first is that of
-    Laplace's method about the best shape. Amplitude and noise are the best ones of each shape.
+    Laplace's method about the best shape. Amplitude and noise are the best
+    ones of each shape.
 
     Args:
         prior: of the weights; without a shape there is nothing to mix.
