@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Float
 from tqdm import tqdm
 
 from pinav.analysis.effects import (
@@ -116,7 +116,9 @@ def analyse(
         split = helmholtz_split(field)
         potential = split.potential
         if subject.has_potential:
-            values = _potentials(subject.model.environment, field.points)
+            force: Any = subject.model.environment
+            potentials = eqx.filter_jit(jax.vmap(lambda x: force.potential(0.0, x)))
+            values = potentials(jnp.asarray(field.points))
             potential = np.asarray(values, float).reshape(field.distance.shape)
         bar.update()
         doubt = attempt(
@@ -183,10 +185,3 @@ def _subject(fit: AbstractLearned, points: int, reference: int) -> Subject:
     model = drive_by_arrays(model, piece.times, piece.commands)
     field = field_map(model.environment, fit.data, points=points)
     return Subject(fit, model, field, reference)
-
-
-@eqx.filter_jit
-def _potentials(
-    force: Any, points: Float[ArrayLike, "point 2"]
-) -> Float[Array, " point"]:
-    return jax.vmap(lambda x: force.potential(0.0, x))(jnp.asarray(points))

@@ -4,6 +4,7 @@ Each function raises `InputError` or `FitError` where its result does not exist.
 """
 
 import dataclasses
+from collections.abc import Iterator
 from operator import attrgetter
 
 import equinox as eqx
@@ -181,17 +182,12 @@ def trajectory_effects(
     subject: Subject, effects: Influence
 ) -> tuple[TrajectoryEffect, ...]:
     """Effects of each trajectory on the force and on the end of the reference."""
-    changes, relative, final = _followed(subject, effects, effects.removals)
+    followed = _follow(subject, effects, effects.removals)
+    leverages, distances = effects.leverages.tolist(), effects.distances.tolist()
+    rows = enumerate(zip(leverages, distances, followed, strict=True))
     return tuple(
-        TrajectoryEffect(
-            trajectory=index,
-            leverage=float(effects.leverages[index]),
-            cook=float(effects.distances[index]),
-            force=relative[index],
-            final=final[index],
-            change=change,
-        )
-        for index, change in enumerate(changes)
+        TrajectoryEffect(index, leverage, distance, *effect)
+        for index, (leverage, distance, effect) in rows
     )
 
 
@@ -206,29 +202,23 @@ def constant_effects(
         for name in effects.constants
     }
     percents = [0.01 * values[n] * change for n, change in effects.constants.items()]
-    changes, relative, final = _followed(subject, effects, np.stack(percents))
+    followed = _follow(subject, effects, np.stack(percents))
     return tuple(
-        ConstantEffect(
-            constant=name,
-            value=values[name],
-            learned=name in subject.fit.choice.learn,
-            force=relative[index],
-            final=final[index],
-            change=changes[index],
-        )
-        for index, name in enumerate(values)
+        ConstantEffect(name, value, name in subject.fit.choice.learn, *effect)
+        for (name, value), effect in zip(values.items(), followed, strict=True)
     )
 
 
-def _followed(
+def _follow(
     subject: Subject, effects: Influence, changes: Float[np.ndarray, "change parameter"]
-) -> tuple[Float[np.ndarray, "change rows columns 2"], list[float], list[float]]:
+) -> Iterator[tuple[float, float, Float[np.ndarray, "rows columns 2"]]]:
+    """The last three fields of the effect of each change of the parameters."""
     shape = subject.field.force.shape
     forces = effects.force_changes(subject.field.points, changes).reshape(-1, *shape)
     final = effects.final_changes(subject.start, subject.times, changes)[:, :2]
     near, size = subject.near, _rms(subject.field.force[subject.near])
-    relative = [_rms(force[near]) / size for force in forces]
-    return forces, relative, [float(np.linalg.norm(end)) for end in final]
+    for force, end in zip(forces, final, strict=True):
+        yield _rms(force[near]) / size, float(np.linalg.norm(end)), force
 
 
 def vary_starts(subject: Subject) -> LyapunovMap:

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
+from numpy.linalg import norm
 
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap
@@ -85,7 +86,7 @@ def helmholtz_split(field: FieldMap) -> HelmholtzSplit:
     region = _region(field, field.force)
     basis = _Basis.of(field, region)
     force = field.force[region]
-    parts = basis.fit(force.ravel())
+    parts = _ridge(np.concatenate(basis.near, axis=1), force.ravel())
     gradient, rotational = basis.sums(basis.everywhere, parts)
     potential, stream = basis.sums((basis.values, basis.values), parts)
     least, greatest = basis.bounds(force)
@@ -98,7 +99,7 @@ def helmholtz_split(field: FieldMap) -> HelmholtzSplit:
         rotational_fraction=_fraction(gradient[region], rotational[region]),
         least_fraction=least,
         greatest_fraction=greatest,
-        misfit=_norm(force - (gradient + rotational)[region]) / _norm(force),
+        misfit=float(norm(force - (gradient + rotational)[region]) / norm(force)),
     )
 
 
@@ -115,7 +116,8 @@ def rotational_fractions(
     """
     region = _region(field, forces)
     basis = _Basis.of(field, region)
-    weights = basis.fit(forces[:, region].reshape(len(forces), -1).T)
+    columns = forces[:, region].reshape(len(forces), -1).T
+    weights = _ridge(np.concatenate(basis.near, axis=1), columns)
     parts = [basis.sums(basis.everywhere, column) for column in weights.T]
     return np.array([_fraction(one[region], two[region]) for one, two in parts])
 
@@ -195,11 +197,6 @@ class _Basis(eqx.Module):
         rows, others = (part.reshape(-1, len(centers)) for part in near)
         return cls(values, (gradients, rotations), (rows, others))
 
-    def fit(
-        self, force: Float[np.ndarray, "row ..."]
-    ) -> Float[np.ndarray, "weight ..."]:
-        return _ridge(np.concatenate(self.near, axis=1), force)
-
     def sums(
         self,
         kernels: tuple[np.ndarray, np.ndarray],
@@ -211,9 +208,9 @@ class _Basis(eqx.Module):
 
     def bounds(self, force: Float[np.ndarray, "near 2"]) -> tuple[float, float]:
         """Rotational fraction left by all gradients, and by no rotation."""
-        total = _norm(force) ** 2
+        total = norm(force) ** 2
         missed = [
-            _norm(force.ravel() - rows @ _ridge(rows, force.ravel())) ** 2
+            norm(force.ravel() - rows @ _ridge(rows, force.ravel())) ** 2
             for rows in self.near
         ]
         return float(missed[0] / total), float(1.0 - missed[1] / total)
@@ -232,9 +229,5 @@ def _ridge(
 def _fraction(
     gradient: Float[np.ndarray, "near 2"], rotational: Float[np.ndarray, "near 2"]
 ) -> float:
-    squares = _norm(gradient) ** 2, _norm(rotational) ** 2
+    squares = norm(gradient) ** 2, norm(rotational) ** 2
     return float(squares[1] / sum(squares))
-
-
-def _norm(values: Float[np.ndarray, "..."]) -> float:
-    return float(np.linalg.norm(values))

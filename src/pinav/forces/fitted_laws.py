@@ -73,14 +73,9 @@ class FittedLaw(eqx.Module):
 
     @property
     def _values(self) -> tuple[Scalar, ...]:
-        names = self.family.numbers
-        return tuple(map(_constant, names, self.numbers))
-
-
-def _constant(name: str, number: Scalar) -> Scalar:
-    if name in PLACES:
-        return number
-    return tail(number) if name == "tail" else jnp.exp(number)
+        maps = {"tail": tail} | dict.fromkeys(PLACES, lambda number: number)
+        pairs = zip(self.family.numbers, self.numbers, strict=True)
+        return tuple(maps.get(name, jnp.exp)(number) for name, number in pairs)
 
 
 PLACES = ("place", "middle", "half width", "radius")

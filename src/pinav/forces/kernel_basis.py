@@ -155,9 +155,14 @@ class KernelBasis(eqx.Module):
         return KernelBasis(self.axes, self.spacings, self.centers[is_near])
 
     @property
-    def is_warped(self) -> bool:
-        """True if a coordinate is warped."""
-        return any(axis.warp is not None for axis in self.axes)
+    def num_parts(self) -> int:
+        """Parts of a force on these kernels: two where a coordinate is warped.
+
+        A potential that changes as much from one to two layers above a wall as from
+        ten to twenty pulls far harder near the wall: kernels of one amplitude would
+        flatten it there, and a potential alone a weight, which is the same everywhere.
+        """
+        return 2 if any(axis.warp is not None for axis in self.axes) else 1
 
     def coordinates(self, x: Vector) -> Float[Array, " embedded"]:
         """The coordinates $u(x)$ of a position [L], in spacings."""
@@ -252,7 +257,7 @@ class KernelProfile(AbstractLearnedForce):
                 "KernelProfile.along: expected one or more components from 0 to "
                 f"{self.space - 1}, got {self.along}"
             )
-        rows = _num_parts(self.basis) * len(self.basis.centers)
+        rows = self.basis.num_parts * len(self.basis.centers)
         if self.weights.shape[0] != rows:
             raise InputError(
                 f"KernelProfile.weights: expected {rows} rows, one for each kernel and "
@@ -264,7 +269,7 @@ class KernelProfile(AbstractLearnedForce):
         cls, basis: KernelBasis, along: tuple[int, ...], space: int
     ) -> "KernelProfile":
         """No force yet."""
-        shape = _num_parts(basis) * len(basis.centers), len(along)
+        shape = basis.num_parts * len(basis.centers), len(along)
         return cls(jnp.zeros(shape), basis, along, space)
 
     @property
@@ -282,7 +287,7 @@ class KernelProfile(AbstractLearnedForce):
 
     def prior(self) -> AbstractPrior:
         part = StationaryPrior(self.basis.centers, 1.0, len(self.along))
-        return part if _num_parts(self.basis) == 1 else MixturePrior(part, part)
+        return part if self.basis.num_parts == 1 else MixturePrior(part, part)
 
     def kernels_on(self, centers: Centers, width: float) -> KernelForce:
         """A free force: other places have no coordinates of their own."""
@@ -290,7 +295,7 @@ class KernelProfile(AbstractLearnedForce):
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         values = self.basis(x)
-        if _num_parts(self.basis) == 1:
+        if self.basis.num_parts == 1:
             along = values @ self.weights
         else:
             even, in_potential = jnp.split(self.weights, 2)
@@ -299,13 +304,6 @@ class KernelProfile(AbstractLearnedForce):
             scale = jnp.stack([slopes.get(i, one) for i in self.along])
             along = values @ even + scale * (values @ in_potential)
         return jnp.zeros_like(x).at[np.array(self.along)].set(along)
-
-
-def _num_parts(basis: KernelBasis) -> int:
-    # A potential that changes as much from one to two layers above a wall as from ten
-    # to twenty pulls far harder near the wall: kernels of one amplitude would flatten
-    # it there, and a potential alone a weight, which is the same everywhere.
-    return 2 if basis.is_warped else 1
 
 
 class KernelTensor(AbstractTensorField):

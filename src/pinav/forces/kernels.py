@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from pinav.arguments import Scalar, Vector, on_device
+from pinav.arguments import Scalar, Vector, check_positive, on_device
 from pinav.errors import InputError
 from pinav.forces.force import (
     AbstractForce,
@@ -19,6 +19,7 @@ from pinav.forces.force import (
     forces_at,
 )
 from pinav.forces.priors import Centers, Points, Shape, WeightPrior
+from pinav.settings import POSITIVE
 
 REACH = 5.0
 """Distance, in widths, beyond which a kernel is nothing."""
@@ -238,9 +239,6 @@ class AbstractScalarKernels(AbstractKernels):
     def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
         return centers[:1]
 
-    def _height(self, x: Vector) -> Float[Array, ""]:
-        return self.weights @ kernel_values(x, self.centers, self.width)
-
     def _descent(self, x: Vector) -> Vector:
         r"""$-\nabla \sum_j w_j \exp(-|x - c_j|^2 / 2 b^2)$ at one point."""
         strengths = self.weights * kernel_values(x, self.centers, self.width)
@@ -269,7 +267,7 @@ class KernelPotential(AbstractScalarKernels):
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(x)$ [L² T⁻²]."""
-        return self._height(x)
+        return self.weights @ kernel_values(x, self.centers, self.width)
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self._descent(x)
@@ -301,7 +299,7 @@ class KernelStream(AbstractScalarKernels):
 
     def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         r"""Stream function $\psi(x)$ [L² T⁻²]; positive turns counter-clockwise."""
-        return self._height(x)
+        return self.weights @ kernel_values(x, self.centers, self.width)
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return quarter_turn(self._descent(x))
@@ -321,8 +319,7 @@ def kernel_centers(
         InputError: `spacing` or `margin` is not positive.
     """
     for name, value in (("spacing", spacing), ("margin", margin)):
-        if not value > 0:
-            raise InputError(f"kernel_centers {name}: expected > 0, got {value}")
+        POSITIVE.check(f"kernel_centers {name}", float(value))
     from scipy.spatial import KDTree
 
     low, high = positions.min(axis=0) - margin, positions.max(axis=0) + margin
@@ -355,11 +352,9 @@ def _offsets(
 
 def check_kernels(force: Any, expected: tuple[int, ...]) -> None:
     """Raise `InputError` where its weights have not the shape `expected`."""
-    name = type(force).__name__
     if np.shape(force.weights) != expected:
         raise InputError(
-            f"{name}.weights: expected shape {expected}, as the centers have, got "
-            f"{np.shape(force.weights)}"
+            f"{type(force).__name__}.weights: expected shape {expected}, as the "
+            f"centers have, got {np.shape(force.weights)}"
         )
-    if isinstance(force.width, float | int) and force.width <= 0:
-        raise InputError(f"{name}.width: expected > 0, got {force.width}")
+    check_positive(force, "width")

@@ -170,8 +170,7 @@ def gaussian_ridge(
     $l = w$ it is a `GaussianBarrier`.
     """
     for name, value in (("length", length), ("width", width)):
-        if isinstance(value, float | int):
-            POSITIVE.check(f"gaussian_ridge {name}", value)
+        POSITIVE.check(f"gaussian_ridge {name}", value)
     aspect, size = length / width, jnp.sqrt(length * width)
     place = point("center", 2)(center)
     law = ProfileLaw(Gaussian(), Ellipse())

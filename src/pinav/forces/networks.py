@@ -172,13 +172,9 @@ def tanh_network(
             raise InputError(
                 f"network {name}: expected a positive integer, got {value}"
             )
-    return _draw_network((in_size, out_size, width, depth), key)
-
-
-@eqx.filter_jit
-def _draw_network(sizes: tuple[int, int, int, int], key: PRNGKeyArray) -> eqx.nn.MLP:
-    """One compiled program in place of one for each array."""
-    return eqx.nn.MLP(*sizes, activation=jnp.tanh, key=key)
+    # One compiled program in place of one for each array.
+    draw = eqx.filter_jit(eqx.nn.MLP)
+    return draw(in_size, out_size, width, depth, activation=jnp.tanh, key=key)
 
 
 @eqx.filter_jit

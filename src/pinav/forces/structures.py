@@ -13,6 +13,7 @@ References:
 """
 
 import abc
+import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -93,9 +94,14 @@ class AbstractTerm(AbstractForce):
         return self.formulas[-1 if self.rotational else 0]
 
     @property
+    def placement(self) -> PyTree:
+        """The numbers that shape its coordinates."""
+        return tuple(getattr(self, name) for name in self.shaped_by)
+
+    @property
     def geometry(self) -> PyTree:
         """The numbers that shape it, each with a wide prior."""
-        return tuple(getattr(self, name) for name in self.shaped_by)
+        return self.placement
 
     @property
     @abc.abstractmethod
@@ -154,13 +160,8 @@ class AbstractProfileTerm(AbstractTerm):
     """True if the profile is odd, as a distance asks for."""
 
     @property
-    def placement(self) -> PyTree:
-        """The numbers that shape its coordinate."""
-        return tuple(getattr(self, name) for name in self.shaped_by)
-
-    @property
     def placement_scales(self) -> tuple[float, ...]:
-        """Prior standard deviation of each of them."""
+        """Prior standard deviation of each number of the placement."""
         return (self.reach,)
 
     @property
@@ -182,7 +183,9 @@ class AbstractProfileTerm(AbstractTerm):
 
     def profile(self, z: Scalar) -> Float[Array, ""]:
         """The force along the coordinate at `z` [L T⁻²]."""
-        values = profile_kernels(self, z)
+        values = jnp.exp(-0.5 * ((z - self.places) / self.width) ** 2)
+        if self.is_odd:
+            values = values - jnp.exp(-0.5 * ((z + self.places) / self.width) ** 2)
         if self.law is None:
             return values @ self.weights
         return self.weights[0] * self.law.force(z) + values @ self.weights[1:]
@@ -233,14 +236,6 @@ class AbstractProfileTerm(AbstractTerm):
         z, pull = jax.vjp(self.coordinates, x)
         (force,) = pull(jax.vmap(self.profile)(z))
         return quarter_turn(force) if self.rotational else force
-
-
-def profile_kernels(term: AbstractProfileTerm, z: Scalar) -> Float[Array, " kernel"]:
-    """Values of the kernels of a profile at `z`, odd where the profile is."""
-    values = jnp.exp(-0.5 * ((z - term.places) / term.width) ** 2)
-    if term.is_odd:
-        values = values - jnp.exp(-0.5 * ((z + term.places) / term.width) ** 2)
-    return values
 
 
 def distance(offset: Vector, rounding: Scalar) -> Float[Array, ""]:
@@ -335,11 +330,8 @@ class StructuredForce(AbstractLearnedForce):
 
     def kernels_on(self, centers: Centers, width: float) -> "StructuredForce":
         """The terms stay as they are."""
-        return eqx.tree_at(
-            lambda force: force.remainder,
-            self,
-            self.remainder.kernels_on(centers, width),
-        )
+        remainder = self.remainder.kernels_on(centers, width)
+        return dataclasses.replace(self, remainder=remainder)
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(x)$ [L² T⁻²].

@@ -79,7 +79,7 @@ def _found_term(
 
 def _numbers(model: Any, index: int) -> Float[Array, " number"]:
     term = model.environment.terms[index]
-    leaves = term.placement if isinstance(term, AbstractProfileTerm) else term.geometry
+    leaves = term.placement
     return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(leaf) for leaf in leaves)])
 
 

@@ -12,7 +12,7 @@ from pinav.fitting.evidence.evidence import (
     shape_slope,
     weight_posterior,
 )
-from pinav.fitting.evidence.hyperparameter_uncertainty import SHAPE_SD, shape_covariance
+from pinav.fitting.evidence.hyperparameter_uncertainty import SHAPE_SD, shape_changes
 from pinav.fitting.evidence.quadratic import (
     Quadratic,
     eliminate_flat,
@@ -177,11 +177,12 @@ def test_what_a_shape_adds_follows_from_the_curvature_of_the_evidence(data, chos
     )
     precision = (2 * middle - upper - lower) / step**2 + 1 / SHAPE_SD**2
     slope = (above - below) / (2 * step)
-    found = shape_covariance(data, Correlated(), chosen)
+    changes = shape_changes(data, Correlated(), chosen)
+    found = changes @ changes.T
     expected = np.outer(slope, slope) / precision
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-9)
     assert found.max() > 1e-8
-    idle = shape_covariance(data, Correlated(idle=True), chosen)
+    idle = shape_changes(data, Correlated(idle=True), chosen)
     np.testing.assert_allclose(idle, 0, atol=1e-12)
 
 

@@ -73,9 +73,8 @@ def test_it_is_the_integral_over_shapes(second, low):
     mixed = mix_shapes(observed, prior, chosen, 0.2)
     mean, covariance = by_quadrature(observed, prior, 0.2)
     sd = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(mixed.mean, mean, atol=0.2 * sd.max())
-    np.testing.assert_allclose(np.sqrt(np.diag(mixed.covariance)), sd, rtol=0.1)
-    assert mixed.num_effective > 40
+    np.testing.assert_allclose(mixed[0], mean, atol=0.2 * sd.max())
+    np.testing.assert_allclose(np.sqrt(np.diag(mixed[1])), sd, rtol=0.1)
     if low > -4.0:  # the numbers are the same each time
         assert eqx.tree_equal(mix_shapes(observed, prior, chosen, 0.2), mixed)
 
@@ -97,9 +96,8 @@ def test_without_a_shape_it_is_the_posterior():
     chosen = at_shape(observed, Fixed().covariance, np.zeros(0), 0.2)
     mixed = mix_shapes(observed, Fixed(), chosen, 0.2)
     mean, covariance = weight_posterior(observed, np.eye(2), chosen)
-    np.testing.assert_allclose(mixed.mean, mean)
-    np.testing.assert_allclose(mixed.covariance, covariance)
-    assert mixed.num_effective == 1
+    np.testing.assert_allclose(mixed[0], mean)
+    np.testing.assert_allclose(mixed[1], covariance)
 
 
 PLACES = kernel_centers(np.array([[0.0, 0.0], [6.0, 6.0]]), spacing=1.0, margin=2.0)

@@ -232,7 +232,7 @@ def discover_law(
         trajectories = with_velocities(trajectories)
     learned = LearnedOnPaths.of(posterior, trajectories)
     sampling = Sampling.of(posterior, trajectories, learned.num_effective)
-    sample = sampling.of_force()
+    sample = sampling.sample(lambda force: force)
     structure, _ = split_structure(model.environment)
     terms = None if laws is not None else term_laws(structure, sampling)
     screened = screen(sample, library) if terms is None else screen_terms(terms, sample)
@@ -315,11 +315,9 @@ def _verdict(candidates: tuple[Candidate, ...]) -> Verdict:
     best = candidates[0]
     if not best.fits:
         return Verdict.NO_LAW_FITS
-    if len(rivals(candidates)) > 1 or not all(
-        constant.identifiable for constant in best.constants
-    ):
-        return Verdict.NOT_IDENTIFIABLE
-    return Verdict.IDENTIFIED
+    is_known = all(constant.identifiable for constant in best.constants)
+    is_alone = len(rivals(candidates)) <= 1
+    return Verdict.IDENTIFIED if is_known and is_alone else Verdict.NOT_IDENTIFIABLE
 
 
 FORCES = {"L² T⁻²": "F L", "L T⁻²": "F", "T⁻²": "F L⁻¹"}

@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 import scipy.special
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
-from pinav.fitting import ParametricModel, Posterior
-from pinav.forces import AbstractForce
+from pinav.fitting import Posterior
+from pinav.fitting.engine.posterior import force_jacobians
+from pinav.forces import AbstractForce, forces_at
 from pinav.forces.geometries import Landscape
 from pinav.forces.priors import Points
 from pinav.trajectories import Trajectories
@@ -133,62 +133,32 @@ class Sampling(eqx.Module):
         cls, posterior: Posterior, trajectories: Trajectories, num_effective: float
     ) -> "Sampling":
         """Points among the observed positions of a plane, each far from the others."""
-        positions, times = _visited_positions(trajectories)
-        chosen = spread_points(positions, MAX_POINTS)
-        return cls(posterior, positions[chosen], times[chosen], num_effective)
-
-    def of_force(self) -> "ForceSample":
-        """The learned force."""
-        return self._sample(lambda force: force)
-
-    def of_term(self, index: int) -> "ForceSample":
-        """One term of a structured force, from the first, 0."""
-        return self._sample(lambda force: force.terms[index])
-
-    def _sample(self, part: Callable[[Any], AbstractForce]) -> "ForceSample":
-        with jax.enable_x64(new_val=True):
-            force, jacobians = _force_and_jacobian(
-                self.posterior.free,
-                jnp.asarray(self.posterior.mean),
-                jnp.asarray(self.positions),
-                jnp.asarray(self.times),
-                part,
+        if len(trajectories.channels) not in (2, 4):
+            raise InputError(
+                "law discovery: expected planar trajectories, got the channels "
+                f"{', '.join(trajectories.channels)}"
             )
-        rows = np.asarray(jacobians).reshape(-1, len(self.posterior.mean))
+        is_observed = trajectories.observed[..., :2].all(axis=-1)
+        positions = trajectories.states[..., :2][is_observed]
+        chosen = spread_points(positions, MAX_POINTS)
+        times = trajectories.times[is_observed][chosen]
+        return cls(posterior, positions[chosen], times, num_effective)
+
+    def sample(self, part: Callable[[Any], AbstractForce]) -> ForceSample:
+        """A part of the learned force, such as one of its terms."""
+        free, positions, times = self.posterior.free, self.positions, self.times
+        with jax.enable_x64(new_val=True):
+            environment = self.posterior.model.environment
+            force = forces_at(part(environment), times, positions)
+            mean, points = jnp.asarray(self.posterior.mean), jnp.asarray(positions)
+            jacobians = force_jacobians(free, mean, points, jnp.asarray(times), part)
+        rows = np.asarray(jacobians).reshape(-1, len(mean))
         return ForceSample(
-            positions=self.positions,
+            positions=positions,
             force=np.asarray(force),
             covariance=rows @ self.posterior.covariance @ rows.T,
             num_effective=self.num_effective,
         )
-
-
-@eqx.filter_jit
-def _force_and_jacobian(
-    free: ParametricModel,
-    theta: Float[Array, " parameter"],
-    points: Float[Array, "point dim"],
-    times: Float[Array, " point"],
-    part: Callable[[Any], AbstractForce],
-) -> tuple[Float[Array, "point dim"], Float[Array, "point dim parameter"]]:
-    def force(theta: Float[Array, " parameter"], x: Vector, t: Scalar) -> Vector:
-        return part(free(theta).environment)(t, x, jnp.zeros_like(x))
-
-    axes = (None, 0, 0)
-    values = jax.vmap(force, axes)(theta, points, times)
-    return values, jax.vmap(jax.jacrev(force), axes)(theta, points, times)
-
-
-def _visited_positions(
-    trajectories: Trajectories,
-) -> tuple[Float[np.ndarray, "sample 2"], Float[np.ndarray, " sample"]]:
-    if len(trajectories.channels) not in (2, 4):
-        raise InputError(
-            "law discovery: expected planar trajectories, got the channels "
-            f"{', '.join(trajectories.channels)}"
-        )
-    is_observed = trajectories.observed[..., :2].all(axis=-1)
-    return trajectories.states[..., :2][is_observed], trajectories.times[is_observed]
 
 
 def spread_points(positions: Points, count: int) -> np.ndarray:

@@ -61,7 +61,10 @@ def term_laws(
     kinds = [laws_of(term) for term in terms]
     if not 0 < len(terms) <= MOST_TERMS or not all(kinds):
         return None
-    samples = [sampling.of_term(index) for index in range(len(terms))]
+    samples = [
+        sampling.sample(lambda force, index=index: force.terms[index])
+        for index in range(len(terms))
+    ]
     return tuple(
         TermLaws(term.kind, sample, laws, term_landscape(term, sample))
         for term, laws, sample in zip(terms, kinds, samples, strict=True)
@@ -145,10 +148,7 @@ def _strongest_waves(term: LatticeTerm) -> tuple[tuple[float, float], ...]:
     strength = np.hypot(*weights) * np.linalg.norm(vectors, axis=1)
     ranking = np.argsort(strength)[::-1]
     first = vectors[ranking[0]]
-    across = [i for i in ranking[1:] if _are_independent(first, vectors[i])]
-    return _points(np.stack([first, vectors[across[0]]]))
-
-
-def _are_independent(one: Float[np.ndarray, "2"], two: Float[np.ndarray, "2"]) -> bool:
-    area = abs(one[0] * two[1] - one[1] * two[0])
-    return bool(area > 0.1 * np.linalg.norm(one) * np.linalg.norm(two))
+    areas = np.abs(first[0] * vectors[:, 1] - first[1] * vectors[:, 0])
+    sines = areas / np.linalg.norm(first) / np.linalg.norm(vectors, axis=1)
+    across = next(i for i in ranking[1:] if sines[i] > 0.1)
+    return _points(np.stack([first, vectors[across]]))

@@ -33,9 +33,9 @@ from pinav.fitting.bayes.parameters import learned_environment
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.local_model import selected_entries
 from pinav.fitting.engine.multiple_shooting import linearise
-from pinav.fitting.engine.posterior import linear_rollout
+from pinav.fitting.engine.posterior import force_jacobians, linear_rollout
 from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat, joint_posterior
-from pinav.forces import AbstractLearnedForce, forces_at
+from pinav.forces import AbstractLearnedForce
 from pinav.trajectories import Trajectories
 
 Pick = Callable[[Any], PyTree]
@@ -73,14 +73,10 @@ class Influence(eqx.Module):
             changes: of the parameters, such as `removals`.
         """
         with jax.enable_x64(new_val=True):
-            return np.asarray(
-                _force_changes(
-                    self.free,
-                    jnp.asarray(self.theta),
-                    jnp.asarray(points, jnp.float64),
-                    jnp.asarray(changes),
-                )
-            )
+            places = jnp.asarray(points, jnp.float64)
+            times = jnp.zeros(len(places))
+            slopes = force_jacobians(self.free, jnp.asarray(self.theta), places, times)
+        return np.moveaxis(np.asarray(slopes) @ changes.T, -1, 0)
 
     def final_changes(
         self,
@@ -258,17 +254,3 @@ def _slope(
     slope = -covariance @ hessian[:, place] / noise**2
     slope[place] = 1.0
     return slope
-
-
-@eqx.filter_jit
-def _force_changes(
-    free: ParametricModel,
-    theta: Float[Array, " parameter"],
-    points: Float[Array, "point dim"],
-    changes: Float[Array, "change parameter"],
-) -> Float[Array, "change point dim"]:
-    def forces(theta: Float[Array, " parameter"]) -> Float[Array, "point dim"]:
-        return forces_at(free(theta).environment, jnp.zeros(len(points)), points)
-
-    _, slope = jax.linearize(forces, theta)
-    return jax.vmap(slope)(changes)

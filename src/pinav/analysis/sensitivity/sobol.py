@@ -52,9 +52,7 @@ class Factor(eqx.Module):
     high: float
 
     def __check_init__(self) -> None:
-        if not (np.isfinite(self.low) and np.isfinite(self.high)) or not (
-            self.low < self.high
-        ):
+        if not -np.inf < self.low < self.high < np.inf:
             raise InputError(
                 f"Factor {self.name}: expected a finite range with low < high, got "
                 f"{self.low} to {self.high}"

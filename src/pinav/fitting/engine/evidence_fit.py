@@ -69,7 +69,15 @@ def iterate(
         move, chosen = step.move, step.hyperparameters
         steps.append(step)
         if on_step:
-            on_step(_progress(steps, max_iterations))
+            progress = EvidenceProgress(
+                done=len(steps),
+                total=max_iterations,
+                parameters=len(step.covariance),
+                defect=step.defect,
+                noise=chosen.noise,
+                log_evidence=chosen.log_evidence,
+            )
+            on_step(progress)
         # A defect is that of the point from which a step goes: under another prior the
         # step may be long, and only the next one tells whether it led anywhere.
         outcome = Outcome.STALLED if is_moved else _outcome(steps, problem.tolerance)
@@ -99,18 +107,6 @@ def _attempt(
         if before is not None:
             return None
         raise
-
-
-def _progress(steps: list[Step], total: int) -> EvidenceProgress:
-    chosen, defect = steps[-1].hyperparameters, steps[-1].defect
-    return EvidenceProgress(
-        done=len(steps),
-        total=total,
-        parameters=len(steps[-1].covariance),
-        defect=defect,
-        noise=chosen.noise,
-        log_evidence=chosen.log_evidence,
-    )
 
 
 def _outcome(steps: list[Step], tolerance: float) -> Outcome:
@@ -255,9 +251,6 @@ def evidence_fit(
     Args:
         not_finite: what to say where there was no step at all.
         advice: what to raise for outcomes that do not count.
-
-    Raises:
-        FitError: there was no step, or the outcome does not count.
     """
     if not steps:
         raise FitError(f"the fit diverged at once: {not_finite}", str(outcome))

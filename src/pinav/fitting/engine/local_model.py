@@ -8,6 +8,7 @@ deviations away from its prior counts as one residual of that size.
 """
 
 import abc
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -55,11 +56,7 @@ class ParametricModel(eqx.Module):
 def ravel_model(
     model: Any, trainable: Trainable
 ) -> tuple[ParametricModel, Float[Array, " parameter"]]:
-    """The model as a function of the selected leaves, and their values, in float64.
-
-    Raises:
-        InputError: the selection holds no number that could be a parameter.
-    """
+    """The model as a function of the selected leaves, and their values, in float64."""
     free, static = split_trainable(model, trainable, jnp.float64)
     _, unravel = eqx.filter_eval_shape(ravel_pytree, free)  # which compiles nothing
     theta = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(free)])
@@ -120,18 +117,17 @@ class ConstantPriors(eqx.Module):
         """
         if not self.entries:
             return quadratic
-        index, (values, slopes) = (
-            list(self.entries),
-            self._standardise(quadratic.point),
-        )
+        index = list(self.entries)
+        values, slopes = self._standardise(quadratic.point)
         hessian, gradient = quadratic.hessian.copy(), quadratic.gradient.copy()
         hessian[index, index] += (noise * slopes) ** 2
         gradient[index] += noise**2 * slopes * values
         # The evidence takes every residual for one of the data, of density 1/sqrt(2 pi
         # sigma^2) at its peak; that of a prior has the height of the prior instead.
-        volume = -2 * self.log_height - len(index) * np.log(2 * np.pi * noise**2)
-        return Quadratic(
-            point=quadratic.point,
+        height = sum(prior.log_height for prior in self.priors)
+        volume = -2 * height - len(index) * np.log(2 * np.pi * noise**2)
+        return dataclasses.replace(
+            quadratic,
             hessian=hessian,
             gradient=gradient,
             squares=quadratic.squares + noise**2 * float(values @ values),
@@ -139,34 +135,29 @@ class ConstantPriors(eqx.Module):
             log_determinant=quadratic.log_determinant + float(volume),
         )
 
-    @property
-    def log_height(self) -> float:
-        """Logarithm of the product of the densities at their peaks."""
-        return float(sum(prior.log_height for prior in self.priors))
-
     def squares(self, theta: Parameters) -> float:
         """Sum of the squared standardised values."""
-        return float(np.sum(self._standardise(theta)[0] ** 2)) if self.entries else 0.0
+        return float(np.sum(self._standardise(theta)[0] ** 2))
 
     def half_gradient(self, theta: Parameters) -> Parameters:
         """Half the gradient of `squares`."""
         gradient = np.zeros(len(theta))
-        if self.entries:
-            values, slopes = self._standardise(theta)
-            gradient[list(self.entries)] = slopes * values
+        values, slopes = self._standardise(theta)
+        gradient[list(self.entries)] = slopes * values
         return gradient
 
     def curvature(self, theta: Parameters) -> Parameters:
         """Half the second derivative of `squares`, less that of the values."""
         curvature = np.zeros(len(theta))
-        if self.entries:
-            curvature[list(self.entries)] = self._standardise(theta)[1] ** 2
+        curvature[list(self.entries)] = self._standardise(theta)[1] ** 2
         return curvature
 
     def _standardise(
         self, theta: Parameters
     ) -> tuple[Float[np.ndarray, " prior"], Float[np.ndarray, " prior"]]:
         """Standardised values, and their derivatives."""
+        if not self.entries:
+            return np.zeros(0), np.zeros(0)
         values, slopes = _scores(self.priors, on_device(theta[list(self.entries)]))
         return np.asarray(values), np.asarray(slopes)
 
@@ -183,16 +174,14 @@ def wide_priors(
         leaves: picks the leaves of a model.
         scales: of each leaf, the deviation of all of its numbers.
     """
-    entries: list[int] = []
-    priors: list[Normal] = []
+    priors: dict[int, Normal] = {}
     for index, scale in enumerate(scales):
         chosen = selected_entries(
             parametric, len(theta), lambda model, index=index: leaves(model)[index]
         )
         for entry in np.flatnonzero(chosen).tolist():
-            entries.append(entry)
-            priors.append(Normal(float(theta[entry]), scale))
-    return ConstantPriors(tuple(entries), tuple(priors))
+            priors[entry] = Normal(float(theta[entry]), scale)
+    return ConstantPriors(tuple(priors), tuple(priors.values()))
 
 
 @eqx.filter_jit

@@ -1,7 +1,7 @@
 """The Laplace posterior of a fit: models drawn from it, and bands."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -16,7 +16,7 @@ from pinav.fitting.engine.local_model import ModelOfParameters, ParametricModel
 from pinav.fitting.engine.multiple_shooting import sensitivities
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.quadratic import Parameters
-from pinav.forces import SumForce, as_learned_force
+from pinav.forces import AbstractForce, SumForce, as_learned_force
 
 
 class Estimate(eqx.Module):
@@ -144,10 +144,9 @@ class Posterior(eqx.Module):
         """Derivatives of the environment's force on a swimmer at rest by parameters."""
         with jax.enable_x64(new_val=True):
             points = jnp.asarray(positions, jnp.float64)
+            times = jnp.full(len(points), time, jnp.float64)
             mean = on_device(self.mean)
-            return np.asarray(
-                _force_jacobians(self.free, mean, points, on_device(time))
-            )
+            return np.asarray(force_jacobians(self.free, mean, points, times))
 
     def rollout_band(
         self,
@@ -182,16 +181,19 @@ class Posterior(eqx.Module):
 
 
 @eqx.filter_jit
-def _force_jacobians(
+def force_jacobians(
     free: ParametricModel,
     theta: Float[Array, " parameter"],
     points: Float[Array, "point dim"],
-    time: Scalar,
+    times: Float[Array, " point"],
+    part: Callable[[Any], AbstractForce] = lambda force: force,
 ) -> Float[Array, "point dim parameter"]:
-    def force(theta: Float[Array, " parameter"], x: Vector) -> Vector:
-        return free(theta).environment(time, x, jnp.zeros_like(x))
+    """Derivatives of the environment's force at rest, or of a part of it."""
 
-    return jax.vmap(jax.jacrev(force), (None, 0))(theta, points)
+    def force(theta: Float[Array, " parameter"], x: Vector, t: Scalar) -> Vector:
+        return part(free(theta).environment)(t, x, jnp.zeros_like(x))
+
+    return jax.vmap(jax.jacrev(force), (None, 0, 0))(theta, points, times)
 
 
 @eqx.filter_jit

@@ -6,6 +6,7 @@ is chosen by what the parameters explain in truth.
 """
 
 import abc
+from operator import attrgetter
 
 import equinox as eqx
 import numpy as np
@@ -330,11 +331,9 @@ class AbstractProblem(eqx.Module):
         if not count:
             return inference
         change = np.log(max(noise, self.least_noise, np.finfo(float).tiny) / before)
-        return eqx.tree_at(
-            lambda one: one.hyperparameters.log_evidence,
-            inference,
-            inference.hyperparameters.log_evidence + count * float(change),
-        )
+        told = inference.hyperparameters.log_evidence + count * float(change)
+        where = attrgetter("hyperparameters.log_evidence")
+        return eqx.tree_at(where, inference, told)
 
     def posterior(self, step: Step) -> Posterior:
         """The posterior after a step, that of the prior's shape included."""

@@ -62,11 +62,7 @@ class LinearisedObservations(eqx.Module):
 
     @classmethod
     def of(cls, quadratic: Quadratic) -> "LinearisedObservations":
-        """The data behind `quadratic`, less directions lost in rounding.
-
-        Raises:
-            FitError: the data do not depend on the weights at all.
-        """
+        """The data behind `quadratic`, less directions lost in rounding."""
         values, vectors = np.linalg.eigh(quadratic.hessian)
         # Below this share eigenvalues are rounding; their directions the data do not
         # see.
@@ -118,13 +114,7 @@ class Whitened(eqx.Module):
     @classmethod
     def of(cls, data: LinearisedObservations, prior: Matrix) -> "Whitened":
         """The data under a prior covariance of the weights."""
-        return cls.by_root(data, root(prior))
-
-    @classmethod
-    def by_root(
-        cls, data: LinearisedObservations, columns: Float[np.ndarray, "weight column"]
-    ) -> "Whitened":
-        """The data under a prior whose covariance has this root."""
+        columns = root(prior)
         reached = data.rows @ columns
         if reached.shape[1] < reached.shape[0]:
             # A QR first: the singular values then come from the small square, and
@@ -179,10 +169,6 @@ class Hyperparameters(eqx.Module):
     log_evidence: float
 
 
-Covariance = Callable[[Shape], Matrix]
-"""Prior covariance of the weights for a shape, of unit amplitude."""
-
-
 def best_hyperparameters(
     data: LinearisedObservations,
     prior: AbstractPrior,
@@ -226,20 +212,13 @@ def shape_slope(
 ) -> Shape:
     r"""Derivative of $\log Z$ by the shape, at its best amplitude and noise.
 
-    Args:
-        white: the same under the prior of this shape.
-    """
-    return prior.pullback(chosen.shape, covariance_pull(data, white, chosen))
-
-
-def covariance_pull(
-    data: LinearisedObservations, white: Whitened, chosen: Hyperparameters
-) -> Matrix:
-    r"""Derivative of $\log Z$ by the entries of $K$, amplitude and noise held.
-
+    By the entries of $K$, amplitude and noise held, it is
     $\tfrac12 R^\top (S^{-1}\tau\tau^\top S^{-1} \beta/\sigma^2 - S^{-1}) R$ with
     $S = R K R^\top + \beta$. At the best amplitude and noise that is the whole
     derivative of $\log Z$.
+
+    Args:
+        white: the data under the prior of this shape.
 
     References:
         Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eq. 5.9.
@@ -255,16 +234,20 @@ def covariance_pull(
         pulled += white.missed @ unreached / ratio
         held += unreached.T @ unreached / ratio
     pulled /= chosen.amplitude
-    return 0.5 * (np.outer(pulled, pulled) - held)
+    return prior.pullback(chosen.shape, 0.5 * (np.outer(pulled, pulled) - held))
 
 
 def at_shape(
     data: LinearisedObservations,
-    covariance: Covariance,
+    covariance: Callable[[Shape], Matrix],
     shape: Shape,
     noise: float | None = None,
 ) -> Hyperparameters:
-    """Amplitude, and noise unless given, of highest evidence for this shape."""
+    """Amplitude, and noise unless given, of highest evidence for this shape.
+
+    Args:
+        covariance: of the weights for a shape, for unit amplitude.
+    """
     white = Whitened.of(data, covariance(shape))
     return best_amplitude(data, white, shape, noise)
 
@@ -283,14 +266,12 @@ def best_amplitude(
 
     by_ratio = _by_ratio(data, white)
 
-    def evidence_at(ratio: Numbers) -> tuple[Numbers, Numbers]:
-        return by_ratio(ratio, noise)
-
     def loss(log_ratio: float) -> float:
-        return -float(evidence_at(largest * np.exp(log_ratio))[0])
+        return -float(by_ratio(largest * np.exp(log_ratio), noise)[0])
 
     # The evidence may have several maxima in the ratio: a scan first, then the best.
-    coarse = LOG_RATIOS[np.argmax(evidence_at(largest * np.exp(LOG_RATIOS))[0])]
+    scan, _ = by_ratio(largest * np.exp(LOG_RATIOS), noise)
+    coarse = LOG_RATIOS[np.argmax(scan)]
     step = LOG_RATIOS[1] - LOG_RATIOS[0]
     search = minimize_scalar(
         loss,
@@ -299,7 +280,7 @@ def best_amplitude(
         options={"xatol": 1e-7},
     )
     ratio = largest * np.exp(search.x)
-    value, variance = evidence_at(ratio)
+    value, variance = by_ratio(ratio, noise)
     return Hyperparameters(
         shape=np.asarray(shape),
         amplitude=float(np.sqrt(variance / ratio)),

@@ -5,7 +5,6 @@ normal distribution about the best shape then makes bands too sure: the best sha
 lie at an edge of what is possible, or be one maximum of several.
 """
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -30,20 +29,6 @@ long misses that curvature, and the bands become too narrow.
 """
 
 
-def shape_covariance(
-    data: LinearisedObservations,
-    prior: AbstractPrior,
-    chosen: Hyperparameters,
-    noise: float | None = None,
-) -> Matrix:
-    r"""The share of the prior's shape in the weights' covariance.
-
-    $M A^{-1} M^\top$: see `shape_changes`.
-    """
-    changes = shape_changes(data, prior, chosen, noise)
-    return changes @ changes.T
-
-
 def shape_changes(
     data: LinearisedObservations,
     prior: AbstractPrior,
@@ -66,27 +51,17 @@ def shape_changes(
     return slopes @ spread
 
 
-def shape_spread(
-    data: LinearisedObservations,
-    prior: AbstractPrior,
-    chosen: Hyperparameters,
-    noise: float | None = None,
-) -> Float[np.ndarray, "shape shape"]:
-    r"""The symmetric root $A^{-1/2}$ of the covariance: see `shape_changes`.
-
-    It does not depend on signs of eigenvectors, which rounding may turn.
-    """
-    root = _slopes_and_spread(data, prior, chosen, noise)[1]
-    variances, vectors = np.linalg.eigh(root @ root.T)
-    return (vectors * np.sqrt(variances)) @ vectors.T
-
-
 def _slopes_and_spread(
     data: LinearisedObservations,
     prior: AbstractPrior,
     chosen: Hyperparameters,
     noise: float | None,
 ) -> tuple[Float[np.ndarray, "weight shape"], Float[np.ndarray, "shape shape"]]:
+    r"""$M$ and the symmetric root $A^{-1/2}$: see `shape_changes`.
+
+    The root does not depend on signs of eigenvectors, which rounding may turn.
+    """
+
     def at(offset: Shape) -> Float[np.ndarray, " both"]:
         shape = chosen.shape + offset
         white = Whitened.of(data, prior.covariance(shape))
@@ -101,7 +76,8 @@ def _slopes_and_spread(
     bend, slopes = -both[: len(unit)], both[len(unit) :]
     values, vectors = np.linalg.eigh((bend + bend.T) / 2)
     # A flat or rising direction is held by the prior of the shape alone.
-    return slopes, vectors / np.sqrt(np.maximum(values, 0.0) + SHAPE_SD**-2)
+    spread = vectors / np.sqrt(np.maximum(values, 0.0) + SHAPE_SD**-2)
+    return slopes, spread @ vectors.T
 
 
 def is_confined(prior: AbstractPrior, shape: Shape) -> bool:
@@ -117,41 +93,21 @@ def is_confined(prior: AbstractPrior, shape: Shape) -> bool:
     return bool(np.any(shape[:2] <= prior.bounds[:2, 0] + STEP))
 
 
-class ShapeSampling(eqx.Module):
-    """How shapes of a prior are drawn.
+DRAWS = (64, 64, 64)
+"""Shapes of each stage, which draws where the ones before found the evidence."""
 
-    Attributes:
-        draws: shapes of each stage, which draws where the ones before found the
-            evidence.
-        wider: factor in the standard deviations of what the first stage draws from:
-            the evidence has longer tails than a normal distribution.
-        later_wider: that of the later stages.
-        few: effective number of draws below which the next stage trusts their weights
-            less.
-        least_share: share of a draw that counts.
-    """
+WIDER = 1.5
+"""Factor in the standard deviations of what the first stage draws from: the evidence
+has longer tails than a normal distribution."""
 
-    draws: tuple[int, ...] = (64, 64, 64)
-    wider: float = 1.5
-    later_wider: float = 1.2
-    few: float = 10.0
-    least_share: float = 1e-4
+LATER_WIDER = 1.2
+"""That factor of the later stages."""
 
+FEW = 10.0
+"""Effective number of draws below which the next stage trusts their weights less."""
 
-IN_STAGES = ShapeSampling()
-
-
-class ShapeMixture(eqx.Module):
-    """A mixture of normal distributions of the weights, one for each shape drawn.
-
-    Attributes:
-        covariance: within the distributions and between their means.
-        num_effective: how many equally likely draws would know the mixture as well.
-    """
-
-    mean: Float[np.ndarray, " weight"]
-    covariance: Matrix
-    num_effective: float
+LEAST_SHARE = 1e-4
+"""Share of a draw that counts."""
 
 
 def mix_shapes(
@@ -159,13 +115,14 @@ def mix_shapes(
     prior: AbstractPrior,
     chosen: Hyperparameters,
     noise: float | None = None,
-) -> ShapeMixture:
-    r"""The weights over all shapes within the bounds, each as likely as its evidence.
+) -> tuple[Float[np.ndarray, " weight"], Matrix]:
+    r"""Mean and covariance of the weights over all shapes within the bounds.
 
-    $p(w) = \sum_k \pi_k\, p(w \mid s_k)$ with $\pi_k \propto Z(s_k) / q(s_k)$:
-    importance sampling in stages, in which q is the mixture of the normal distributions
-    of all stages so far. The first is that of Laplace's method about the best shape.
-    Amplitude and noise are the best ones of each shape.
+    Each shape is as likely as its evidence: $p(w) = \sum_k \pi_k\, p(w \mid s_k)$ with
+    $\pi_k \propto Z(s_k) / q(s_k)$: importance sampling in stages, in which q is the
+    mixture of the normal distributions of all stages so far. The first is that of
+    Laplace's method about the best shape. Amplitude and noise are the best
+    ones of each shape.
 
     Args:
         prior: of the weights; without a shape there is nothing to mix.
@@ -177,13 +134,12 @@ def mix_shapes(
         and Zhou, J. Am. Stat. Assoc. 95, 135 (2000).
     """
     if not len(chosen.shape):
-        only = weight_posterior(data, prior.covariance(chosen.shape), chosen)
-        return ShapeMixture(*only, num_effective=1.0)
+        return weight_posterior(data, prior.covariance(chosen.shape), chosen)
     rng = np.random.default_rng(0)
     low, high = prior.bounds.T
-    first = IN_STAGES.wider * shape_spread(data, prior, chosen, noise)
+    first = WIDER * _slopes_and_spread(data, prior, chosen, noise)[1]
     stages, fits, shares = [(chosen.shape, first)], [chosen], np.ones(1)
-    for count in IN_STAGES.draws:
+    for count in DRAWS:
         middle, spread = stages[-1]
         drawn = middle + rng.standard_normal((count, len(middle))) @ spread.T
         for shape in drawn[np.all((drawn >= low) & (drawn <= high), axis=1)]:
@@ -191,7 +147,7 @@ def mix_shapes(
         shapes = np.array([fit.shape for fit in fits])
         shares = _shares(np.array([fit.log_evidence for fit in fits]), shapes, stages)
         stages.append(_next_stage(shapes, shares))
-    kept = np.flatnonzero(shares > IN_STAGES.least_share)
+    kept = np.flatnonzero(shares > LEAST_SHARE)
     shares = shares[kept] / shares[kept].sum()
     means, within = [], np.zeros(2 * (data.rows.shape[1],))
     for share, index in zip(shares, kept, strict=True):
@@ -201,8 +157,7 @@ def mix_shapes(
         within += share * given
     mean = shares @ np.array(means)
     offsets = np.array(means) - mean
-    covariance = within + (offsets.T * shares) @ offsets
-    return ShapeMixture(mean, covariance, float(1 / (shares**2).sum()))
+    return mean, within + (offsets.T * shares) @ offsets
 
 
 Stage = tuple[Shape, Float[np.ndarray, "shape shape"]]
@@ -216,7 +171,7 @@ def _shares(
 ) -> Float[np.ndarray, " draw"]:
     """How likely each draw is, from what it was drawn from and its evidence."""
     densities = []
-    for (middle, spread), count in zip(stages, IN_STAGES.draws, strict=False):
+    for (middle, spread), count in zip(stages, DRAWS, strict=False):
         scaled = np.linalg.solve(spread, (shapes - middle).T)
         size = np.linalg.slogdet(spread)[1]
         # Each draw is weighed by the density of all stages together, which bounds the
@@ -233,11 +188,11 @@ def _next_stage(
 ) -> Stage:
     """A normal distribution like the draws, flattened where few of them count."""
     least = 1e-3
-    if 1 / (shares**2).sum() < IN_STAGES.few:
+    if 1 / (shares**2).sum() < FEW:
         # A few draws outweigh all others: tempered, they do not collapse the next
         # stage.
         shares, least = np.sqrt(shares) / np.sqrt(shares).sum(), 1e-2
     middle = shares @ shapes
     offsets = shapes - middle
     covariance = (offsets.T * shares) @ offsets + least * np.eye(len(middle))
-    return middle, IN_STAGES.later_wider * np.linalg.cholesky(covariance)
+    return middle, LATER_WIDER * np.linalg.cholesky(covariance)

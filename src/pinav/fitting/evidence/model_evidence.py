@@ -105,9 +105,8 @@ def model_evidence(linear: LinearFit, chosen: Hyperparameters) -> ModelEvidence:
     if isinstance(weights, GaussianWeights):
         return ModelEvidence(float(best), _correction(linear, weights.prior, chosen))
     if linear.teacher is not None:
-        return ModelEvidence(
-            float(best), model_evidence(linear.teacher, chosen).correction
-        )
+        taught = model_evidence(linear.teacher, chosen)
+        return ModelEvidence(float(best), taught.correction)
     cost = _narrow_cost(
         np.full((1, 1), 2.0 * quadratic.num_free), np.array([LOG_RANGE])
     )

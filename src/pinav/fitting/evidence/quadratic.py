@@ -1,5 +1,7 @@
 """A least-squares problem as a quadratic, and its unknowns with a flat prior."""
 
+import dataclasses
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
@@ -65,11 +67,7 @@ class FlatBlock(eqx.Module):
 def eliminate_flat(
     quadratic: Quadratic, mask: Bool[np.ndarray, " parameter"]
 ) -> tuple[Quadratic, FlatBlock]:
-    """Integrate out the parameters in `mask`, which have a flat prior.
-
-    Raises:
-        FitError: the data do not determine them, even with the weights known.
-    """
+    """Integrate out the parameters in `mask`, which have a flat prior."""
     hessian, gradient = quadratic.hessian, quadratic.gradient
     free_block, border = hessian[np.ix_(mask, mask)], hessian[np.ix_(mask, ~mask)]
     if is_singular(free_block):
@@ -105,13 +103,12 @@ def restrict(quadratic: Quadratic, kept: Bool[np.ndarray, " parameter"]) -> Quad
     block = quadratic.hessian[np.ix_(~kept, ~kept)]
     border = quadratic.hessian[np.ix_(kept, ~kept)]
     slope = quadratic.gradient[~kept]
-    return Quadratic(
+    return dataclasses.replace(
+        quadratic,
         point=quadratic.point[kept],
         hessian=quadratic.hessian[np.ix_(kept, kept)],
         gradient=quadratic.gradient[kept] + border @ change,
         squares=quadratic.squares + float((2 * slope + block @ change) @ change),
-        num_free=quadratic.num_free,
-        log_determinant=quadratic.log_determinant,
     )
 
 

@@ -17,7 +17,7 @@ from pinav.fitting.evidence.evidence import (
     best_hyperparameters,
     weight_posterior,
 )
-from pinav.fitting.evidence.hyperparameter_uncertainty import shape_covariance
+from pinav.fitting.evidence.hyperparameter_uncertainty import shape_changes
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.forces.priors import AbstractPrior, Matrix, Shape
 from pinav.threads import map_on_cores
@@ -55,17 +55,17 @@ class AbstractWeights(eqx.Module):
         """
         return None
 
-    @abc.abstractmethod
     def about(self, weights: Float[np.ndarray, " weight"]) -> "AbstractWeights":
         """The same where it depends on the point of linearisation."""
+        return self
 
     @abc.abstractmethod
     def ridge(self, chosen: Hyperparameters) -> float:
         """Precision of each weight on its own; zero where `energy` tells more."""
 
-    @abc.abstractmethod
     def energy(self, weights: Float[np.ndarray, " weight"]) -> float:
         """Twice the negative logarithm of the prior, less that of the ridge."""
+        return 0.0
 
     @abc.abstractmethod
     def posterior(
@@ -121,14 +121,8 @@ class GaussianWeights(AbstractWeights):
         best = max(tried, key=lambda one: one.log_evidence)
         return best if best.log_evidence > chosen.log_evidence + LIKELIER else None
 
-    def about(self, weights: Float[np.ndarray, " weight"]) -> "AbstractWeights":
-        return self
-
     def ridge(self, chosen: Hyperparameters) -> float:
         return chosen.amplitude**-2
-
-    def energy(self, weights: Float[np.ndarray, " weight"]) -> float:
-        return 0.0
 
     def posterior(
         self, quadratic: Quadratic, chosen: Hyperparameters
@@ -148,7 +142,8 @@ class GaussianWeights(AbstractWeights):
         self, quadratic: Quadratic, chosen: Hyperparameters, noise: float | None
     ) -> Matrix:
         data = LinearisedObservations.of(quadratic)
-        return shape_covariance(data, self.prior, chosen, noise)
+        changes = shape_changes(data, self.prior, chosen, noise)
+        return changes @ changes.T
 
 
 LIKELIER = 1.0
@@ -167,13 +162,7 @@ class NoWeights(AbstractWeights):
     def start(self) -> Shape:
         return np.zeros(0)
 
-    def about(self, weights: Float[np.ndarray, " weight"]) -> "AbstractWeights":
-        return self
-
     def ridge(self, chosen: Hyperparameters) -> float:
-        return 0.0
-
-    def energy(self, weights: Float[np.ndarray, " weight"]) -> float:
         return 0.0
 
     def posterior(

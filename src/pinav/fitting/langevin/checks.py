@@ -112,11 +112,7 @@ def _words(axes: tuple[int, ...]) -> str:
 def innovation_correlations(
     series: list[Float[np.ndarray, "_ axis"]],
 ) -> Float[np.ndarray, "lag axis"]:
-    r"""$\rho_1$ to $\rho_5$ of innovations along each axis.
-
-    Args:
-        series: innovations of each track in the order of time.
-    """
+    r"""$\rho_1$ to $\rho_5$ along each axis of innovations in the order of time."""
     squares = sum((one**2).sum(axis=0) for one in series)
     sums = [
         sum((one[lag:] * one[:-lag]).sum(axis=0) for one in series)

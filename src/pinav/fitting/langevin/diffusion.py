@@ -4,6 +4,8 @@ $\log D(x) = m_g + \sum_j w_{gj}\phi_j(x)$, one process for each group g of axes
 the exposure and the error of the observation of these axes.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -115,9 +117,6 @@ def begin_motion(
 
     Args:
         observation: what is known of it; exact positions unless given.
-
-    Raises:
-        InputError: the groups are not those of the channels.
     """
     dim = increments.steps.shape[1]
     groups = None if isinstance(diffusion, float | int) else diffusion.groups
@@ -179,11 +178,7 @@ class DiffusionField(eqx.Module):
     covariance: Float[np.ndarray, "parameter parameter"]
 
     def __call__(self, positions: ArrayLike) -> Float[np.ndarray, "point axis"]:
-        """Diffusion along each axis [L² T⁻¹].
-
-        Args:
-            positions: points, one a row [L].
-        """
+        """Diffusion along each axis [L² T⁻¹]."""
         with jax.enable_x64(new_val=True):
             points = jnp.asarray(positions, jnp.float64)
             return np.asarray(jax.vmap(self.tensor.diagonal)(points))
@@ -216,12 +211,10 @@ class DiffusionField(eqx.Module):
         draws, tensor = normal @ root.T, self.tensor
         groups = len(tensor.levels)
         return [
-            KernelTensor(
-                tensor.levels + jnp.asarray(draw[:groups]),
-                tensor.weights
-                + jnp.asarray(draw[groups:]).reshape(tensor.weights.shape),
-                tensor.basis,
-                tensor.groups,
+            dataclasses.replace(
+                tensor,
+                levels=tensor.levels + draw[:groups],
+                weights=tensor.weights + draw[groups:].reshape(tensor.weights.shape),
             )
             for draw in draws
         ]

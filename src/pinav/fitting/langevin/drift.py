@@ -10,6 +10,7 @@ the variance 2D, and kernels are linear in their weights. So the evidence choose
 and diffusion as `fit_bayes` chooses prior and noise.
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -111,12 +112,7 @@ def second_order(
     increments: Increments,
     relation: Relation,
 ) -> SecondOrder:
-    """Corrections for steps that are not short, of the fields as they are.
-
-    Args:
-        swimmer: its force, and its mobility where Einstein's relation does not hold.
-        increments: positions from the reference.
-    """
+    """Corrections for steps that are not short, at positions from the reference."""
 
     def at(row: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         time, x, interval = row
@@ -214,9 +210,6 @@ def fit_force(
         noise: their standard deviation; estimated where it is None.
         refine: when kernels turn out too coarse.
         trajectories: around which they are laid.
-
-    Raises:
-        FitError: the drift is not finite at the positions.
     """
 
     def begin(model: OverdampedSwimmer, states: None = None) -> Regression:
@@ -276,10 +269,7 @@ def mix_over_shapes(fit: EvidenceFit) -> EvidenceFit:
     if not (few and isinstance(weights, GaussianWeights)):
         return fit
     data = LinearisedObservations.of(fit.linear.quadratic)
-    mixed = mix_shapes(data, weights.prior, fit.hyperparameters, fit.linear.noise)
-    posterior = eqx.tree_at(
-        lambda p: (p.mean, p.covariance), fit.posterior, (mixed.mean, mixed.covariance)
-    )
-    return eqx.tree_at(
-        lambda f: (f.posterior, f.model), fit, (posterior, posterior.model)
-    )
+    chosen, noise = fit.hyperparameters, fit.linear.noise
+    mean, covariance = mix_shapes(data, weights.prior, chosen, noise)
+    posterior = dataclasses.replace(fit.posterior, mean=mean, covariance=covariance)
+    return dataclasses.replace(fit, posterior=posterior, model=posterior.model)

@@ -156,9 +156,13 @@ def fit_langevin(
         Equations (1992).
     """
     swimmer = _first_order_swimmer(model, trajectories)
-    _check_diffusion(diffusion)
-    increments = Increments.of(trajectories)
     known = float(diffusion) if isinstance(diffusion, float | int) else None
+    if known is not None and not 0 < known < np.inf:
+        raise InputError(
+            f"fit_langevin diffusion: expected a finite number > 0, got {diffusion}; "
+            "leave it out to estimate it"
+        )
+    increments = Increments.of(trajectories)
     is_number = diffusion is None or known is not None
     if is_number and observation is None and reference is None:
         return _fit_exact(swimmer, increments, known, refine, trajectories)
@@ -263,15 +267,6 @@ def _thermal_energy(model: AbstractDynamics) -> float:
             f"fit_langevin einstein: expected a thermal energy > 0, got {energy}"
         )
     return energy
-
-
-def _check_diffusion(diffusion: Diffusion | None) -> None:
-    number = diffusion if isinstance(diffusion, float | int) else 1.0
-    if not 0 < number < np.inf:
-        raise InputError(
-            f"fit_langevin diffusion: expected a finite number > 0, got {number}; "
-            "leave it out to estimate it"
-        )
 
 
 def _first_order_swimmer(

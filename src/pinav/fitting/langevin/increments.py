@@ -1,11 +1,14 @@
 """Displacements between samples, and their observation by a camera."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from pinav.arguments import check_positive
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.fitting.engine.posterior import Estimate
@@ -59,12 +62,7 @@ class LearnedObservation(eqx.Module):
     error_spread: float = 2.0
 
     def __check_init__(self) -> None:
-        for name in ("spread", "error", "error_spread"):
-            if not getattr(self, name) > 0:
-                raise InputError(
-                    f"LearnedObservation.{name}: expected > 0, got "
-                    f"{getattr(self, name)}"
-                )
+        check_positive(self, "spread", "error", "error_spread")
 
 
 class ObservedAxes(eqx.Module):
@@ -130,18 +128,11 @@ class Increments(eqx.Module):
     counts: tuple[int, ...] = eqx.field(static=True)
 
     @classmethod
-    def of(cls, trajectories: Trajectories, every: int = 1) -> "Increments":
-        """All increments; one spans the gap where samples are missing.
-
-        Args:
-            every: take every so many of the observed samples.
-
-        Raises:
-            InputError: no trajectory has two samples with all positions observed.
-        """
+    def of(cls, trajectories: Trajectories) -> "Increments":
+        """All increments; one spans the gap where samples are missing."""
         parts = []
         for piece in trajectories:
-            is_observed = np.flatnonzero(piece.observed.all(axis=1))[::every]
+            is_observed = np.flatnonzero(piece.observed.all(axis=1))
             times, positions = piece.times[is_observed], piece.states[is_observed]
             row = times[:-1], positions[:-1], np.diff(positions, axis=0), np.diff(times)
             parts.append(row)
@@ -162,19 +153,13 @@ class Increments(eqx.Module):
         return float(np.log(self.intervals).sum() * self.steps.shape[1])
 
     def wrap(self, periods: dict[int, float]) -> "Increments":
-        """The increments with those of periodic coordinates the shortest way round.
-
-        Args:
-            periods: of coordinates by their index [L].
-        """
+        """The increments with those of periodic coordinates the shortest way round."""
         steps = self.steps.copy()
         for axis, period in periods.items():
             # The shortest way round, which is right while a step is below half a
             # period.
             steps[:, axis] -= period * np.round(steps[:, axis] / period)
-        return Increments(
-            self.times, self.positions, steps, self.intervals, self.counts
-        )
+        return dataclasses.replace(self, steps=steps)
 
     def __call__(self, model: OverdampedSwimmer) -> Float[Array, " residual"]:
         r"""Residuals $(\text{drift}\,\Delta t - \Delta x) / \sqrt{\Delta t}$ ."""

@@ -39,7 +39,7 @@ from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
 from pinav.fitting.langevin.covariance import Tridiagonal, cut, increment_bands, score
 from pinav.fitting.langevin.diffusion import ThermalMotion
-from pinav.fitting.langevin.increments import LearnedObservation, Padding
+from pinav.fitting.langevin.increments import LearnedObservation, Padding, Relation
 from pinav.forces.priors import AbstractPrior, MixturePrior, StationaryPrior
 from pinav.systems.priors import Normal
 
@@ -97,11 +97,10 @@ class DiffusionProblem(AbstractProblem):
         cls,
         motion: ThermalMotion,
         fluctuations: Fluctuations,
-        *,
-        learn_diffusion: bool,
-        observation: LearnedObservation | None,
+        relation: Relation,
     ) -> "DiffusionProblem":
         """The problem that begins at a motion."""
+        learn_diffusion, observation = relation.learn_diffusion, relation.observation
         varies = bool(motion.diffusion.weights.size) and learn_diffusion
 
         def constants(m: ThermalMotion) -> tuple:

@@ -125,9 +125,6 @@ def fit_motion(
 
     Args:
         max_steps: of Fisher's scoring at most.
-
-    Raises:
-        FitError: the likelihood is not finite.
     """
     relation = belief.relation
     if not relation.learn_diffusion and relation.observation is None:
@@ -135,8 +132,7 @@ def fit_motion(
     problem = DiffusionProblem.of(
         belief.motion,
         fluctuations(belief),
-        learn_diffusion=relation.learn_diffusion,
-        observation=relation.observation,
+        relation,
     )
     _, steps = iterate(problem, max_steps)
     if not steps:
@@ -182,11 +178,7 @@ def _factor(
 def fit_drift(
     belief: RoundResult, refine: Refinement | None, trajectories: Trajectories
 ) -> tuple[RoundResult, EvidenceFit]:
-    """The force given diffusion and observation, and what follows from it.
-
-    Raises:
-        FitError: the drift is not finite at the positions.
-    """
+    """The force given diffusion and observation, and what follows from it."""
     swimmer = belief.relation.swimmer_in(belief.swimmer, belief.motion.diffusion)
     innovations = whiten_increments(belief)
     fit, _ = fit_force(swimmer, innovations, 1.0, refine, trajectories)

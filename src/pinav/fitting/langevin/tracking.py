@@ -138,11 +138,7 @@ def first_path(reference: SlowReference, increments: Increments) -> ReferencePat
 
 
 def from_reference(increments: Increments, path: ReferencePath) -> Increments:
-    """Increments with their positions counted from the path.
-
-    Args:
-        increments: as recorded.
-    """
+    """Increments as recorded, but with positions that are counted from the path."""
     positions = increments.positions.copy()
     positions[:, path.axis] -= path(increments.times)
     return dataclasses.replace(increments, positions=positions)
@@ -154,11 +150,9 @@ def track_reference(
     reference: SlowReference,
     path: ReferencePath,
 ) -> tuple[RoundResult, ReferencePath]:
-    """The path after one step, and the belief that follows from it.
+    """The path after one step, and the belief about it that follows.
 
-    Args:
-        belief: about which the likelihood is expanded.
-        recorded: increments with their positions as recorded.
+    The belief has positions from the path before, `recorded` those of the data.
     """
     slope, information = _by_height(belief, reference.axis)
     columns = _hats(path.times, recorded.times)
