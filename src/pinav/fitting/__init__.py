@@ -18,9 +18,7 @@ from pinav.fitting.environments.catalogue import (
 )
 from pinav.fitting.environments.diagnosis import Cause as Cause
 from pinav.fitting.environments.diagnosis import diagnose as diagnose
-from pinav.fitting.environments.gradient_matching import (
-    prior_root as prior_root,
-)
+from pinav.fitting.environments.gradient_matching import prior_root as prior_root
 from pinav.fitting.environments.gradient_matching import (
     rates_to_match as rates_to_match,
 )

@@ -16,10 +16,7 @@ from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.policy import POLICY
 from pinav.fitting.rugged.free import fit_free, fit_rough
-from pinav.fitting.structure.fits import (
-    Fits,
-    StructuredFit,
-)
+from pinav.fitting.structure.fits import Fits, StructuredFit
 from pinav.fitting.structure.kinds import signature
 from pinav.fitting.structure.laws import follow_laws
 from pinav.fitting.structure.search import preferred, refine
@@ -83,7 +80,9 @@ def _fit_until_kinds_stay(
     if here is not None:
         here = refine(survey.simplify(here), survey.response)
     is_settled = here is not None and here.noise <= POLICY.settled * survey.noise
-    if not (is_settled or _is_too_coarse(here)):
+    # what terms leave may be what the kernels of their profiles miss
+    is_too_coarse = here is not None and here.finer is not None
+    if not (is_settled or is_too_coarse):
         here = _search_again(fits, survey, here, proposal)
     if here is None:
         fits.trace.note(proposal.terms, "about its own fit it explains no more")
@@ -97,11 +96,6 @@ def _fit_until_kinds_stay(
         fits.trace.note(here.terms, "left too much", here.log_evidence, left)
         return None
     return _fit_with_laws(fits, survey, here, begun)
-
-
-def _is_too_coarse(proposal: Proposal | None) -> bool:
-    """True if what terms leave may be what the kernels of their profiles miss."""
-    return proposal is not None and proposal.finer is not None
 
 
 def _fit_with_laws(

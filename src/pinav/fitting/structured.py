@@ -29,10 +29,7 @@ from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.policy import POLICY
 from pinav.fitting.rugged.free import fit_free, fit_rough, has_many_hills
-from pinav.fitting.structure.fits import (
-    Fits,
-    StructuredFit,
-)
+from pinav.fitting.structure.fits import Fits, StructuredFit
 from pinav.fitting.structure.rotation import (
     SurveyedRotation,
     fitted_gain,
@@ -162,9 +159,9 @@ def kernels_of_teacher(
 def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
     """The best fit of free kernels and of terms that data show."""
     fits, survey = survey_first_steps(fits)
-    asked = (
-        _weigh_in_survey(fits, survey) if weigh_rotation else SurveyedRotation(np.nan)
-    )
+    places, asked = fits.kernels.kernels, SurveyedRotation(np.nan)
+    if weigh_rotation:
+        asked = survey_rotation(survey.response, survey.noise, (), places)
     turns = asked.is_plain or not fits.kernels.is_conservative
     rough, proposals = None, []
     if not (survey.is_begun or turns):
@@ -178,7 +175,8 @@ def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
             rough = fit_rough(fits)
     if rough and rough.hyperparameters.noise <= POLICY.explained * survey.noise:
         fits, survey = fits.about(rough), Survey.of(fits, rough)
-        asked = _weigh_in_survey(fits, survey) if weigh_rotation else asked
+        if weigh_rotation:
+            asked = survey_rotation(survey.response, survey.noise, (), places)
         turns = asked.is_plain
     proposals = proposals or survey.propose(rotational=turns)
     if weigh_rotation and asked.is_needed and not (turns or proposals):
@@ -229,10 +227,6 @@ def survey_first_steps(fits: Fits) -> tuple[Fits, Survey]:
     if begun is None or begun.hyperparameters.noise > POLICY.explained * survey.noise:
         return fits, survey
     return fits.about(begun), Survey.of(fits, begun)
-
-
-def _weigh_in_survey(fits: Fits, survey: Survey) -> SurveyedRotation:
-    return survey_rotation(survey.response, survey.noise, (), fits.kernels.kernels)
 
 
 def _fit_turning(fits: Fits, proposals: Sequence[Proposal]) -> StructuredFit | None:

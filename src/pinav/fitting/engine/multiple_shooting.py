@@ -237,9 +237,7 @@ def _condense(
 def eliminate(
     rows: Float[Array, "row all"], first: int, count: int
 ) -> tuple[
-    Float[Array, "left rest"],
-    Float[Array, "count count"],
-    Float[Array, "count rest"],
+    Float[Array, "left rest"], Float[Array, "count count"], Float[Array, "count rest"]
 ]:
     """Minimise a sum of squares over `count` of its unknowns, from column `first` on.
 

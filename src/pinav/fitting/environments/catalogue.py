@@ -13,12 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from pinav.dynamics import (
-    AbstractDynamics,
-    NeuralDynamics,
-    Swimmer,
-    paper_black_box,
-)
+from pinav.dynamics import AbstractDynamics, NeuralDynamics, Swimmer, paper_black_box
 from pinav.errors import InputError
 from pinav.fitting.environments.summary import (
     BLACK_BOX,

@@ -11,10 +11,7 @@ import numpy as np
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.fitting.environments.gradient_matching import kernels_of
-from pinav.fitting.environments.kernels import (
-    changing_environment,
-    kernel_environment,
-)
+from pinav.fitting.environments.kernels import changing_environment, kernel_environment
 from pinav.fitting.environments.rates import (
     MOST_SAMPLES,
     force_region,

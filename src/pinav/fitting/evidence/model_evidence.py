@@ -136,10 +136,7 @@ def evidence_without_second(linear: LinearFit, chosen: Hyperparameters) -> float
         weights=GaussianWeights(prior.first),
     )
     best = best_hyperparameters(
-        LinearisedObservations.of(alone.quadratic),
-        prior.first,
-        start,
-        linear.noise,
+        LinearisedObservations.of(alone.quadratic), prior.first, start, linear.noise
     )
     data = LinearisedObservations.of(linear.quadratic)
     lowest, highest = prior.bounds[-1]

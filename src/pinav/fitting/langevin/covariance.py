@@ -58,10 +58,7 @@ class TridiagonalFactor(eqx.Module):
 
 
 def increment_bands(
-    diffusion: Rows,
-    intervals: Rows,
-    exposure: Scalar | Rows,
-    variance: Scalar | Rows,
+    diffusion: Rows, intervals: Rows, exposure: Scalar | Rows, variance: Scalar | Rows
 ) -> Tridiagonal:
     r"""Covariance of increments.
 

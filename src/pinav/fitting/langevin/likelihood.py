@@ -94,10 +94,7 @@ class DiffusionProblem(AbstractProblem):
 
     @classmethod
     def of(
-        cls,
-        motion: ThermalMotion,
-        fluctuations: Fluctuations,
-        relation: Relation,
+        cls, motion: ThermalMotion, fluctuations: Fluctuations, relation: Relation
     ) -> "DiffusionProblem":
         """The problem that begins at a motion."""
         learn_diffusion, observation = relation.learn_diffusion, relation.observation

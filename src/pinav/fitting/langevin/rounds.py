@@ -129,11 +129,7 @@ def fit_motion(
     relation = belief.relation
     if not relation.learn_diffusion and relation.observation is None:
         return belief, None, None
-    problem = DiffusionProblem.of(
-        belief.motion,
-        fluctuations(belief),
-        relation,
-    )
+    problem = DiffusionProblem.of(belief.motion, fluctuations(belief), relation)
     _, steps = iterate(problem, max_steps)
     if not steps:
         raise FitError("the fit diverged at once: no likelihood of the diffusion")

@@ -45,10 +45,7 @@ def paper_recipe(
 
 
 def curriculum(
-    trajectories: Trajectories,
-    *,
-    max_steps: int = 20,
-    precision: float = 1e-7,
+    trajectories: Trajectories, *, max_steps: int = 20, precision: float = 1e-7
 ) -> tuple[AbstractPhase, ...]:
     """Gauss-Newton from one-step matching to the full rollout.
 
@@ -295,19 +292,12 @@ def _is_worse(after: Fit, before: Fit) -> bool:
 
 
 def _keep_better(
-    fits: Sequence[Fit],
-    again: dict[int, Fit],
-    is_worse: Callable[[Fit, Fit], bool],
+    fits: Sequence[Fit], again: dict[int, Fit], is_worse: Callable[[Fit, Fit], bool]
 ) -> list[Fit]:
     """The better of two attempts at some of the fits, and the others as they are."""
     example = next(iter(again.values()))
     return [
-        _join(
-            fit,
-            again.get(i),
-            example,
-            keep=i in again and is_worse(again[i], fit),
-        )
+        _join(fit, again.get(i), example, keep=i in again and is_worse(again[i], fit))
         for i, fit in enumerate(fits)
     ]
 

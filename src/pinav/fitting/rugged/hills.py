@@ -253,14 +253,14 @@ class _Landscape(eqx.Module):
 
     def _residuals(self, hills: Hills) -> Float[np.ndarray, " residual"]:
         forces = sum(
-            np.asarray(_hill_forces(self.points, on_device(one))) for one in hills
+            np.asarray(_hill_forces(on_device(one), self.points)) for one in hills
         )
         flat = np.reshape(forces, (len(self.rows), -1, 1))
         return (self.rows @ flat).ravel() + self.offset
 
     def _jacobian(self, hills: Hills) -> Float[np.ndarray, "residual number"]:
         slopes = [
-            np.asarray(_hill_slopes(self.points, on_device(one))) for one in hills
+            np.asarray(_hill_slopes(on_device(one), self.points)) for one in hills
         ]
         flat = np.concatenate(slopes, axis=-1).reshape(len(self.rows), -1, hills.size)
         return (self.rows @ flat).reshape(-1, hills.size)
@@ -304,18 +304,10 @@ def _log_places(positions: Float[np.ndarray, "point 2"], hills: Hills) -> float:
 def _deviations(hills: Hills) -> Hills:
     """Prior deviations of the numbers of hills; see `PLACE`."""
     sizes, height = np.exp(hills[:, 3]), np.median(np.abs(hills[:, 0]))
-    ones = np.ones(len(hills))
-    return np.stack(
-        [
-            HEIGHT * height * ones,
-            PLACE * sizes,
-            PLACE * sizes,
-            SIZE * ones,
-            SHEAR * ones,
-            SHEAR * ones,
-        ],
-        axis=1,
-    )
+    each = np.array([HEIGHT * height, 0.0, 0.0, SIZE, SHEAR, SHEAR])
+    deviations = np.tile(each, (len(hills), 1))
+    deviations[:, 1:3] = PLACE * sizes[:, None]
+    return deviations
 
 
 def _scores(hills: Hills, first: Hills) -> Float[np.ndarray, " number"]:
@@ -327,25 +319,15 @@ def _scores(hills: Hills, first: Hills) -> Float[np.ndarray, " number"]:
 
 @eqx.filter_jit
 def _hill_forces(
-    points: Float[Array, "trajectory group 2"], hill: Float[Array, "6"]
-) -> Float[Array, "trajectory group 2"]:
-    """Forces of one hill, so that any number of them shares a compilation."""
-    return _forces(hill, points)
-
-
-@eqx.filter_jit
-def _hill_slopes(
-    points: Float[Array, "trajectory group 2"], hill: Float[Array, "6"]
-) -> Float[Array, "trajectory group 2 6"]:
-    return jax.jacfwd(_forces)(hill, points)
-
-
-def _forces(
     hill: Float[Array, "6"], points: Float[Array, "trajectory group 2"]
 ) -> Float[Array, "trajectory group 2"]:
+    """Forces of one hill, so that any number of them shares a compilation."""
     weights = jnp.zeros(len(WIDTHS)).at[MIDDLE].set(hill[0])
     term = HillsTerm(weights=weights, centers=hill[None, 1:3], shapes=hill[None, 3:])
     return forces_at(term, jnp.zeros(points.shape[:-1]), points)
+
+
+_hill_slopes = eqx.filter_jit(jax.jacfwd(_hill_forces))
 
 
 def _term(hills: Hills) -> HillsTerm:

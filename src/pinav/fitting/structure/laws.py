@@ -118,8 +118,7 @@ def _with_law_of(
         return None
     before, (lawful, *after) = best.terms[:index], best.terms[index:]
     assert isinstance(lawful, AbstractProfileTerm)
-    kernels = region.distances() if term.is_odd else region.offsets()
-    places, width = kernels
+    places, width = region.distances() if term.is_odd else region.offsets()
     whole = with_places(lawful, np.asarray(places), width)
     terms = (*before, whole, *after)
     beside = polish(terms, response)

@@ -18,11 +18,7 @@ from jaxtyping import Array, ArrayLike, Float, Int, PyTree
 from pinav.arguments import Scalar, State, Vector, on_device
 from pinav.dynamics import FixedStep
 from pinav.fitting.engine.local_model import ParametricModel, ravel_model
-from pinav.fitting.engine.multiple_shooting import (
-    StepDerivatives,
-    eliminate,
-    propagate,
-)
+from pinav.fitting.engine.multiple_shooting import StepDerivatives, eliminate, propagate
 from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.fitting.least_squares import Slopes
 from pinav.fitting.matching.state import Observations

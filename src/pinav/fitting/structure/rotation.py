@@ -52,10 +52,7 @@ class SurveyedRotation(NamedTuple):
 
 
 def survey_rotation(
-    response: ForceResponse,
-    noise: float,
-    terms: Terms,
-    kernels: KernelPlaces,
+    response: ForceResponse, noise: float, terms: Terms, kernels: KernelPlaces
 ) -> SurveyedRotation:
     """The evidence of a rotational part in the linearised data.
 
@@ -113,10 +110,7 @@ def fitted_gain(fit: EvidenceFit) -> float:
         flat_information=linear.flat_information,
     )
     chosen = best_hyperparameters(
-        LinearisedObservations.of(reduced.quadratic),
-        prior,
-        prior.start,
-        linear.noise,
+        LinearisedObservations.of(reduced.quadratic), prior, prior.start, linear.noise
     )
     with_rotation = model_evidence(linear, fit.hyperparameters).log_evidence
     # the geometry of turning terms is a cost of theirs alone
@@ -137,9 +131,7 @@ def _beside(
     return StructuredForce(terms, free) if terms else free
 
 
-def _without_rotation(
-    force: Any,
-) -> tuple[AbstractLearnedForce, np.ndarray, int]:
+def _without_rotation(force: Any) -> tuple[AbstractLearnedForce, np.ndarray, int]:
     """The conservative part, its weights, and the numbers of the rest."""
     (terms, _), gradient = split_structure(force), force.helmholtz.gradient
     still = tuple(term for term in terms if not term.rotational)

@@ -9,7 +9,7 @@ always the right ones.
 import functools
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -29,12 +29,7 @@ from pinav.fitting.structure.moves import move
 from pinav.fitting.structure.potential_map import PotentialMap
 from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.scan import Atoms, Held
-from pinav.fitting.structure.starts import (
-    Region,
-    ellipses,
-    linear_term,
-    obstacles_at,
-)
+from pinav.fitting.structure.starts import Region, ellipses, linear_term, obstacles_at
 from pinav.fitting.structure.trace import Trace
 from pinav.fitting.structure.trials import Proposal, Terms, polish
 from pinav.forces import CentralTerm, EllipticTerm, WallTerm
@@ -46,9 +41,8 @@ class Trial(NamedTuple):
     log_evidence: float
     terms: Terms
 
-    def worst_last(self) -> float:
-        """Key by which trials are sorted."""
-        return -self.log_evidence
+
+Tried = TypeVar("Tried", Trial, Proposal)
 
 
 class Search(eqx.Module):
@@ -99,14 +93,14 @@ class Search(eqx.Module):
     def _polished(self, trials: Sequence[Trial]) -> list[Proposal]:
         """The most likely trials, at most two of the same kinds, moved and polished."""
         likely: list[Trial] = []
-        for trial in sorted(trials, key=Trial.worst_last):
+        for trial in _by_evidence(trials):
             kinds = signature(trial.terms)
             if sum(signature(one.terms) == kinds for one in likely) < 2:
                 likely.append(trial)
         placed = [move(trial.terms, self.response) for trial in likely[: POLICY.moved]]
         likely = _unlike([Trial(one.log_evidence, one.terms) for one in placed])
         made: list[Proposal] = []
-        for trial in sorted(likely, key=Trial.worst_last)[: POLICY.polished]:
+        for trial in _by_evidence(likely)[: POLICY.polished]:
             if made and self.trace.is_over:
                 self.trace.note(trial.terms, "scanned; the budget was spent")
                 continue
@@ -219,6 +213,10 @@ class _Dictionary(eqx.Module):
             yield Trial(float(values[other]), (linear, atoms.terms[other]))
 
 
+def _by_evidence(tried: Sequence[Tried]) -> list[Tried]:
+    return sorted(tried, key=lambda one: -one.log_evidence)
+
+
 def _unlike(trials: Sequence[Trial]) -> list[Trial]:
     """Trials of which none has the kinds and the evidence of one before."""
     kept: list[Trial] = []
@@ -252,9 +250,8 @@ def preferred(proposals: Sequence[Proposal]) -> list[Proposal]:
     """
     most = max((one.log_evidence for one in proposals), default=-np.inf)
     near = [one for one in proposals if one.log_evidence >= most - 2 * POLICY.decisive]
-    ordered = sorted(proposals, key=lambda one: -one.log_evidence)
     kept: dict[tuple[str, ...], Proposal] = {}
-    for one in (*near[:1], *ordered):
+    for one in (*near[:1], *_by_evidence(proposals)):
         kept.setdefault(signature(one.terms), one)
     return list(kept.values())
 
