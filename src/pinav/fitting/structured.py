@@ -25,10 +25,14 @@ from pinav.fitting.bayes.parameters import Learn
 from pinav.fitting.bayes.pieces import fit_pieces
 from pinav.fitting.confirmed import best_fit
 from pinav.fitting.engine.evidence_fit import EvidenceProgress
-from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.policy import POLICY
-from pinav.fitting.rugged.free import fit_free, fit_rough, has_many_hills
+from pinav.fitting.rugged.free import (
+    AS_FINE_AS_HILLS_NEED,
+    fit_free,
+    fit_rough,
+    has_many_hills,
+)
 from pinav.fitting.structure.fits import Fits, StructuredFit
 from pinav.fitting.structure.rotation import (
     SurveyedRotation,
@@ -98,7 +102,8 @@ def fit_structured(
             fit = _weigh_few(fits) if weigh_rotation else fit_free(fits)
         if fit.fit.outcome is Outcome.DIVERGED:
             alone = fits.turning() if weigh_rotation else fits
-            options = AS_FINE_AS_ASKED, max_iterations, fits.report
+            refine = None if trace.is_over else AS_FINE_AS_HILLS_NEED
+            options = refine, max_iterations, fits.report
             pieces = fit_pieces(alone.specification, fit.fit, *options)
             trace.note((), f"free kernels of pieces of trajectories {pieces.outcome}")
             fit = StructuredFit(pieces)
