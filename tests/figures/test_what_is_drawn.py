@@ -348,6 +348,7 @@ def test_the_speed_of_a_robot_has_a_band_of_ninety_percent():
     z = normal_quantile(0.9)
     assert np.allclose(ends_of_bands(ax), [(1 - 0.5 * z, 3 + 0.5 * z)])
     assert drawn(ax, law.frequency, law.speed)
+    assert ax.get_ylabel() == "speed along the command [µm/s]"
     paths = stand_in(
         Paths,
         whole=(np.zeros((2, 2)),),
