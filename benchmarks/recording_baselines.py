@@ -5,7 +5,6 @@ method for these robots, and a black-box neural differential equation.
 """
 
 import math
-import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -19,10 +18,11 @@ from scipy.linalg import cho_solve
 from scipy.optimize import minimize
 
 from pinav.forces import tanh_network
-from pinav.identification import Baseline, Track
+from pinav.identification import Track
 from pinav.identification.baselines import velocities
-from pinav.identification.forecast import command_vector
+from pinav.identification.forecast import Displacement, integrate_held
 from pinav.identification.tracks import commands_of
+from pinav.recordings.drive import command_vector
 from pinav.trajectories import Trajectory
 
 
@@ -51,7 +51,7 @@ class Samples(NamedTuple):
 
 def gaussian_process(
     track: Track, *, rows: int | None = 400, restarts: int = 0
-) -> Baseline:
+) -> Displacement:
     r"""$v = a_0 f\,n(\theta) + D(\theta, f)$ with a Gaussian process for each D.
 
     As published: $a_0$ is the median of speed over frequency, the kernel a constant
@@ -66,7 +66,6 @@ def gaussian_process(
     References:
         Kermanshah et al., arXiv:2406.02722; Beaver et al., arXiv:2212.00188.
     """
-    begin = time.perf_counter()
     samples = Samples.of(track)
     speed = np.hypot(*samples.velocity.T)
     rolling = samples.frequency > 0
@@ -87,8 +86,7 @@ def gaussian_process(
         learned = np.stack([mean(places) for mean in means], axis=1)
         return gain * command_vector(frequency, heading) + learned
 
-    seconds = time.perf_counter() - begin
-    return Baseline("Gaussian-process disturbance", velocity, seconds)
+    return lambda piece: integrate_held(velocity(piece), piece.times)
 
 
 LEAST, GREATEST = math.log(1e-2), math.log(1e2)
@@ -161,7 +159,7 @@ NETWORK_STEPS, LEARNING_RATE = 1000, 1e-2
 """Of Adam, for the black box."""
 
 
-def black_box(track: Track, *, seed: int = 0) -> Baseline:
+def black_box(track: Track, *, seed: int = 0) -> Displacement:
     """A neural differential equation: a network of position and command.
 
     Trained by Adam on velocities over one second, which for a system observed all along
@@ -171,7 +169,6 @@ def black_box(track: Track, *, seed: int = 0) -> Baseline:
         track: what is fitted.
         seed: of the weights.
     """
-    begin = time.perf_counter()
     samples = Samples.of(track)
     center = samples.position.mean(axis=0)
     scales = (
@@ -195,7 +192,7 @@ def black_box(track: Track, *, seed: int = 0) -> Baseline:
         places = features(piece.states, command_vector(*commands_of(piece)))
         return np.asarray(jax.vmap(network)(jnp.asarray(places))) * scales[2]
 
-    return Baseline("neural ODE", velocity, time.perf_counter() - begin)
+    return lambda piece: integrate_held(velocity(piece), piece.times)
 
 
 @eqx.filter_jit

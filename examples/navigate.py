@@ -32,10 +32,9 @@ from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.control.controller import StraightLine
 from pinav.navigation.control.default import controller
 from pinav.navigation.design.candidates import Experiment, Stage, suggest_next
-from pinav.navigation.maps import Course
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.task.catalogue import task, training
-from pinav.navigation.task.task import Rectangle, steered_swimmer
+from pinav.navigation.task.task import Course, Rectangle, steered_swimmer
 from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.metrics import regret, summary
 

@@ -61,7 +61,7 @@ def test_overwriting_leaves_what_is_not_ours(folder, tmp_path):
     (folder.path / "linked").symlink_to(outside)
     for name in ("../outside/one.csv", "linked/two.csv", "three.csv"):
         (folder.path / name).write_text("mine")
-        folder.record(name)
+        folder.manifest.record(name)
     RunFolder.create(folder.path, CONFIG, overwrite=True)
     assert {path.name for path in outside.iterdir()} == {"one.csv", "two.csv"}
     assert not folder.has("three.csv")
@@ -135,7 +135,7 @@ def test_a_model_comes_back_as_it_was(folder):
 @pytest.mark.parametrize("damage", [b"", b"not json\n", b"{}\nrubbish"])
 def test_a_damaged_model_is_named(folder, damage):
     (folder.path / "model.eqx").write_bytes(damage)
-    folder.record("model.eqx")
+    folder.manifest.record("model.eqx")
     with told(r"model.eqx cannot be read \(.*\); delete it"):
         folder.read_model("model.eqx", lambda header: jnp.zeros(3))
 
@@ -146,7 +146,7 @@ def test_damaged_results_are_named(folder):
         "results.npz": folder.read_arrays,
     }.items():
         (folder.path / name).write_bytes(b"{")
-        folder.record(name)
+        folder.manifest.record(name)
         with told(f"{name} cannot be read .*--resume"):
             read(name)
     (folder.path / "config.toml").write_text("a = ")

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pinav.actuation import LinearResponse
 from pinav.arguments import Scalar, Vector
 from pinav.commands.design.job import DESIGNS
-from pinav.commands.navigate.cells import online_task
+from pinav.commands.navigate.job import online_task
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.forces import AbstractForce, LinearDrag, PlaneWaves, ZeroForce
 from pinav.navigation import (

@@ -25,7 +25,7 @@ from pinav.forces import (
     ring_barrier,
     split_structure,
 )
-from pinav.scenarios.vessels import box
+from pinav.scenarios.viscous import box
 from pinav.trajectories import simulate
 
 WAVES = 200

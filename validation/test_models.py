@@ -148,10 +148,10 @@ def covered_share(folder, seed):
     assert cli.run(["fit", data, "--out", run, *learn]) == 0
     maps = open_run(folder / "run").findings.force
     assert maps is not None
-    assert maps.true is not None
+    assert maps.truth is not None
     assert maps.sd is not None
     near = maps.learned.distance < VISITED
-    truth, sd = maps.true[near], maps.sd[near]
+    truth, sd = maps.truth.force[near], maps.sd[near]
     size = np.sqrt(np.mean(truth**2))
     acts = np.linalg.norm(truth, axis=1) > 0.1 * size
     miss = np.abs(maps.learned.force[near] - truth)

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from pinav.fitting import EvidenceFit
-from pinav.identification.drive import fitted_coordinates
 from pinav.identification.estimates import drift_of, gain_of
 from pinav.identification.forecast import cycles
 from pinav.identification.kalman import (
@@ -20,6 +19,7 @@ from pinav.identification.kalman import (
     update,
 )
 from pinav.identification.likelihood import disturbance_of, rolling_about
+from pinav.identification.parameters import fitted_coordinates
 from pinav.identification.tracks import Track, block_indices, commands_of
 from pinav.trajectories import Trajectory
 

@@ -35,7 +35,7 @@ from pinav.forces import (
     ring_barrier,
     soft_wall,
 )
-from pinav.scenarios.crossings import MANY, planar_system
+from pinav.scenarios.planar import MANY, planar_system
 from pinav.systems import System
 
 Draw = Callable[[np.random.Generator], AbstractForce]

@@ -112,7 +112,7 @@ def contest(name: str, design: Contest, folder: RunFolder) -> dict[str, Any]:
     """Results of all controllers on a task; those of the folder are read."""
     file = f"task-{name}.json"
     if folder.has(file):
-        folder.check_file(file)
+        folder.manifest.check(file)
         return folder.read_json(file)
     own = task(name)
     draws = [learned(name, d, design.samples, folder) for d in range(design.fits)]

@@ -6,8 +6,8 @@ from pathlib import Path
 from tqdm import tqdm
 
 from pinav.codec import decode, encode
-from pinav.commands.navigate.cells import online_task
-from pinav.commands.navigate.online_sections import online_table
+from pinav.commands.navigate.job import online_task
+from pinav.commands.navigate.sections import online_table
 from pinav.navigation import (
     AdaptiveController,
     Flight,
@@ -55,7 +55,7 @@ def compare_strategies(out: Path, tasks: Sequence[str], seeds: int) -> None:
             outcomes = _contest(name, range(seeds))
             document = {name: encode(one).document for name, one in outcomes.items()}
             folder.write_json(file, document)
-        folder.check_file(file)
+        folder.manifest.check(file)
         rows = decode(dict[str, FlightOutcome], folder.read_json(file), {})
         table = online_table(rows)
         folder.write_table(f"learn-online-{name}.csv", table.header, table.rows)

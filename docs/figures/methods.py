@@ -11,19 +11,12 @@ from matplotlib.figure import Figure
 
 from pinav.analysis import Analysis, Discovery
 from pinav.evaluation import BASELINE, ErrorCurve, Evaluation
-from pinav.figures.analysis import growth_map
+from pinav.figures.analysis import growth_map, law_agreement, law_ranking
 from pinav.figures.errors import error_over_time
-from pinav.figures.heat import place_names, probe_curves
+from pinav.figures.heat import probe_curves
 from pinav.figures.identification import errors_by_horizon, horizon_errors, speed_law
-from pinav.figures.laws import law_agreement, law_ranking
 from pinav.figures.learned_tissue import perfusion_law
-from pinav.figures.maps import (
-    ERROR,
-    FORCE,
-    largest_near,
-    map_panel,
-    trust_map,
-)
+from pinav.figures.maps import ERROR, FORCE, largest_near, map_panel, trust_map
 from pinav.figures.navigation import greatest_force, paths_map, spread_map
 from pinav.figures.palette import GREY, TRUTH
 from pinav.figures.style import (
@@ -176,11 +169,11 @@ def error_by_distance(
     maps: ForceMaps, count: int = 12
 ) -> tuple[Float[np.ndarray, " edge"], Float[np.ndarray, " bin"]]:
     """Relative L2 error of a force over the distance from the data."""
-    learned, true = maps.learned, maps.true
-    assert true is not None  # the truth of a scenario is known
+    learned, truth = maps.learned, maps.truth
+    assert truth is not None  # the truth of a scenario is known
     distance = learned.distance
-    error = np.sum((learned.force - true) ** 2, axis=-1)
-    size = np.sum(true**2, axis=-1)
+    error = np.sum((learned.force - truth.force) ** 2, axis=-1)
+    size = np.sum(truth.force**2, axis=-1)
     edges = np.concatenate([[0.0, 0.35, 1.0], np.linspace(2.0, 7.0, count - 6)])
     sums = [
         np.histogram(distance, edges, weights=values)[0] for values in (error, size)
@@ -229,15 +222,7 @@ def discovery(workshop: Workshop) -> Figure:
 
 def adaptive(workshop: Workshop) -> Figure:
     """Three moments of a flight through a vortex of which nothing was known."""
-    words = (
-        "navigate",
-        "--learn-online",
-        "vortex",
-        "--seeds",
-        "1",
-        "--visits",
-        "1",
-    )
+    words = ("navigate", "--learn-online", "vortex", "--seeds", "1", "--visits", "1")
     result = RunFolder(workshop.run("vortex", *words)).load("metrics", OnlineNavigation)
     shown, course, path = result.shown, result.course, result.paths["visit 1"][0]
     times, limit = shown.times, greatest_force(shown.maps)
@@ -260,12 +245,11 @@ def thermal(workshop: Workshop) -> Figure:
     """Probes and their fit, and the perfusion of muscle that it took."""
     folder = workshop.tutorial("bioheat") / "runs" / "learn"
     found = RunFolder.open(folder).load("metrics", LearnedTissue)
-    assert found.probes is not None
-    data, predicted = found.probes.data, found.probes.predicted
+    curves = found.curves
     figure = new_figure(WIDTH, 5.4)
     above, below = figure.subplots(2, 1)
-    readings, places = (data.times, data.values), place_names(data.points)
-    probe_curves(data.times, predicted, places, readings=readings, ax=above)
+    readings, shown = (curves.times, curves.read), (curves.fitted, curves.names)
+    probe_curves(curves.times, *shown, readings=readings, ax=above)
     above.set_ylim(top=49.5)
     add_legend(above, columns=4, loc="upper left")
     perfusion_law(found.laws["tissue"], ax=below)

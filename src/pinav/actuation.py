@@ -191,6 +191,11 @@ class AbstractProgramme(eqx.Module):
     """Frequency and heading that the operator commands over time.
 
     Before its first time a programme has its first values, after its last its last.
+
+    Attributes:
+        times: when each command was given, or reached [s], increasing.
+        frequency: [Hz].
+        heading: angle to the x axis, y up [rad].
     """
 
     times: eqx.AbstractVar[Float[Array, " time"]]
@@ -203,13 +208,7 @@ class AbstractProgramme(eqx.Module):
 
 
 class HeldProgramme(AbstractProgramme):
-    """Commands that hold until the next one: what coils do between camera frames.
-
-    Attributes:
-        times: when each command was given [s], increasing.
-        frequency: [Hz].
-        heading: angle to the x axis, y up [rad].
-    """
+    """Commands that hold until the next one: what coils do between camera frames."""
 
     times: Float[Array, " time"]
     frequency: Float[Array, " time"]
@@ -253,13 +252,7 @@ class HeldProgramme(AbstractProgramme):
 
 
 class LinearProgramme(AbstractProgramme):
-    """Commands that change linearly from one to the next; headings the short way.
-
-    Attributes:
-        times: when each command was reached [s], increasing.
-        frequency: [Hz].
-        heading: angle to the x axis, y up [rad].
-    """
+    """Commands that change linearly from one to the next; headings the short way."""
 
     times: Float[Array, " time"]
     frequency: Float[Array, " time"]

@@ -1,5 +1,6 @@
 """Trees of arrays in files: a line of text, then the leaves; the state of a fit."""
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -26,25 +27,17 @@ class FileCheckpoint(AbstractCheckpoint):
     def load(self, like: Callable[[int], FitState]) -> FitState | None:
         if not self.path.exists():
             return None
-        return read_tree(
-            self.path,
-            lambda header: _at(like(len(header["starts"]) - 1), header),
-        )
+
+        def at_its_place(header: dict) -> FitState:
+            starts = tuple(header["starts"])
+            shape = like(len(starts) - 1)
+            return dataclasses.replace(shape, starts=starts, taken=header["taken"])
+
+        return read_tree(self.path, at_its_place)
 
     def save(self, state: FitState) -> None:
         header = json.dumps({"starts": state.starts, "taken": state.taken})
         write_tree(self.path, header, state)
-
-
-def _at(shape: FitState, header: dict[str, Any]) -> FitState:
-    """A state of this shape at the place that the header of its file names."""
-    return FitState(
-        shape.params,
-        shape.minimiser,
-        shape.losses,
-        tuple(header["starts"]),
-        header["taken"],
-    )
 
 
 def _read_leaf(file: BinaryIO, like: Any) -> Any:

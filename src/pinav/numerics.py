@@ -51,7 +51,6 @@ def compiler_flags(environ: Mapping[str, str], jaxlib: str) -> dict[str, str]:
     user's own choice.
 
     Args:
-        environ: the environment.
         jaxlib: version of jaxlib.
     """
     if "XLA_FLAGS" in environ or not jaxlib.startswith("0.10."):

@@ -196,16 +196,8 @@ class RunFolder:
 
     @property
     def manifest(self) -> Manifest:
-        """The files that the run wrote."""
+        """The files that the run wrote; `--overwrite` deletes no others."""
         return Manifest(self.path)
-
-    def record(self, *names: str) -> None:
-        """Note that the run wrote these files; `--overwrite` deletes no others."""
-        self.manifest.record(*names)
-
-    def check_file(self, name: str) -> None:
-        """Require that a file is the one that the run wrote."""
-        self.manifest.check(name)
 
     def identity(self) -> dict[str, Any]:
         """What tells the run from others beside its settings: command, data, system."""
@@ -219,7 +211,7 @@ class RunFolder:
     def write_text(self, name: str, text: str) -> None:
         """Write a text file."""
         write_text(self.path / name, text, overwrite=True)
-        self.record(name)
+        self.manifest.record(name)
 
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file; a number that is not finite becomes null."""
@@ -260,7 +252,7 @@ class RunFolder:
             InputError: a file is missing, damaged or of another result.
         """
         file = f"{name}.json"
-        self.check_file(file)
+        self.manifest.check(file)
         repair = self.manifest.repair(file)
         try:
             stored = msgspec.convert(self.read_json(file), Stored)
@@ -300,7 +292,7 @@ class RunFolder:
         """Write arrays as npz."""
         write = functools.partial(np.savez, **arrays)
         atomic_write(self.path / name, write, overwrite=True)
-        self.record(name)
+        self.manifest.record(name)
 
     def read_arrays(self, name: str) -> dict[str, np.ndarray]:
         """Read arrays written by `write_arrays`."""
@@ -318,14 +310,14 @@ class RunFolder:
         """Append a line to `metrics.jsonl`."""
         path = self.path / "metrics.jsonl"
         if not path.exists():
-            self.record(path.name)
+            self.manifest.record(path.name)
         append_line(path, _as_json(record))
 
     def write_model(self, name: str, header: dict[str, Any], model: Any) -> None:
         """Write a model: a JSON line that says how to build it, then its leaves."""
         line = json.dumps({"pinav": __version__, **header})
         write_tree(self.path / name, line, model)
-        self.record(name)
+        self.manifest.record(name)
 
     def read_model(self, name: str, build: Callable[[dict[str, Any]], Tree]) -> Tree:
         """Read a model; `build(header)` makes one of the same shape.
@@ -333,7 +325,7 @@ class RunFolder:
         Raises:
             InputError: the file is missing, damaged or of another run.
         """
-        self.check_file(name)
+        self.manifest.check(name)
         return read_tree(self.path / name, build, self.manifest.repair(name))
 
     def models(self) -> list[str]:
@@ -343,7 +335,7 @@ class RunFolder:
     def checkpoint(self, name: str) -> "FileCheckpoint":
         """Where the fit `name` keeps its state."""
         file = f"checkpoint-{name}.eqx"
-        self.record(file)
+        self.manifest.record(file)
         return FileCheckpoint(self.path / file)
 
     def _holds_anything(self) -> bool:

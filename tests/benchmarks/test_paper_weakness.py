@@ -7,7 +7,7 @@ from benchmarks.paper_weakness import Weakness
 
 from benchmarks import paper_weakness
 from pinav.runs import RunFolder
-from pinav.scenarios.crossings import paper_barrier, paper_swimmer
+from pinav.scenarios.planar import paper_barrier, paper_swimmer
 
 
 @pytest.mark.slow

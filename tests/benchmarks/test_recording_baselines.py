@@ -21,7 +21,7 @@ def test_the_black_box_learns_the_command(recording):
     rollouts = Rollouts.of(held_out, 5.0)
     with jax.numpy_dtype_promotion("standard"):  # optax
         found = recording_baselines.black_box(train)
-    own = errors(held_out, rollouts, found.displacement()).relative
+    own = errors(held_out, rollouts, found).relative
     nothing = errors(held_out, rollouts, lambda piece: 0 * piece.states).relative
     assert own < 0.7 * nothing
 
@@ -30,7 +30,7 @@ def test_the_gaussian_process_learns_the_disturbance(recording):
     track = tracks(recording)[0]
     found = recording_baselines.gaussian_process(track, rows=60)
     rollouts = Rollouts.of(track, 5.0)
-    assert errors(track, rollouts, found.displacement()).relative < 0.3
+    assert errors(track, rollouts, found).relative < 0.3
 
 
 def test_the_gradient_of_the_marginal_likelihood_is_that_of_differences():

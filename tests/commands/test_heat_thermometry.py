@@ -61,8 +61,8 @@ def test_the_truth_of_a_phantom_is_learned_and_predicted(
     assert "perfusion of tumour [kg/(m³ s)]" in capsys.readouterr().out
     metrics = json.loads((out / "metrics.json").read_text())["value"]
     assert metrics["noise"] == pytest.approx(1.0, abs=0.05)
-    for row in metrics["quantities"]:
-        assert abs(row["value"] - row["true"]) < 4 * row["sd"], row
+    for name, one in metrics["quantities"].items():
+        assert abs(one["value"] - metrics["true"][name]) < 4 * one["sd"], name
     assert metrics["forecast"]["fitted_until"] == 480.0
     assert metrics["forecast"]["residual"] == pytest.approx(1.0, abs=0.05)
     assert metrics["forecast"]["error"] < 0.5

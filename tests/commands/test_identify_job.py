@@ -10,7 +10,7 @@ from tests.fitted_runs import circling, standard_promotion
 from pinav import cli, identification
 from pinav.commands import IDENTIFY
 from pinav.commands.identify import IdentifyOptions
-from pinav.commands.identify.sections import estimate_row, gain_text, sections
+from pinav.commands.identify.job import estimate_row, gain_text, sections
 from pinav.commands.results import start_run
 from pinav.fitting import Estimate
 from pinav.identification.identify import pooled_coverage

@@ -11,8 +11,8 @@ from tests.fitted_runs import trap_system
 from tests.samples import sample
 
 from pinav import forces, navigation
-from pinav.commands.navigate.cells import online_task, with_prior
-from pinav.commands.navigate.online_sections import online_sections
+from pinav.commands.navigate.job import online_task, with_prior
+from pinav.commands.navigate.sections import online_sections
 from pinav.dynamics import OverdampedSwimmer, paper_black_box
 from pinav.errors import InputError
 from pinav.learning.learned import Learned

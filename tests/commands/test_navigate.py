@@ -11,7 +11,7 @@ from tests.samples import sample
 from pinav import actuation, forces, navigation
 from pinav.commands import NAVIGATE
 from pinav.commands.navigate import NavigateSettings
-from pinav.commands.navigate.cells import navigation_problem
+from pinav.commands.navigate.job import navigation_problem
 from pinav.commands.navigate.sections import controller_table, sentences
 from pinav.commands.results import keep, sections_of
 from pinav.commands.settings import numbers

@@ -10,8 +10,8 @@ import pytest
 from tests.sweeps.here import here
 
 from pinav.commands import NAVIGATE, sweep
-from pinav.commands.navigate import NavigateOptions, NavigateSettings, cells
-from pinav.commands.navigate.cells import navigation_problem, sweep_loops
+from pinav.commands.navigate import NavigateOptions, NavigateSettings, job
+from pinav.commands.navigate.job import navigation_problem, sweep_loops
 from pinav.commands.settings import WorkerSettings
 from pinav.commands.sweep import start_sweep
 from pinav.learning.learned import Learned
@@ -51,7 +51,7 @@ def test_runs_are_selected_with_all_that_is_theirs():
 def test_loops_of_cells_are_those_of_the_command(
     fitted_run, tmp_path, workers_here, monkeypatch
 ):
-    monkeypatch.setattr(cells, "LOOPS_OF_A_CELL", 1)
+    monkeypatch.setattr(job, "LOOPS_OF_A_CELL", 1)
     run, out = fitted_run("kernel")[0], tmp_path / "out"
     settings = NavigateSettings(start="1,8.5", goal="8.5,8.5", samples=0, seeds=2)
     options = NavigateOptions(

@@ -20,9 +20,8 @@ from pinav.commands.design import job as design
 from pinav.commands.discover import job as discover
 from pinav.commands.export.job import SpotTable, napari_csv, trackmate_csv
 from pinav.commands.fit import job as fit
-from pinav.commands.heat import sections as heat
-from pinav.commands.identify import sections as identify
-from pinav.commands.navigate import online_sections as online
+from pinav.commands.heat import job as heat
+from pinav.commands.identify import job as identify
 from pinav.commands.navigate import sections as navigate
 from pinav.evaluation import FieldMap, Regions
 from pinav.fitting import Estimate
@@ -44,7 +43,6 @@ from pinav.thermal.heated_run import HeatedRun
 from pinav.thermal.learned_tissue import (
     Forecast,
     HeldOut,
-    LearnedQuantity,
     LearnedTissue,
 )
 from pinav.thermal.planned_run import Judgement
@@ -62,10 +60,10 @@ def column(table, name):
 
 def test_intervals_are_told_from_below_to_above():
     interval = Interval(0.5, 0.25, 0.75)
-    assert online.percent_interval(interval) == "50 % (25–75)"
-    assert online.ratio_interval(interval) == "0.500 (0.250–0.750)"
+    assert navigate.percent_interval(interval) == "50 % (25–75)"
+    assert navigate.ratio_interval(interval) == "0.500 (0.250–0.750)"
     endless = Interval(1.0, 0.5, math.inf)
-    assert online.ratio_interval(endless) == "1.000 (0.500–∞)"
+    assert navigate.ratio_interval(endless) == "1.000 (0.500–∞)"
 
 
 SUMMARY = Summary(
@@ -153,7 +151,7 @@ def test_flights_are_told_in_milliseconds_and_megabytes():
         time_limit=30.0,
         own_limit=20.0,
     )
-    text = " ".join(online.online_sentences(result))
+    text = " ".join(navigate.online_sentences(result))
     for words in (
         "at most 3 ms (99 %), a command 4 ms, a plan 0 ms",
         "5 MB",
@@ -165,7 +163,7 @@ def test_flights_are_told_in_milliseconds_and_megabytes():
         "own limit is 20.0 s",
     ):
         assert words in text, words
-    table = online.online_table({"visit 1": flight}, UNITS)
+    table = navigate.online_table({"visit 1": flight}, UNITS)
     (row,) = table.rows
     assert list(row)[1:8] == [
         "50 % (20–80)",
@@ -380,7 +378,8 @@ def test_heat_is_told_in_minutes():
         noise=0.2,
         iterations=5,
         laws={},
-        quantities=(LearnedQuantity("power [W]", 2.0, 0.1, 2.1),),
+        quantities={"power [W]": Estimate(2.0, 0.1)},
+        true={"power [W]": 2.1},
         constants={},
         forecast=later,
         held_out=(HeldOut(1.5, 0.4, 0.8),),

@@ -10,7 +10,7 @@ from pinav.actuation import HeldProgramme, LinearResponse, SlippingResponse
 from pinav.dynamics import (
     FixedStep,
     OverdampedSwimmer,
-    drive_by_commands,
+    drive_by_arrays,
     rollout,
     takes_commands,
     unbound,
@@ -33,6 +33,10 @@ COMMANDS = {
     "frequency": np.where(TIMES < 3, 2.0, 5.0),
     "heading": np.floor(TIMES) * 0.7,
 }
+
+
+def driven_by(model, piece):
+    return drive_by_arrays(model, piece.times, piece.commands)
 
 
 def swimmer(environment=None, **fields):
@@ -59,7 +63,7 @@ PROGRAMME = HeldProgramme(jnp.asarray(TIMES), *map(jnp.asarray, COMMANDS.values(
 @pytest.mark.parametrize("lag", [0.0, 0.3])
 def test_a_commanded_swimmer_goes_along_the_integral_of_its_commands(lag):
     data, delay = observed(), 0.25
-    model = drive_by_commands(swimmer(delay=delay, lag=lag), data.trajectory(0))
+    model = driven_by(swimmer(delay=delay, lag=lag), data.trajectory(0))
     # exact at the commands' times only where there is a lag, so compare there
     at = TIMES + delay if lag else TIMES
     run = rollout(model, jnp.zeros(2), np.concatenate([[-1.0], at]))
@@ -74,7 +78,7 @@ def test_predictions_are_driven_by_each_trajectory_of_its_own():
     data = observed(3)
     model = swimmer(HarmonicTrap(stiffness=0.3, center=[0.0, 0.0]), delay=0.15, lag=0.2)
     states, _ = predict(model, data)
-    own = rollout(drive_by_commands(model, data.trajectory(1)), jnp.zeros(2), TIMES + 1)
+    own = rollout(driven_by(model, data.trajectory(1)), jnp.zeros(2), TIMES + 1)
     np.testing.assert_allclose(states[1], own.ys, atol=1e-8)
     assert np.abs(states[0] - states[1]).max() > 0.1
 
@@ -94,9 +98,9 @@ def test_commands_reach_a_propulsion_anywhere_in_a_model():
     model = OverdampedSwimmer(SumForce((inner, ZeroForce())), ZeroForce(), 1.0)
     assert takes_commands(model)
     assert unbound(model) is inner
-    bound = drive_by_commands(model, observed().trajectory(0))
+    bound = driven_by(model, observed().trajectory(0))
     assert not takes_commands(bound)
-    assert drive_by_commands(bound, observed().trajectory(0)) is bound
+    assert driven_by(bound, observed().trajectory(0)) is bound
 
 
 @pytest.mark.slow
@@ -105,7 +109,7 @@ def test_a_path_is_differentiable_by_response_and_lag():
     start = swimmer(delay=jnp.asarray(0.2), lag=jnp.asarray(lag))
 
     def end(model):
-        driven = drive_by_commands(model, piece)
+        driven = driven_by(model, piece)
         return rollout(driven, jnp.zeros(2), TIMES[:21], solver=FixedStep()).ys[-1, 0]
 
     slope = eqx.filter_grad(end)(start).propulsion
@@ -121,7 +125,7 @@ def test_what_is_missing_is_named():
     piece = observed().trajectory(0)
     bare = eqx.tree_at(lambda p: p.commands, piece, {})
     with pytest.raises(InputError, match="frequency and heading not recorded"):
-        drive_by_commands(swimmer(), bare)
+        driven_by(swimmer(), bare)
     with pytest.raises(InputError, match="bind those of a trajectory"):
         rollout(swimmer(), jnp.zeros(2), TIMES)
     with pytest.raises(InputError, match="lag: expected 0 beside a programme"):

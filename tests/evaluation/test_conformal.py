@@ -8,8 +8,8 @@ from pinav.errors import InputError
 from pinav.evaluation import (
     CalibrationOutcome,
     calibrate,
-    exact_start_bands,
     least_count,
+    rollout_bands,
     trajectory_scores,
 )
 from pinav.fitting import Posterior
@@ -128,7 +128,7 @@ def coasting(damping=DAMPING, sd=0.02):
 
 def bands(posterior, data):
     """Rollouts from noisy first samples, and the deviations of what is observed."""
-    found = exact_start_bands(posterior, data, start_sd=NOISE)
+    found = rollout_bands(posterior, data, noise=NOISE)
     return found.ys, found.observable_sd(NOISE)
 
 

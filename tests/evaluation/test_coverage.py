@@ -69,7 +69,7 @@ def raised_barrier(scenario):
 
 def test_a_band_from_an_exact_start_is_the_effect_of_the_parameters(shots):
     scenario, data, posterior = shots
-    bands = evaluation.exact_start_bands(posterior, data)
+    bands = evaluation.rollout_bands(posterior, data)
     raised = scenario.with_truth(raised_barrier(scenario).environment)
     moved = simulate(raised).states
     assert_allclose(bands.sd, np.abs(moved - data.states), atol=1e-5, rtol=0.02)
@@ -82,7 +82,7 @@ def test_an_estimated_start_follows_the_parameters(shots):
     """Finite difference of the whole: another height, its start fitted anew."""
     scenario, data, posterior = shots
     starts = evaluation.estimate_starts(scenario.truth, data)
-    bands = evaluation.estimated_start_bands(posterior, data, starts, noise=0.0)
+    bands = evaluation.rollout_bands(posterior, data, starts, noise=0.0)
     raised = raised_barrier(scenario)
     refitted = evaluation.estimate_starts(raised, data)
     moved = np.abs(refitted.lifted - starts.lifted)
@@ -94,7 +94,7 @@ def test_noise_of_the_first_samples_widens_the_band(shots):
     sure = Posterior(posterior.free, posterior.mean, np.zeros((1, 1)))
     noise = 0.01
     starts = evaluation.estimate_starts(scenario.truth, data)
-    bands = evaluation.estimated_start_bands(sure, data, starts, noise)
+    bands = evaluation.rollout_bands(sure, data, starts, noise=noise)
     errors = []
     for seed in range(60):
         random = np.random.default_rng(seed)

@@ -15,7 +15,7 @@ from pinav.evaluation import (
     square,
 )
 from pinav.forces import ZeroForce
-from pinav.scenarios.crossings import paper_barrier
+from pinav.scenarios.planar import paper_barrier
 from pinav.trajectories import Trajectories
 
 

@@ -96,15 +96,15 @@ def test_bands_cover_a_wandering_swimmer_as_often_as_nominal():
     every = {"all": np.ones(scored.times.shape, bool)}
 
     def coverage(wandering):
-        bands = evaluation.estimated_start_bands(
-            posterior, data, starts, NOISE, wandering=wandering
+        bands = evaluation.rollout_bands(
+            posterior, data, starts, noise=NOISE, wandering=wandering
         )
         return evaluation.rollout_coverage(bands, scored, NOISE, every)["all"]
 
     assert coverage(WANDERING) == pytest.approx(0.95, abs=0.03)
     assert coverage(None) < 0.3
     exact = recording(states, times)
-    bands = evaluation.exact_start_bands(posterior, exact, wandering=WANDERING)
+    bands = evaluation.rollout_bands(posterior, exact, wandering=WANDERING)
     inside = evaluation.rollout_coverage(
         bands, evaluation.without_first(exact, 1), 0.0, every
     )["all"]

@@ -282,7 +282,7 @@ SHOWN = {
     "force_comparison": ["(a) true", "(b) learned", "(c) error"],
     "force and deviation": ["(a) learned", "(b) standard deviation"],
     "all of the force": [
-        *("(a) true", "(b) learned", "(c) error", "(d) standard deviation"),
+        *("(a) true", "(b) learned", "(c) error", "(d) standard deviation")
     ],
 }
 

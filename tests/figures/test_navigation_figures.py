@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 from PIL import Image as Picture
+from tests.samples import sample
 
 from pinav.evaluation import FieldMap
 from pinav.figures.animation import FRAMES, LAST_FRAME, Trails, save_animation
 from pinav.figures.navigation import closed_loop_figure, outcome_bars, plan_map
-from pinav.navigation import Course, ForceMaps, Interval
+from pinav.learning.findings import ForceMaps
+from pinav.navigation import Course, Interval, Navigation, Suggestion
+from pinav.navigation.comparison import PlannedWay
 
 COURSE = Course(
     arena=np.array([[0.0, 0.0], [4.0, 3.0]]),
@@ -55,9 +58,10 @@ def test_ground_without_a_way_is_hatched_and_the_rest_is_not():
 def test_a_panel_for_each_force_that_is_known(true, sd, panels):
     forces = maps(true=bool(true), sd=bool(sd))
     paths = {"learned": [walk(5, 9)], "oracle": [walk(4, 9)]}
-    figure = closed_loop_figure(
-        COURSE, forces, paths, thrust=1.0, route=ROUTE, suggestion=ROUTE
-    )
+    plan = sample(PlannedWay, route=ROUTE)
+    suggestion = sample(Suggestion, path=ROUTE)
+    known = {"plan": plan, "suggestion": suggestion, "maps": forces, "thrust": 1.0}
+    figure = closed_loop_figure(sample(Navigation, course=COURSE, **known), paths)
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert len([title for title in titles if title]) == panels
     keys = [text.get_text() for text in figure.legends[0].get_texts()]

@@ -15,24 +15,26 @@ from pinav.evaluation.coverage import normal_quantile
 from pinav.evaluation.force_fields import ForceLine, Regions
 from pinav.evaluation.rollouts import ErrorCurve
 from pinav.evaluation.scores import Whiteness
-from pinav.figures import errors, fits, heat, laws, learned_tissue, maps, navigation
+from pinav.figures import analysis, errors, fits, heat, learned_tissue, maps, navigation
 from pinav.figures import identification as identified
-from pinav.figures.analysis import growth_map
 from pinav.figures.palette import CUT, PLAN
 from pinav.figures.recordings import positions_over_time
 from pinav.figures.style import new_figure, scale_log
 from pinav.figures.trajectories import loss_curve
 from pinav.identification.rollouts import Paths, SpeedLaw
-from pinav.learning.findings import Findings
+from pinav.learning.findings import Findings, ForceMaps
 from pinav.learning.thermal import ThermalFindings
 from pinav.navigation.adaptive.flight import ShownFlight
-from pinav.navigation.maps import Course, ForceMaps
+from pinav.navigation.comparison import Navigation, OnlineNavigation, PlannedWay
+from pinav.navigation.design.campaign import Decision, DesignResult
+from pinav.navigation.task.task import Course
 from pinav.thermal.heated_run import HeatedRun
 from pinav.thermal.learned_tissue import FOLLOWED, Forecast
 from pinav.thermal.learning import PerfusionCurve
 from pinav.thermal.protocols import Piecewise
 
 Z95 = normal_quantile(0.95)
+UNITS = {"x": "um", "y": "um", "t": "s"}
 
 
 def panel(**options):
@@ -154,9 +156,7 @@ def test_forces_and_thermal_numbers_have_bands_of_ninety_five_percent():
         channels=("x", "y"),
         reference=SimpleNamespace(times=places, values=mean, sd=sd),
     )
-    fit = stand_in(
-        Findings, lines={"x": line}, units={"x": "um", "t": "s"}, thermal=thermal
-    )
+    fit = stand_in(Findings, lines={"x": line}, units=UNITS, thermal=thermal)
     pictures = [*fits.force_line_figures(fit), *fits.thermal_figures(fit)]
     for picture in pictures:
         (ax,) = picture.draw().axes
@@ -164,17 +164,16 @@ def test_forces_and_thermal_numbers_have_bands_of_ninety_five_percent():
         assert np.allclose(ends_of_bands(ax), [(1 - 0.5 * Z95, 4 + 0.5 * Z95)])
     assert drawn(pictures[0].draw().axes[0], places, mean + 1)
     assert pictures[1].draw().axes[0].get_ylabel() == "diffusion [µm²/s]"
-    field = flat_map()
     shown = stand_in(
         ShownFlight,
         truth=np.ones((3, 2)),
         mean=np.zeros((3, 2)),
         sd=np.full((3, 2), 0.2),
     )
-    for ax in fits.bands_figure(shown, step=0.5).axes:
+    flights = stand_in(OnlineNavigation, shown=shown, step=0.5, units=UNITS)
+    for ax in fits.bands_figure(flights).axes:
         assert drawn(ax, [0, 0.5, 1.0], [1, 1, 1])
         assert np.allclose(ends_of_bands(ax), [(-0.2 * Z95, 0.2 * Z95)])
-    assert field.force.shape[:2] == (5, 7)
 
 
 def flat_map(force=(3.0, 4.0)):
@@ -219,6 +218,11 @@ def test_trust_is_size_over_deviation_and_arrows_fill_their_cells():
     assert (len(set(arrows.X)), len(set(arrows.Y))) == (7, 5)
 
 
+def planned_in_space(course, route):
+    plan = stand_in(PlannedWay, route=route)
+    return stand_in(Navigation, course=course, plan=plan, units=UNITS)
+
+
 def course(dim=2, radius=1.5):
     return stand_in(
         Course,
@@ -247,10 +251,12 @@ def test_a_course_shows_discs_goal_and_arena_in_their_sizes():
 
 def test_a_course_in_space_has_its_balls_in_every_projection():
     route = np.linspace(1, 8, 5)[:, None] * [1.0, 0.5, 0.25]
-    figure = navigation.space_figure(course(3), {"oracle": [route + 1]}, route=route)
+    figure = navigation.space_figure(
+        planned_in_space(course(3), route), {"oracle": [route + 1]}
+    )
     perspective, *planes = figure.axes
-    wide = course(3, 7.0)
-    ball = navigation.space_figure(wide, {}, route=route).axes[0]
+    wide = planned_in_space(course(3, 7.0), route)
+    ball = navigation.space_figure(wide, {}).axes[0]
     (left, low), (right, high) = ball.xy_dataLim.get_points()
     assert np.allclose([left, right, low, high], [-3, 11, -2, 12], atol=0.2)
     assert np.allclose(ball.zz_dataLim.get_points()[:, 0], [-1, 13], atol=0.2)
@@ -264,16 +270,23 @@ def test_a_course_in_space_has_its_balls_in_every_projection():
 
 
 def test_bounds_are_percents_over_trajectories():
-    figure = navigation.bounds_figure({"informed": [np.array([0.5, 0.2])]}, 0.1)
-    (ax,) = figure.axes
-    assert drawn(ax, [0, 1], [50, 20])
-    assert drawn(ax, [0, 1], [10, 10])
     field = flat_map()
     shown = stand_in(ForceMaps, learned=field, truth=None, sd=np.full((5, 7, 2), 0.3))
     way = np.array([[0.0, 0.0], [1.0, 2.0]])
-    ax = navigation.recordings_figure(
-        course(), shown, [way + 1], way=way, thrust=9.0
-    ).axes[0]
+    result = stand_in(
+        DesignResult,
+        bounds={"informed": (np.array([0.5, 0.2]),)},
+        accuracy=0.1,
+        maps=shown,
+        course=course(),
+        thrust=9.0,
+        decision=stand_in(Decision, way=way),
+        paths={"informed": (way + 1,)},
+    )
+    (ax,) = navigation.bounds_figure(result).axes
+    assert drawn(ax, [0, 1], [50, 20])
+    assert drawn(ax, [0, 1], [10, 10])
+    ax = navigation.recordings_figure(result, "informed").axes[0]
     assert drawn(ax, *way.T)
     assert drawn(ax, *(way + 1).T)
     assert navigation.greatest_force(shown) == 5.0
@@ -321,17 +334,17 @@ def test_laws_are_compared_with_ninety_five_percent():
             for n, d in (("a", 0.0), ("b", 9.0), ("c", np.nan))
         ],
     )
-    ax = laws.law_agreement(found)
+    ax = analysis.law_agreement(found)
     for column, container in enumerate(ax.containers):
         bars = container.lines[2][0].get_segments()
         for row, bar in enumerate(bars):
             y = sample.force[row, column]
             assert np.allclose(bar[:, 1], [y - 0.5 * Z95, y + 0.5 * Z95])
             assert np.allclose(bar[:, 0], y + 0.1)
-    ax = laws.law_ranking(found)
+    ax = analysis.law_ranking(found)
     assert [bar.get_x() + bar.get_width() for bar in ax.patches] == [0.5, 9.0]
     assert ax.patches[0].get_facecolor() != ax.patches[1].get_facecolor()
-    (ax,) = laws.evidence_bars({"a": -5.0, "b": -2.0, "c": None}).axes
+    (ax,) = analysis.evidence_bars({"a": -5.0, "b": -2.0, "c": None}).axes
     assert [bar.get_width() for bar in ax.patches] == [3.0, 0.0]
 
 
@@ -360,7 +373,7 @@ def test_the_speed_of_a_robot_has_a_band_of_ninety_percent():
             ),
         ),
     )
-    ax = identified.rollout_paths(paths, units={"x": "um", "y": "um"})
+    ax = identified.rollout_paths(paths, units=UNITS)
     (ends,) = ax.collections
     # The ellipse holds 90 % of each coordinate: so far to each side.
     assert np.allclose([ends._widths[0], ends._heights[0]], [0.5 * z, 1.0 * z])
@@ -385,7 +398,7 @@ def test_steps_and_positions_are_drawn_as_they_are():
     )
     separation[0, 0] = 0.0
     path = np.array([[0.5, 0.5], [1.0, 2.0]])
-    ax = growth_map(growth, path=path)
+    ax = analysis.growth_map(growth, path=path)
     assert ax.collections[0].get_clim() == pytest.approx((1.8, 2.2))
     assert drawn(ax, *path.T)
     linear = panel()

@@ -22,8 +22,8 @@ from pinav.forces import (
     StructuredForce,
     forces_at,
 )
-from pinav.scenarios import fibres
-from pinav.scenarios.vessels import box
+from pinav.scenarios.planar import fibres
+from pinav.scenarios.viscous import box
 from pinav.systems.files import parse_system
 from pinav.trajectories import simulate, with_velocities
 

@@ -48,10 +48,7 @@ def stripes():
 
 
 SAME = {
-    "Gaussian": (
-        central(hill(0.0)),
-        forces.GaussianBarrier(HEIGHT, CENTER, 1.5),
-    ),
+    "Gaussian": (central(hill(0.0)), forces.GaussianBarrier(HEIGHT, CENTER, 1.5)),
     "plateau of steepness one": (
         central(FittedLaw("plateau", (np.log(1.5), 0.0))),
         forces.GaussianBarrier(HEIGHT, CENTER, 1.5),
@@ -60,10 +57,7 @@ SAME = {
         central(hill(1.0)),
         forces.power_hill(HEIGHT, CENTER, 1.5 * np.sqrt(2), 1.0),
     ),
-    "screened": (
-        central(hill(2.0)),
-        forces.power_hill(HEIGHT, CENTER, 1.5, 0.5),
-    ),
+    "screened": (central(hill(2.0)), forces.power_hill(HEIGHT, CENTER, 1.5, 0.5)),
     "compact": (
         central(hill(-1 / 3)),
         forces.compact_hill(HEIGHT, CENTER, 1.5 * np.sqrt(6)),

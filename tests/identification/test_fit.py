@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.dynamics import Adaptive, drive_by_commands, rollout
+from pinav.dynamics import Adaptive, drive_by_arrays, rollout
 from pinav.errors import InputError
 from pinav.identification import (
     Blocks,
@@ -26,11 +26,10 @@ from pinav.identification import (
     with_learned,
     with_response,
 )
-from pinav.identification.drive import fitted_coordinates
 from pinav.identification.findings import extrapolation
 from pinav.identification.fit import CandidateSearch
 from pinav.identification.likelihood import Design, evidence_and_coefficients
-from pinav.identification.parameters import DELAY, Prior
+from pinav.identification.parameters import DELAY, Prior, fitted_coordinates
 from pinav.identification.rollouts import LENGTHS
 from pinav.identification.tracks import (
     COMPILATION,
@@ -75,7 +74,7 @@ def test_the_swimmer_of_a_fit_moves_as_its_path_says(track, fit):
     piece = track.pieces[0]
     ts = jnp.asarray(piece.times[20:50])
     start = jnp.asarray(piece.states[20])
-    swimmer = drive_by_commands(fit.model, piece)
+    swimmer = drive_by_arrays(fit.model, piece.times, piece.commands)
     run = rollout(swimmer, start, ts, solver=Adaptive(1e-8, 1e-8))
     path = path_of(fit.model)(piece)[20:50]
     moved = np.asarray(run.ys)

@@ -54,7 +54,8 @@ from pinav.identification.running.bank import Bank, rows, wandering
 from pinav.identification.running.forecast import estimate, gain_at
 from pinav.identification.selection import LEAST_SQUARES as LEAST
 from pinav.identification.selection import Row, Selection
-from pinav.identification.tracks import Track, pairs_apart
+from pinav.identification.tracks import Track
+from pinav.recordings.drive import pairs_apart
 from pinav.trajectories import Trajectory
 
 RNG = np.random.default_rng(4)
@@ -158,8 +159,8 @@ def test_least_squares_find_gain_and_drift():
     steps = 0.05 * (command @ MATRIX.T + DRIFT)
     states = np.concatenate([[[0, 0]], np.cumsum(steps[:-1], axis=0)])
     track = track_of((times, states, frequency, heading))
-    path = least_squares(track).displacement()
-    assert np.allclose(path(track.pieces[0]), states, atol=0.05)
+    displacement = least_squares(track)
+    assert np.allclose(displacement(track.pieces[0]), states, atol=0.05)
 
 
 def test_scales_are_their_own_inverse_and_slope():

@@ -60,7 +60,7 @@ def test_least_squares_returns_gain_and_drift(recording, synthetic):
     track = identification.tracks(recording)[0]
     found = identification.least_squares(track)
     rollouts = identification.Rollouts.of(track, 10.0)
-    assert identification.errors(track, rollouts, found.displacement()).relative < 0.2
+    assert identification.errors(track, rollouts, found).relative < 0.2
 
 
 def test_an_interval_has_95_percent():

@@ -16,7 +16,12 @@ from pinav.evaluation import predict
 from pinav.identification import needs_kalman_filter, record_commands
 from pinav.identification.commanded_fit import fit_commanded
 from pinav.identification.drive import drive_of
-from pinav.identification.parameters import NOISE_PLACES, stated_noise
+from pinav.identification.parameters import (
+    DISTURBANCE,
+    NOISE_PLACES,
+    coordinates_of,
+    stated_noise,
+)
 from pinav.identification.tracks import Blocks, one_track
 from pinav.trajectories import simulate
 
@@ -161,7 +166,8 @@ def test_a_wandering_velocity_stands_beside_a_propulsion_without_commands(roller
 def test_a_drift_that_changes_is_none_where_a_system_states_none(roller, slow):
     """A slow velocity of 0 was taken for one that nothing is known of."""
     wandering = systems.WanderingVelocity(still=0.0, driven=0.2, memory=1.0, slow=slow)
-    stated = stated_noise(dataclasses.replace(roller, wandering=wandering))
+    noise = stated_noise(dataclasses.replace(roller, wandering=wandering))
+    stated = coordinates_of(DISTURBANCE, roller.swimmer, noise)
     assert np.isnan(stated[NOISE_PLACES["wandering.still"]])  # it is learned
     found = np.exp(stated[NOISE_PLACES["wandering.slow"]])
     assert found == pytest.approx(max(slow, 1e-9))

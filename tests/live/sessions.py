@@ -36,7 +36,7 @@ class LastPosition(estimators.AbstractEstimator):
         )
 
     def drive(self):
-        return DriveEstimate(0.2, 0.0, 1.0, 0.0, 0.0, (0.0, 0.0))
+        return DriveEstimate(0.2, 1.0, 0.0, 0.0, (0.0, 0.0))
 
 
 class Follow(estimators.AbstractPilot):

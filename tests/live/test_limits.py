@@ -87,7 +87,7 @@ def test_a_pilot_probes_until_it_knows_and_gives_up_after_stalls(driven):
     vague = DriveEstimator(
         estimator.fit,
         estimator.last,
-        type(estimator.known)(0.3, 0.1, 1.0, 1.01 * KNOWN, 0.0, (0.0, 0.0)),
+        type(estimator.known)(0.3, 1.0, 1.01 * KNOWN, 0.0, (0.0, 0.0)),
     )
     assert pilot_to(goal).after(vague, HELLO, robot.t)[1].intent is Intent.PROBE
     best = np.array([500.0, robot.t - PATIENCE + 0.1])

@@ -79,8 +79,7 @@ def test_a_frame_is_never_learned_twice():
 
 
 @pytest.mark.parametrize(
-    ("t", "words"),
-    [(0.15, "back by 0.05 s"), (0.71, "forward by 0.51 s"), (0.7, None)],
+    ("t", "words"), [(0.15, "back by 0.05 s"), (0.71, "forward by 0.51 s"), (0.7, None)]
 )
 def test_the_state_begins_anew_when_the_clock_jumps(t, words):
     lines = [*(frame_line(n) for n in range(3)), frame_line(3, t=t)]

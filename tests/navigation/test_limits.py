@@ -11,7 +11,7 @@ import pytest
 from tests.samples import stand_in
 
 from pinav.actuation import LinearResponse, RollingActuator
-from pinav.navigation.adaptive.flight import Flight, judge_flights
+from pinav.navigation.adaptive.flight import Flight, judge_controllers
 from pinav.navigation.adaptive.safety import choose_command, farthest
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.controller import AbstractController, Observation
@@ -166,7 +166,7 @@ def test_a_plan_in_a_flow_that_changes_looks_ahead_by_its_own_step(cost):
         jnp.asarray(2.0),
         jnp.asarray(1.0),
         20.0,
-        TabulatedModel(still, predictor, drive, cost),
+        TabulatedModel(predictor, drive, cost),
         jnp.array([9.0, 9.0]),
         jnp.asarray(0.5),
     )
@@ -258,7 +258,8 @@ def flight(arrival, **more):
 def test_flights_are_judged_against_those_that_know():
     flights = [flight(a) for a in (10.0, 12.0, math.inf, 9.0)]
     oracle = [flight(a) for a in (8.0, 8.0, 8.0, math.inf)]
-    found = judge_flights(flights, 10.0, oracle)
+    judged = judge_controllers({"oracle": oracle, "visit 1": flights}, 10.0)
+    found = judged["visit 1"]
     assert found.success.value == 0.75
     assert found.in_time.value == 0.5
     assert found.regret is not None
@@ -266,7 +267,7 @@ def test_flights_are_judged_against_those_that_know():
     assert found.clearance == 10.0
     assert found.command_time == found.replan_time == 2.0
     assert found.memory == 7.0
-    assert judge_flights(flights, 10.0).force_error is None
+    assert judged["oracle"].force_error is None
     assert choose_command(np.array([0.0, 1.0, -0.1]), np.array([1.0, 0.5, 9.0])) == 0
     assert choose_command(np.array([-0.2, -0.1]), np.array([9.0, 0.0])) == 1
     assert np.isclose(farthest(np.array([0.0, 0, 3, 4]), 2.0, 3.0), 15 + 2.5 * 2 * 9)

@@ -13,7 +13,8 @@ from pinav.thermal.grids import RadialGrid
 from pinav.thermal.learning import learn, perfusion_curve, visited_range
 from pinav.thermal.perfusion import kernel_perfusion, lang, neural_perfusion
 from pinav.thermal.protocols import Piecewise
-from pinav.thermal.readings import Readings, load_probes, save_probes, simulate_probes
+from pinav.thermal.readings import Readings, load_probes, save_probes
+from pinav.thermal.solve import probes_at, solve
 from pinav.thermal.steppers import Rosenbrock
 from pinav.thermal.tissues import Tissue
 
@@ -42,8 +43,11 @@ def curve_at(learned, at):
 
 @pytest.fixture(scope="module")
 def readings():
-    options = {"every": 20.0, "noise": 0.05, "key": jax.random.key(0)}
-    return simulate_probes(muscle(), STEPS, POINTS, stepper=STEPPER, **options)
+    options = {"observe": probes_at(muscle(), POINTS), "save_every": 20.0}
+    solution = solve(muscle(), STEPS, stepper=STEPPER, **options)
+    clean = np.asarray(solution.observed)
+    noise = 0.05 * np.asarray(jax.random.normal(jax.random.key(0), clean.shape))
+    return Readings(np.asarray(solution.times), clean + noise, POINTS)
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +145,7 @@ def test_what_cannot_be_learned_is_refused(readings, tmp_path):
         learn(muscle(), STEPS, late, constants=scale)
     with pytest.raises(InputError, match=r"of shape \(45, 4\), times by places"):
         Readings(readings.times, readings.values[:, :2], POINTS)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="cannot read"):
         load_probes(tmp_path / "nowhere.csv")
 
 

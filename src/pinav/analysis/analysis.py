@@ -28,7 +28,7 @@ from pinav.analysis.entropy import EntropyProduction
 from pinav.analysis.helmholtz import HelmholtzSplit, helmholtz_split
 from pinav.analysis.sensitivity.lyapunov import LyapunovMap
 from pinav.analysis.sensitivity.sobol import SobolIndices
-from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_commands
+from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_arrays
 from pinav.errors import FitError, InputError
 from pinav.evaluation import FieldMap, check_planar, field_map
 from pinav.fitting import AbstractLearned
@@ -44,7 +44,6 @@ class Analysis(eqx.Module):
         reference: index of the trajectory whose rollout is varied.
         relative: half range of the varied strengths, relative to their values.
         shift: half range of each coordinate of the varied start [L].
-        units: of the channels, with the order of the dynamics.
         paths: observed positions of each trajectory [L]; NaN where there is none.
         potential: on the grid of the field [L² T⁻²].
         is_potential_learned: it is that of the model, not of the gradient part.
@@ -180,7 +179,8 @@ def _subject(fit: AbstractLearned, points: int, reference: int) -> Subject:
             f"got {reference}"
         )
     check_planar(fit.data)
-    model = drive_by_commands(model, fit.data.trajectory(reference))
+    piece = fit.data.trajectory(reference)
+    model = drive_by_arrays(model, piece.times, piece.commands)
     field = field_map(model.environment, fit.data, points=points)
     return Subject(fit, model, field, reference)
 

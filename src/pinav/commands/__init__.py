@@ -40,7 +40,7 @@ IDENTIFY = _command(
     "find which response to commands a recording supports",
     title="The response of a recorded swimmer",
     result="pinav.identification:Identification",
-    sections=".sections",
+    sections=".job",
     resumable=True,
 )
 FIT = _command(
@@ -96,7 +96,7 @@ HEAT = _command(
     "bioheat: simulate a case, learn perfusion, optimise a protocol",
     title="Bioheat",
     result="pinav.thermal.heated_run:AbstractHeatResult",
-    sections=".sections",
+    sections=".job",
     compiler_flags=False,  # small to compile, and its gradient runs slower with them
 )
 NAVIGATE = _command(

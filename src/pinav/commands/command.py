@@ -63,17 +63,14 @@ class CommandResult:
 
     Attributes:
         metrics: numbers for scripts: a struct or builtin values, printed with `--json`.
-        text: the same for people.
         folder: of the run whose report is to be written; none where there is no run.
         page: a report that the command has written itself.
-        failure: a sentence that is printed last where the command has failed.
     """
 
     metrics: Any
     text: str
     folder: RunFolder | None = None
     page: Path | None = None
-    failure: str = ""
 
 
 def resolve(reference: str) -> Any:

@@ -9,7 +9,7 @@ import msgspec
 from pinav.commands.command import Command, CommandResult, resolve
 from pinav.commands.parsing import parse
 from pinav.commands.settings import Settings
-from pinav.errors import FitError, InputError
+from pinav.errors import InputError
 
 
 def execute(
@@ -78,5 +78,3 @@ def _show(command: Command, result: CommandResult, *, as_json: bool) -> None:
         lines += [f"report: {page}"] if page else []
         if lines:
             print("\n".join(lines))
-    if result.failure:
-        raise FitError(result.failure)

@@ -110,8 +110,11 @@ def _choose(
             rest.append(word)
     if name is None:
         given = {word.partition("=")[0] for word in words}
-        only = [one for one in members.values() if given & _only_of(one, members)]
-        return rest, only[0] if only else first
+        for one in members.values():
+            others = (_options_of(other) for other in members.values() if other != one)
+            if given & _options_of(one).difference(*others):  # it alone has an option
+                return rest, one
+        return rest, first
     if name not in members:
         raise InputError(
             f"{option}: expected one of {', '.join(members)}, got {name!r}"
@@ -121,12 +124,6 @@ def _choose(
 
 def _options_of(member: type[msgspec.Struct]) -> set[str]:
     return {f"--{name.replace('_', '-')}" for name in member.__struct_fields__}
-
-
-def _only_of(member: type[msgspec.Struct], members: Members) -> set[str]:
-    """The options that no other member has."""
-    others = (_options_of(one) for one in members.values() if one is not member)
-    return _options_of(member).difference(*others)
 
 
 def _foreign(members: Members, chosen: type[msgspec.Struct]) -> dict[str, str]:

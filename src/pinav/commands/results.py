@@ -42,10 +42,7 @@ def start_run(
     if resume:
         return RunFolder.resume(options.out, config)
     return RunFolder.create(
-        options.out,
-        config,
-        overwrite=options.overwrite,
-        resumable=command.resumable,
+        options.out, config, overwrite=options.overwrite, resumable=command.resumable
     )
 
 
@@ -104,7 +101,7 @@ def write_report(folder: RunFolder, command: Command | None = None) -> Path:
         raise InputError(f"{folder.path} is not finished; {advice}, then report")
     for name in folder.manifest.entries():
         if name.endswith((".eqx", ".npz")) and not name.startswith("checkpoint-"):
-            folder.check_file(name)
+            folder.manifest.check(name)
     content = [
         save_pictures(section, folder.path)
         for command in (maker, *(c for c in COMMANDS if not c.title))
@@ -121,7 +118,9 @@ def write_report(folder: RunFolder, command: Command | None = None) -> Path:
     folder.write_text("report.html", page)
     images = [b.path for s in content for b in s.blocks if isinstance(b, Image)]
     files = (f for i in map(Path, images) for f in i.parent.glob(f"{i.stem}.*"))
-    folder.record(*(file.relative_to(folder.path).as_posix() for file in files))
+    folder.manifest.record(
+        *(file.relative_to(folder.path).as_posix() for file in files)
+    )
     return folder.path / "report.html"
 
 

@@ -31,9 +31,7 @@ class SteeringSettings(Settings, frozen=True):
     """
 
     start: Annotated[
-        str | None,
-        Numbers((2, 3), "--from"),
-        tyro.conf.arg(name="from", metavar="X,Y"),
+        str | None, Numbers((2, 3), "--from"), tyro.conf.arg(name="from", metavar="X,Y")
     ] = None
     goal: Annotated[
         str | None, Numbers((2, 3), "--to"), tyro.conf.arg(name="to", metavar="X,Y")

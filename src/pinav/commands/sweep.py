@@ -6,7 +6,7 @@ import functools
 import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -30,6 +30,11 @@ from pinav.sweeps import (
     map_cells,
 )
 from pinav.sweeps.store import FOLDER, SWEEP_FILE
+
+Result = TypeVar("Result")
+
+FILE = "result"
+"""File of the result of a cell, without ending."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +61,7 @@ class Sweep:
             del cell, outcome  # one that is done makes the run worth keeping
             name = f"{FOLDER}/{SWEEP_FILE}"
             if name not in self.folder.manifest.entries():
-                self.folder.record(name)
+                self.folder.manifest.record(name)
 
         return map_cells(
             cells,
@@ -66,6 +71,24 @@ class Sweep:
             title=title,
             on_done=record,
         )
+
+    def result(self, cell: Cell, wanted: type[Result]) -> Result:
+        """What a cell stored as its `FILE`.
+
+        Raises:
+            InputError: it failed, was not done, or is damaged.
+        """
+        outcome = self.store.outcome(cell)
+        if outcome is None or outcome.failure:
+            reason = "it was not done" if outcome is None else outcome.failure
+            raise InputError(f"{cell.label}: {reason}")
+        folder = self.store.folder(cell)
+        try:
+            return RunFolder(folder).load(FILE, wanted)
+        except InputError as error:
+            raise InputError(
+                f"{error}, or delete {folder} and continue with --resume"
+            ) from error
 
 
 def workers_of(settings: WorkerSettings) -> OpenCluster:
@@ -214,7 +237,7 @@ def _row(
     row: dict[str, str | float | None] = {"file": cell.label, "run": place}
     if outcome.failure:
         return row | {"failure": outcome.failure}
-    metrics = sweep.store.read_result(cell, METRICS_FILE, dict)
+    metrics = RunFolder(folder).read_json(METRICS_FILE)
     return row | {"failure": None} | dict(_numbers(metrics.get("value", metrics)))
 
 

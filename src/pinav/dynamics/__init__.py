@@ -23,7 +23,6 @@ from pinav.dynamics.swimmers import NeuralDynamics as NeuralDynamics
 from pinav.dynamics.swimmers import OverdampedSwimmer as OverdampedSwimmer
 from pinav.dynamics.swimmers import Swimmer as Swimmer
 from pinav.dynamics.swimmers import drive_by_arrays as drive_by_arrays
-from pinav.dynamics.swimmers import drive_by_commands as drive_by_commands
 from pinav.dynamics.swimmers import paper_black_box as paper_black_box
 from pinav.dynamics.swimmers import takes_commands as takes_commands
 from pinav.dynamics.swimmers import unbound as unbound

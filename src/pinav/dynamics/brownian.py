@@ -5,7 +5,6 @@ mobility, $D = k_B T M$ (fluctuation and dissipation), so that no strength of no
 set apart from the temperature.
 """
 
-from collections.abc import Callable
 from typing import cast
 
 import diffrax
@@ -91,7 +90,6 @@ def sample_path(
     relaxation time $\tau$ a step $h$ makes the variance too large by $h / 2\tau$.
 
     Args:
-        dynamics: the swimmer.
         y0: initial position [L], a vector.
         ts: times [T], increasing, at least two.
         key: random key of the path: the Brownian motion is the same whatever the steps.
@@ -115,9 +113,14 @@ def sample_path(
     motion = diffrax.VirtualBrownianTree(
         ts[0], ts[-1], tol=shortest / 2, shape=y0.shape, key=key
     )
+
+    def noise_matrix(t: ArrayLike, y: Vector, args: PyTree) -> Float[Array, "dim dim"]:
+        units = jnp.eye(y.shape[0], dtype=y.dtype)
+        return jax.vmap(lambda unit: dynamics.noise(y, unit), out_axes=1)(units)
+
     terms = diffrax.MultiTerm(
         diffrax.ODETerm(lambda t, y, args: dynamics(t, y)),  # pyright: ignore
-        diffrax.ControlTerm(_noise_matrix(dynamics), motion),
+        diffrax.ControlTerm(noise_matrix, motion),
     )
     solution = diffrax.diffeqsolve(
         terms,
@@ -134,13 +137,3 @@ def sample_path(
     ys = cast(Array, solution.ys)
     finite = jnp.all(jnp.isfinite(ys))
     return Rollout(ts, ys, jnp.where(finite, Outcome.SUCCESS, Outcome.DIVERGED))
-
-
-def _noise_matrix(
-    dynamics: BrownianSwimmer,
-) -> Callable[[ArrayLike, Vector, PyTree], Float[Array, "dim dim"]]:
-    def matrix(t: ArrayLike, y: Vector, args: PyTree) -> Float[Array, "dim dim"]:
-        units = jnp.eye(y.shape[0], dtype=y.dtype)
-        return jax.vmap(lambda unit: dynamics.noise(y, unit), out_axes=1)(units)
-
-    return matrix

@@ -63,7 +63,6 @@ class FixedStep(AbstractSolver):
     mode; second derivatives through a rollout are not and must not be taken.
 
     Attributes:
-        tableau: the Runge-Kutta method.
         substeps: steps between two samples, positive.
 
     Raises:

@@ -45,7 +45,6 @@ def rollout(
     """Solve y' = dynamics(t, y) from `y0` at `ts[0]` and save the state at each time.
 
     Args:
-        dynamics: the system.
         y0: initial state, a vector.
         ts: times [T], a vector: not decreasing, at least two.
         solver: how to integrate; `Adaptive()` (Dopri8 at 1e-11) unless given.

@@ -49,7 +49,6 @@ class Adaptive(AbstractSolver):
 
     Attributes:
         rtol: relative tolerance.
-        atol: absolute tolerance.
         method: diffrax solver.
         adjoint: diffrax adjoint, such as `diffrax.BacksolveAdjoint()`.
         max_steps: steps after which the solver gives up.

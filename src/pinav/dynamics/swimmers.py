@@ -8,7 +8,7 @@ Truth, UDE and physics-only baseline are one class, `Swimmer` with inertia or
 import abc
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -162,40 +162,9 @@ def with_dtype(model: Model, dtype: jnp.dtype | type) -> Model:
     )
 
 
-@runtime_checkable
-class Commands(Protocol):
-    """What has commands at times, such as a `Trajectory`."""
-
-    @property
-    def times(self) -> Any:
-        """When each command was given [T]."""
-        ...
-
-    @property
-    def commands(self) -> Mapping[str, Any]:
-        """What was commanded, by name."""
-        ...
-
-
 def takes_commands(model: PyTree) -> bool:
     """Whether a part of the model is driven by the commands of each trajectory."""
     return any(map(_unbound, _parts(model)))
-
-
-def drive_by_commands(model: Model, trajectory: Commands) -> Model:
-    """The model, each propulsion that takes commands driven by those of a trajectory.
-
-    A model that takes none comes back as it is. Commands hold until the next one; the
-    result may be differentiated by the parameters of the propulsion.
-
-    Args:
-        model: the dynamics.
-        trajectory: one trajectory, or anything with `times` and `commands`.
-
-    Raises:
-        InputError: a command that the propulsion needs was not recorded.
-    """
-    return drive_by_arrays(model, trajectory.times, trajectory.commands)
 
 
 def drive_by_arrays(
@@ -203,7 +172,18 @@ def drive_by_arrays(
     times: Float[ArrayLike, " time"],
     commands: Mapping[str, Float[ArrayLike, " time"]],
 ) -> Model:
-    """`commanded` by plain arrays, to be batched by `jax.vmap`."""
+    """The model, each propulsion that takes commands driven by these.
+
+    A model that takes none comes back as it is. Commands hold until the next one; the
+    result may be differentiated by the parameters of the propulsion.
+
+    Args:
+        times: when each command was given [T], such as those of a `Trajectory`.
+        commands: what was commanded, by name.
+
+    Raises:
+        InputError: a command that the propulsion needs was not recorded.
+    """
     if not takes_commands(model):
         return model
     times = jnp.asarray(times)

@@ -25,6 +25,7 @@ References:
     Van Loan, IEEE Trans. Autom. Control 23, 395 (1978), the integral of the noise.
 """
 
+import itertools
 from statistics import NormalDist
 
 import equinox as eqx
@@ -38,14 +39,13 @@ from pinav.arguments import on_device
 from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.evaluation.force_fields import FieldMap
 from pinav.evaluation.starts import (
-    DrivenModel,
     Starts,
     driven_models,
     first_samples,
     linearise_driven,
 )
 from pinav.fitting import Posterior
-from pinav.fitting.engine.multiple_shooting import sensitivities
+from pinav.fitting.engine.posterior import linear_rollout
 from pinav.systems import WanderingVelocity
 from pinav.trajectories import Trajectories, Trajectory
 
@@ -77,7 +77,15 @@ def wandering_variance(
     intervals = np.diff(piece.times)
     mean = 0.5 * (jacobians[1:] + jacobians[:-1])
     matrices, noises = _transitions(mean, strength, intervals, wandering)
-    variance = _propagate(matrices, noises, _start_weights(matrices, piece, count))
+    dim = path.shape[1]
+    steps = itertools.accumulate(
+        matrices[:, :dim, :dim], lambda done, step: step @ done, initial=np.eye(dim)
+    )
+    to_start = np.stack(list(steps))
+    rows = to_start[:count] * piece.observed[:count, :, None]
+    # Matrices L by which errors of the first samples add to the estimated start.
+    weights = np.linalg.pinv(rows.reshape(-1, dim)).reshape(dim, -1, dim)
+    variance = _propagate(matrices, noises, to_start, np.swapaxes(weights, 0, 1))
     variance[~finite] = np.nan
     return variance
 
@@ -125,28 +133,16 @@ def _transitions(
     return matrices, noises
 
 
-def _start_weights(
-    matrices: Float[np.ndarray, "step joint joint"], piece: Trajectory, count: int
-) -> Float[np.ndarray, "sample state state"]:
-    """Matrix L by which errors of the first samples add to the estimated start."""
-    dim = piece.states.shape[1]
-    to_start = [np.eye(dim)]
-    for matrix in matrices[: count - 1]:
-        to_start.append(matrix[:dim, :dim] @ to_start[-1])
-    rows = np.stack(to_start) * piece.observed[:count, :, None]
-    inverse = np.linalg.pinv(rows.reshape(-1, dim))
-    return np.swapaxes(inverse.reshape(dim, -1, dim), 0, 1)
-
-
 def _propagate(
     matrices: Float[np.ndarray, "step joint joint"],
     noises: Float[np.ndarray, "step joint joint"],
+    to_start: Float[np.ndarray, "time state state"],
     weights: Float[np.ndarray, "sample state state"],
 ) -> Float[np.ndarray, "time state"]:
     dim = weights.shape[1]
     size = 3 * dim
     joint = np.diag(np.repeat([0.0, 1.0, 1.0, 0.0], dim))
-    step, to_start = np.eye(4 * dim), np.eye(dim)
+    step = np.eye(4 * dim)
     variances = [np.zeros(dim)]
     for index, (matrix, noise) in enumerate(zip(matrices, noises, strict=True)):
         step[:size, :size] = matrix
@@ -156,8 +152,8 @@ def _propagate(
             added = np.eye(4 * dim)
             added[size:, :dim] = weights[index + 1]
             joint = added @ joint @ added.T
-        to_start = matrix[:dim, :dim] @ to_start
-        error = np.concatenate([np.eye(dim), np.zeros((dim, 2 * dim)), -to_start], 1)
+        blank, moved = np.zeros((dim, 2 * dim)), to_start[index + 1]
+        error = np.concatenate([np.eye(dim), blank, -moved], axis=1)
         variances.append(np.einsum("ij,jk,ik->i", error, joint, error))
     return np.stack(variances)
 
@@ -192,64 +188,50 @@ class Bands(eqx.Module):
         return np.sqrt(self.sd**2 + noise**2)
 
 
-def exact_start_bands(
+def rollout_bands(
     posterior: Posterior,
     trajectories: Trajectories,
+    starts: Starts | None = None,
     *,
-    start_sd: float = 0.0,
+    noise: float = 0.0,
     wandering: WanderingVelocity | None = None,
 ) -> Bands:
-    """Bands of rollouts from first samples, which err by `start_sd`."""
-    states = trajectories.states.shape[2]
-    by_parameter = np.zeros((len(trajectories), states, len(posterior.mean)))
-    spread = np.tile(start_sd**2 * np.eye(states), (len(trajectories), 1, 1))
-    starts = trajectories.states[:, 0]
-    bands = _bands(posterior, trajectories, starts, by_parameter, spread)
-    return _widen(bands, posterior, trajectories, wandering, 1)
+    """Bands of rollouts, from the first samples or from estimated starts.
 
-
-def estimated_start_bands(
-    posterior: Posterior,
-    trajectories: Trajectories,
-    starts: Starts,
-    noise: float,
-    *,
-    wandering: WanderingVelocity | None = None,
-) -> Bands:
-    """Bands of rollouts from estimated starts."""
-    head = first_samples(trajectories, starts.count)
-    linear = linearise_driven(
-        posterior.free,
-        jnp.asarray(posterior.mean),
-        jnp.asarray(starts.lifted),
-        head,
-        FixedStep(),
-    )
-    rows = -np.asarray(linear.start_rows)[:, :, : len(posterior.mean)]
-    factors = np.asarray(linear.start_factor)
-    spread = noise**2 * _inverses(np.swapaxes(factors, 1, 2) @ factors)
-    bands = _bands(posterior, trajectories, starts.states, rows, spread)
-    return _widen(bands, posterior, trajectories, wandering, starts.count)
-
-
-def _widen(
-    bands: Bands,
-    posterior: Posterior,
-    trajectories: Trajectories,
-    wandering: WanderingVelocity | None,
-    count: int,
-) -> Bands:
-    if wandering is None:
-        return bands
-    theta, variance = jnp.asarray(posterior.mean), bands.sd**2
-    models = driven_models(posterior.free, theta, trajectories)
-    each = zip(models, trajectories, bands.ys, variance, strict=True)
-    for driven, piece, path, row in each:
-        length = len(piece.times)
-        row[:length] += wandering_variance(
-            driven(theta), wandering, piece, path[:length], count
-        )
-    return Bands(bands.ys, np.sqrt(variance))
+    Args:
+        noise: standard deviation of the samples by which rollouts start.
+    """
+    theta, known = jnp.asarray(posterior.mean), len(posterior.mean)
+    count, size = len(trajectories), trajectories.states.shape[2]
+    first, samples = trajectories.states[:, 0], 1
+    by_parameter = np.zeros((count, size, known))
+    spread = np.tile(noise**2 * np.eye(size), (count, 1, 1))
+    if starts is not None:
+        first, samples = starts.states, starts.count
+        head, lifted = first_samples(trajectories, samples), jnp.asarray(starts.lifted)
+        linear = linearise_driven(posterior.free, theta, lifted, head, FixedStep())
+        by_parameter = -np.asarray(linear.start_rows)[:, :, :known]
+        factors = np.asarray(linear.start_factor)
+        spread = noise**2 * _inverses(np.swapaxes(factors, 1, 2) @ factors)
+    rows = []
+    # One trajectory after the other, so that those of equal length compile once.
+    for index, driven in enumerate(driven_models(posterior.free, theta, trajectories)):
+        start, times = map(on_device, (first[index], trajectories.times[index]))
+        ys, columns = linear_rollout(driven, theta, start, times, FixedStep())
+        joint = np.concatenate([np.eye(known), by_parameter[index]])
+        joint = joint @ posterior.covariance @ joint.T
+        joint[known:, known:] += spread[index]
+        slopes, path = np.asarray(columns)[..., :-1], np.asarray(ys)
+        with np.errstate(over="ignore", invalid="ignore"):  # of one that diverged
+            variance = np.maximum(np.sum((slopes @ joint) * slopes, axis=-1), 0.0)
+        if wandering is not None:
+            piece = trajectories.trajectory(index)
+            inner = slice(len(piece.times))
+            variance[inner] += wandering_variance(
+                driven(theta), wandering, piece, path[inner], samples
+            )
+        rows.append((path, np.sqrt(variance)))
+    return Bands(*map(np.stack, zip(*rows, strict=True)))
 
 
 def _inverses(
@@ -260,43 +242,6 @@ def _inverses(
     inverses = np.full(matrices.shape, np.nan)
     inverses[usable] = np.linalg.pinv(matrices[usable], hermitian=True)
     return inverses
-
-
-def _bands(
-    posterior: Posterior,
-    trajectories: Trajectories,
-    starts: Float[np.ndarray, "trajectory state"],
-    by_parameter: Float[np.ndarray, "trajectory state parameter"],
-    spread: Float[np.ndarray, "trajectory state state"],
-) -> Bands:
-    """One trajectory after the other, so that those of equal length compile once."""
-    theta, covariance = map(on_device, (posterior.mean, posterior.covariance))
-    models = driven_models(posterior.free, theta, trajectories)
-    each = zip(starts, by_parameter, spread, trajectories.times, strict=True)
-    rows = [
-        _linear_band(driven, theta, covariance, tuple(map(on_device, start)))
-        for driven, start in zip(models, each, strict=True)
-    ]
-    ys, sd = (np.stack(part) for part in zip(*rows, strict=True))
-    return Bands(ys, sd)
-
-
-@eqx.filter_jit
-def _linear_band(
-    driven: DrivenModel,
-    theta: Float[Array, " parameter"],
-    covariance: Float[Array, "parameter parameter"],
-    start: tuple[Array, ...],
-) -> tuple[Float[Array, "time state"], Float[Array, "time state"]]:
-    y0, by_parameter, spread, times = start
-    solver = FixedStep()
-    ys, _ = solver.solve(driven(theta), y0, times)
-    columns = sensitivities(driven, theta, ys, times, solver).columns
-    to_start = columns[..., len(theta) : -1]
-    total = columns[..., : len(theta)] + to_start @ by_parameter
-    variance = jnp.sum((total @ covariance) * total, axis=-1)
-    variance += jnp.sum((to_start @ spread) * to_start, axis=-1)
-    return ys, jnp.sqrt(jnp.maximum(variance, 0.0))
 
 
 def inside_band(

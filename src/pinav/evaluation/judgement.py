@@ -16,9 +16,8 @@ from pinav.evaluation.conformal import (
 )
 from pinav.evaluation.coverage import (
     Bands,
-    estimated_start_bands,
-    exact_start_bands,
     force_coverage,
+    rollout_bands,
     rollout_coverage,
 )
 from pinav.evaluation.force_fields import distances
@@ -162,7 +161,7 @@ def _clean_coverage(setting: Setting, clean: Trajectories) -> Coverage:
     elapsed = clean.times[0] - clean.times[0, 0]
     samples = int((elapsed <= fit.horizon * (1 + 1e-9)).sum())
     chosen = first_samples(clean.select(range(min(BANDED, len(clean)))), samples)
-    bands = exact_start_bands(fit.posterior, chosen, wandering=fit.wandering)
+    bands = rollout_bands(fit.posterior, chosen, wandering=fit.wandering)
     scored = without_first(chosen, 1)
     return rollout_coverage(bands, scored, 0.0, _sample_regions(scored, setting))
 
@@ -174,8 +173,12 @@ def _bands(setting: Setting, data: Trajectories) -> tuple[Bands, Trajectories]:
     if fit.posterior is None or prediction.starts is None:
         unit = np.ones_like(prediction.ys)
         return Bands(prediction.ys, unit), prediction.observed
-    bands = estimated_start_bands(
-        fit.posterior, data, prediction.starts, fit.noise, wandering=fit.wandering
+    bands = rollout_bands(
+        fit.posterior,
+        data,
+        prediction.starts,
+        noise=fit.noise,
+        wandering=fit.wandering,
     )
     return bands, prediction.observed
 

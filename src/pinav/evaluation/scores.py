@@ -196,17 +196,27 @@ def whiteness(
     Args:
         observed: where there was an observation; what is not finite does not count.
     """
-    rows = [
-        _channel(residuals[..., i], observed[..., i], lags)
-        for i in range(len(channels))
-    ]
-    correlations, statistics, p_values, counts = zip(*rows, strict=True)
+    from scipy.special import chdtrc
+
+    seen = observed & np.isfinite(residuals)
+    z = np.where(seen, residuals, 0.0)
+    counts, power = seen.sum(axis=(0, 1)), (z**2).sum(axis=(0, 1))
+    products, pairs = np.zeros((2, lags, len(channels)))
+    for lag in range(1, min(lags, z.shape[1] - 1) + 1):
+        products[lag - 1] = (z[:, lag:] * z[:, :-lag]).sum(axis=(0, 1))
+        pairs[lag - 1] = (seen[:, lag:] & seen[:, :-lag]).sum(axis=(0, 1))
+    used = (pairs > 0) & (power > 0)
+    correlation = products / np.where(power > 0, power, 1.0)
+    terms = np.where(used, correlation**2 / np.maximum(pairs, 1.0), 0.0)
+    freedom = used.sum(axis=0)
+    statistic = counts * (counts + 2) * terms.sum(axis=0)
+    statistic = np.where(freedom > 0, statistic, np.nan)
     return Whiteness(
         channels,
-        np.stack(correlations),
-        np.array(statistics),
-        np.array(p_values),
-        tuple(counts),
+        np.where(used, correlation, np.nan).T,
+        statistic,
+        chdtrc(freedom, statistic),
+        tuple(counts.tolist()),
     )
 
 
@@ -248,29 +258,3 @@ def _rates(
     states: Float[Array, "trajectory time state"],
 ) -> Float[Array, "trajectory time state"]:
     return jax.vmap(jax.vmap(model))(times, states)
-
-
-def _channel(
-    z: Float[np.ndarray, "trajectory time"],
-    observed: Bool[np.ndarray, "trajectory time"],
-    lags: int,
-) -> tuple[Float[np.ndarray, " lag"], float, float, int]:
-    from scipy.special import chdtrc
-
-    is_observed = observed & np.isfinite(z)
-    z = np.where(is_observed, z, 0.0)
-    count, power = int(is_observed.sum()), float((z**2).sum())
-    if power == 0.0:
-        return np.full(lags, np.nan), np.nan, np.nan, count
-    products = np.full(lags, np.nan)
-    pairs = np.zeros(lags)
-    for lag in range(1, min(lags, z.shape[1] - 1) + 1):
-        pairs[lag - 1] = (is_observed[:, lag:] & is_observed[:, :-lag]).sum()
-        products[lag - 1] = (z[:, lag:] * z[:, :-lag]).sum()
-    used = pairs > 0
-    correlation = np.where(used, products / power, np.nan)
-    terms = correlation[used] ** 2 / pairs[used]
-    statistic = float(count * (count + 2) * terms.sum())
-    freedom = int(used.sum())
-    p_value = float(chdtrc(freedom, statistic)) if freedom else np.nan
-    return correlation, statistic if freedom else np.nan, p_value, count

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from pinav.dynamics import AbstractDynamics, AbstractSwimmer, Outcome
 from pinav.errors import InputError
@@ -162,13 +162,10 @@ def held_out(
     system = system.with_starts(key, count)
     system = dataclasses.replace(system, observation=Observation())
     if until is not None:
-        system = dataclasses.replace(system, times=_times_until(system, until))
+        first, step = float(system.times[0]), float(system.times[1] - system.times[0])
+        times = first + step * np.arange(round(until / step) + 1)
+        system = dataclasses.replace(system, times=jnp.asarray(times))
     return simulate(system, key=jax.random.fold_in(key, 1))
-
-
-def _times_until(system: System, until: float) -> Float[Array, " time"]:
-    first, step = float(system.times[0]), float(system.times[1] - system.times[0])
-    return jnp.asarray(first + step * np.arange(round(until / step) + 1))
 
 
 class Prediction(eqx.Module):

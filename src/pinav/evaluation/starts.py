@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
 from pinav.dynamics import (
@@ -26,7 +26,7 @@ from pinav.dynamics import (
 from pinav.errors import InputError
 from pinav.evaluation.scores import require_x64
 from pinav.fitting import Outcome
-from pinav.fitting.engine.local_model import ParametricModel
+from pinav.fitting.engine.local_model import ParametricModel, known_model
 from pinav.fitting.engine.multiple_shooting import Linearisation, advance, linearise
 from pinav.fitting.matching.state import Observations
 from pinav.trajectories import Trajectories, smooth_states
@@ -77,7 +77,7 @@ def estimate_starts(
     dim = head.dim
     states = on_device(smooth_states(head, dim))
     scale = np.maximum(np.ptp(np.asarray(states), axis=1), np.finfo(float).tiny)
-    free = ParametricModel(with_dtype(dynamics, jnp.float64), _nothing)
+    free = known_model(with_dtype(dynamics, jnp.float64))
     solver = FixedStep(substeps=4)
     nothing, settled = jnp.zeros(0), np.zeros(len(head), bool)
     for _ in range(STEPS):
@@ -88,12 +88,12 @@ def estimate_starts(
         states = moved
         if (settled | ~np.isfinite(change).all(axis=1)).all():
             break
-    return _starts(np.asarray(states), settled, count)
-
-
-def _nothing(theta: Float[Array, "0"]) -> None:
-    """No leaf of the model is free."""
-    return
+    lifted = np.asarray(states)
+    finite = np.asarray(np.isfinite(lifted).all(axis=(1, 2)))
+    ended = np.where(settled, Outcome.CONVERGED, Outcome.STALLED)
+    outcomes = tuple(map(Outcome, np.where(finite, ended, Outcome.DIVERGED).tolist()))
+    lifted = np.where(finite[:, None, None], lifted, np.nan)
+    return Starts(lifted[:, 0], lifted, outcomes, count)
 
 
 class DrivenModel(eqx.Module):
@@ -147,18 +147,6 @@ def linearise_driven(
         start_rows=jnp.concatenate([part.start_rows for part in parts]),
         defects=jnp.max(jnp.stack([part.defects for part in parts]), axis=0),
     )
-
-
-def _starts(
-    states: Float[np.ndarray, "trajectory sample state"],
-    settled: Bool[np.ndarray, " trajectory"],
-    count: int,
-) -> Starts:
-    finite = np.asarray(np.isfinite(states).all(axis=(1, 2)))
-    ended = np.where(settled, Outcome.CONVERGED, Outcome.STALLED)
-    outcomes = tuple(map(Outcome, np.where(finite, ended, Outcome.DIVERGED).tolist()))
-    states = np.where(finite[:, None, None], states, np.nan)
-    return Starts(states[:, 0], states, outcomes, count)
 
 
 def first_samples(trajectories: Trajectories, count: int) -> Trajectories:

@@ -23,7 +23,8 @@ from pinav.figures.style import (
     style_of,
 )
 from pinav.files import atomic_write
-from pinav.navigation.maps import Course, ForceMaps
+from pinav.learning.findings import ForceMaps
+from pinav.navigation.task.task import Course
 
 FRAMES, DOTS = 60, 90
 """Frames of an animation at most, and dots per inch."""
@@ -37,7 +38,7 @@ class Trails:
     """Paths of controllers that move together.
 
     Attributes:
-        paths: positions of one run of each controller, its last one repeated [L].
+        paths: positions of one run of each controller until it ended [L].
         step: time between two of them [T].
     """
 

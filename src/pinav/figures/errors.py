@@ -46,7 +46,6 @@ def error_over_time(
         styles: how each is drawn; as everywhere (`style_of`) unless given.
         horizon: longest time in the training data [T], marked unless None.
         unit: of length; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
     for index, (name, curve) in enumerate(curves.items()):

@@ -1,12 +1,11 @@
 """Figures of a fit: its paths, its force, the profiles of terms, learning."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -17,7 +16,6 @@ from pinav.figures.navigation import greatest_force, paths_map, spread_map
 from pinav.figures.palette import GREEN, GREY, LEARNED, PURPLE, TRUTH
 from pinav.figures.recordings import observed_paths, positions_over_time
 from pinav.figures.style import (
-    DIMENSIONLESS,
     add_legend,
     band,
     channel_label,
@@ -29,8 +27,7 @@ from pinav.figures.style import (
 )
 from pinav.figures.trajectories import loss_curve
 from pinav.learning.findings import Findings, FoundTerm, Rollouts
-from pinav.navigation.adaptive.flight import ShownFlight
-from pinav.navigation.maps import Course
+from pinav.navigation import OnlineNavigation
 from pinav.trajectories import POSITION_CHANNELS
 from pinav.units import force_unit
 
@@ -199,44 +196,34 @@ def _diffusion_figure(fit: Findings, name: str) -> Picture:
     return _small_picture(f"diffusion-{name}", draw, caption, f"Diffusion over {name}")
 
 
-def moments_figure(
-    course: Course,
-    shown: ShownFlight,
-    path: Float[np.ndarray, "frame 2"],
-    *,
-    step: float,
-    thrust: float,
-    units: Mapping[str, str] = DIMENSIONLESS,
-) -> Figure:
-    """Path so far over mean and standard deviation of the force, at some moments.
+FIRST = "visit 1"
+"""The controller whose first flight is shown."""
 
-    `step` is the time between two positions [T], `thrust` the greatest [L T⁻²].
-    """
-    maps, limit = shown.maps, greatest_force(shown.maps)
+
+def moments_figure(result: OnlineNavigation) -> Figure:
+    """Path so far over mean and standard deviation of the force, at some moments."""
+    shown, course, units = result.shown, result.course, result.units
+    maps, path = shown.maps, result.paths[FIRST][0]
+    drawing = {"limit": greatest_force(maps), "units": units}
     figure = new_figure(2.3 * len(shown.times), 5.2)
     axes = figure.subplots(2, len(shown.times), squeeze=False)
     moments = zip(axes.T, shown.times.tolist(), shown.means, shown.sds, strict=True)
     for (top, low), now, mean, sd in moments:
-        so_far = path[: round(now / step) + 1]
+        so_far = path[: round(now / result.step) + 1]
         field = dataclasses.replace(maps.learned, force=mean)
-        drawn = {"visit 1": [so_far]}
-        paths_map(field, course, drawn, limit=limit, units=units, ax=top)
-        ground = {"thrust": thrust, "route": so_far, "units": units}
+        paths_map(field, course, {FIRST: [so_far]}, **drawing, ax=top)
+        ground = {"thrust": result.thrust, "route": so_far, "units": units}
         spread_map(field, sd, course, **ground, ax=low)
         unit = units.get("t", "1")
         title_panel(top, f"t = {now:.3g}{'' if unit == '1' else f' {unit}'}")
     return figure
 
 
-def bands_figure(
-    shown: ShownFlight, *, step: float, units: Mapping[str, str] = DIMENSIONLESS
-) -> Figure:
-    """Both components of the force along a path, with their bands of 95 %.
-
-    `step` is the time between two positions [T].
-    """
+def bands_figure(result: OnlineNavigation) -> Figure:
+    """Both components of the force along a path, with their bands of 95 %."""
+    shown, units = result.shown, result.units
     truth, mean, sd = shown.truth, shown.mean, shown.sd
-    t = step * np.arange(len(truth))
+    t = result.step * np.arange(len(truth))
     figure = new_figure(6.4, 3.6)
     for k, ax in enumerate(figure.subplots(2, 1, sharex=True)):
         ends = normal_interval(mean[:, k], sd[:, k])

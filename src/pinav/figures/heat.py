@@ -39,6 +39,7 @@ from pinav.figures.style import (
     style_of,
 )
 from pinav.thermal.heated_run import Cut, HeatedRun
+from pinav.thermal.readings import place_names
 
 ISOTHERMS = (39.0, 41.0, 43.0, 45.0, 47.0)
 """Temperatures [°C] that are marked."""
@@ -55,7 +56,6 @@ def profiles(
     ax: Axes,
 ) -> None:
     """Temperature along the radius, one line a time, and the edge of the tumour [m]."""
-    prepare_axes(ax)
     shades = colormaps[GRADED](np.linspace(0.0, 0.85, len(temperatures)))
     for shade, (name, values) in zip(shades, temperatures.items(), strict=True):
         ax.plot(1e3 * radius, values, color=shade, lw=THIN, label=name)
@@ -76,7 +76,6 @@ def dose_curves(
     ax: Axes,
 ) -> Axes:
     """Doses [CEM43 min] on a logarithmic scale, if there are any."""
-    prepare_axes(ax)
     for color, (name, dose) in zip(colors, doses.items(), strict=True):
         shown = np.where(dose > LEAST_DOSE, dose, np.nan)
         ax.plot(places, shown, color=color, lw=THIN, label=name)
@@ -101,16 +100,11 @@ def plane_map(
     Args:
         values: along x in rows, along y in columns.
         spacing: of the cells [m].
-        levels: of the contours.
-        label: of the colour bar.
         outline: volume fraction of the target in each cell; outlined at one half.
         logarithmic: colour the logarithm; values below a thousandth as that.
         limits: of the colours; those of the values unless given. About zero, blue is
             below and red above it.
-        title: of the panel.
-        ax: where to draw.
     """
-    prepare_axes(ax)
     shown = np.log10(np.maximum(values, 1e-3)) if logarithmic else values
     lowest, highest = np.nanmin(shown), np.nanmax(shown)
     extent = [1e3 * n * h for n, h in zip(values.shape, spacing, strict=True)]
@@ -156,9 +150,7 @@ def probe_curves(
     Args:
         times: [s].
         predicted: [°C].
-        names: of the probes.
         readings: their times [s], and values [°C] of the same probes.
-        ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
     for index, name in enumerate(names):
@@ -276,11 +268,6 @@ def probes_figure(run: HeatedRun) -> Picture:
     return titled_picture("probes", run.title, lambda: figure_of(draw()), caption)
 
 
-def place_names(points: Float[np.ndarray, "probe axis"]) -> list[str]:
-    """Names of probes by their places [m]."""
-    return [", ".join(f"{1e3 * x:g}" for x in point) + " mm" for point in points]
-
-
 def figure_of(ax: Axes) -> Figure:
     """The figure that axes belong to."""
     figure = ax.get_figure(root=True)
@@ -310,7 +297,6 @@ def _protocol(run: HeatedRun, bound: float | None) -> Figure:
 
 
 def _field(run: HeatedRun, *, ax: Axes) -> None:
-    prepare_axes(ax)
     field = run.protocol
     at = np.repeat(np.asarray(field.edges) / 60, 2)[1:-1]
     values = np.stack([field.starts, field.ends], axis=1).reshape(-1)
@@ -320,7 +306,6 @@ def _field(run: HeatedRun, *, ax: Axes) -> None:
 
 
 def _temperatures(run: HeatedRun, bound: float | None, *, ax: Axes) -> None:
-    prepare_axes(ax)
     for index, (name, curve) in enumerate(run.temperatures.items()):
         label = {"hottest": "hottest cell"}.get(name, name)
         color = style_of(label, index).color
@@ -331,7 +316,6 @@ def _temperatures(run: HeatedRun, bound: float | None, *, ax: Axes) -> None:
 
 
 def _volume(run: HeatedRun, *, ax: Axes) -> None:
-    prepare_axes(ax)
     label = "V43, of the tumour above 43 °C"
     ax.plot(run.times / 60, run.above, color=SPARE[0], lw=THIN, label=label)
     ax.set_ylim(-0.05, 1.05)

@@ -176,7 +176,6 @@ def horizon_errors(
     Args:
         horizons: durations of the rollouts [s].
         relative: errors of each model at these horizons; NaN where there are none.
-        ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
     for index, (name, values) in enumerate(relative.items()):

@@ -11,7 +11,6 @@ from pinav.figures.heat import (
     ISOTHERMS,
     duration,
     figure_of,
-    place_names,
     plane_map,
     probe_curves,
     sections_through,
@@ -33,64 +32,44 @@ from pinav.figures.style import (
     prepare_axes,
 )
 from pinav.thermal.heated_run import FOLLOWED
-from pinav.thermal.learned_tissue import (
-    FittedFrames,
-    FittedProbes,
-    Forecast,
-    LearnedTissue,
-)
+from pinav.thermal.learned_tissue import FittedFrame, Forecast, LearnedTissue
 from pinav.thermal.learning import PerfusionCurve
 
 
-def fitted_probes_figure(title: str, fitted: FittedProbes) -> Picture:
-    """Readings of probes and the fitted model."""
-
-    def draw() -> Figure:
-        data = fitted.data
-        assert data.points is not None
-        names, readings = place_names(data.points), (data.times, data.values)
-        curves = probe_curves(data.times, fitted.predicted, names, readings=readings)
-        return figure_of(curves)
-
-    return titled_picture("probes", title, draw, "Readings and the fitted model.")
-
-
-def mean_curves_figure(title: str, frames: FittedFrames) -> Picture:
-    """Mean temperature of each tissue over time, and its fit."""
-
-    def draw() -> Figure:
-        means = frames.means.values()
-        read = np.stack([one.read for one in means], axis=1)
-        fitted = np.stack([one.fitted for one in means], axis=1)
-        readings = frames.times, read
-        names = list(frames.means)
-        return figure_of(probe_curves(frames.times, fitted, names, readings=readings))
-
-    caption = (
-        "Mean temperature of the voxels of each tissue that are read: dots are the "
-        "readings without turns of the phase and drift, lines the fit."
-    )
-    return titled_picture("means", title, draw, caption)
+def curves_figure(found: LearnedTissue) -> Picture:
+    """Readings of probes, or their means over each tissue, and the fit."""
+    name, caption = "probes", "Readings and the fitted model."
+    if found.frame is not None:
+        name = "means"
+        caption = (
+            "Mean temperature of the voxels of each tissue that are read: dots are the "
+            "readings without turns of the phase and drift, lines the fit."
+        )
+    curves = found.curves
+    readings = curves.times, curves.read
+    shown = curves.times, curves.fitted, curves.names
+    draw = partial(probe_curves, *shown, readings=readings)
+    return titled_picture(name, found.title, lambda: figure_of(draw()), caption)
 
 
-def last_frame_figure(title: str, frames: FittedFrames) -> Picture:
+def last_frame_figure(title: str, frame: FittedFrame) -> Picture:
     """The last frame that was fitted, the fit, and their difference."""
     caption = (
-        f"The frame at {duration(float(frames.times[-1]))}, the last that was "
+        f"The frame at {duration(frame.time)}, the last that was "
         "fitted, without turns of the phase and drift, and the fit in the same "
         "colours; reading less fit; white where no voxel is read; the tumour is "
         "outlined in blue."
     )
-    return titled_picture("frame", title, lambda: _last_frame(frames), caption)
+    return titled_picture("frame", title, lambda: _last_frame(frame), caption)
 
 
-def _last_frame(frames: FittedFrames) -> Figure:
-    cuts = sections_through(frames.target, frames.fitted, frames.spacing)
+def _last_frame(frame: FittedFrame) -> Figure:
+    cuts = sections_through(frame.target, frame.fitted, frame.spacing)
     name, cut = next(iter(cuts.items()))
-    reading, fitted = cut.of(frames.read), cut.of(frames.fitted)
+    reading, fitted = cut.of(frame.read), cut.of(frame.fitted)
     shared = float(np.nanmin(fitted)) - 1.0, float(np.nanmax(fitted)) + 1.0
     widest = float(np.nanmax(np.abs(reading - fitted)))
-    outline, spacing = cut.of(frames.target), frames.spacing[:2]
+    outline, spacing = cut.of(frame.target), frame.spacing[:2]
     panel = partial(
         plane_map, spacing=spacing, outline=outline, levels=()
     )  # noise has no contours

@@ -111,14 +111,11 @@ def map_panel(
             the data.
         values: the quantity at each grid point, not drawn where it is not finite; of a
             vector its size, and its direction in arrows.
-        look: of the quantity.
         limits: of the colours, shared between maps that are to be compared; from 0 to
             the largest size near the data unless given.
         path: positions to overlay [L].
         shade: grey out what is not near the data. A learned force is extrapolated
             there; a true one is not. None marks no data at all.
-        units: unit of each channel; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
     """
     size = np.linalg.norm(values, axis=-1) if values.ndim == 3 else values
     if limits is None:
@@ -189,7 +186,6 @@ def trust_map(
     A line surrounds places where the force is known to better than half of its size.
 
     Args:
-        field: the learned force.
         sd: standard deviation of each component [L T⁻²].
         shown: as of `map_panel`.
     """
@@ -210,11 +206,9 @@ def force_comparison(
     """A learned force beside the truth and its error, and beside its uncertainty.
 
     Args:
-        learned: the learned force.
         true: the true force on the same grid, where it is known.
         sd: standard deviation of the learned force [L T⁻²], where it is known.
         path: positions to overlay [L].
-        units: unit of each channel; "1" means dimensionless.
     """
     field = learned if true is None else true
     size = np.linalg.norm(field.force, axis=-1)

@@ -46,7 +46,10 @@ from pinav.figures.style import (
     title_panel,
     with_unit,
 )
-from pinav.navigation.maps import Course, ForceMaps
+from pinav.learning.findings import ForceMaps
+from pinav.navigation import Navigation
+from pinav.navigation.design.campaign import DesignResult
+from pinav.navigation.task.task import Course
 from pinav.navigation.trials.metrics import Interval
 
 
@@ -79,10 +82,7 @@ def plan_map(
     Args:
         time: time-to-go at equally spaced points of the arena [T]; infinite where the
             goal cannot be reached.
-        course: start, goal and obstacles.
         route: the planned way [L].
-        units: unit of each channel; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
     """
     x, y = map(np.linspace, *course.arena, time.shape)
     values, nothing = time.T, np.zeros((y.size, x.size))
@@ -151,14 +151,10 @@ def spread_map(
     """Standard deviation of the learned force, with the route and what to record next.
 
     Args:
-        field: the learned force.
         sd: standard deviation of each component [L T⁻²].
-        course: start, goal and obstacles.
         thrust: top of the colour scale: greatest thrust of the swimmer [L T⁻²].
         route: the planned way [L].
         suggestion: predicted path of the suggested trajectory [L].
-        units: unit of each channel; "1" means dimensionless.
-        ax: where to draw; a new figure unless given.
     """
     top = min(thrust, max(float(np.nanmax(np.linalg.norm(sd, axis=-1))), 1e-12))
     shown = {"limits": (0.0, top), "shade": None, "units": units}
@@ -173,35 +169,26 @@ def spread_map(
 
 
 def closed_loop_figure(
-    course: Course,
-    maps: ForceMaps,
-    paths: Mapping[str, Sequence[Float[np.ndarray, "_ 2"]]],
-    *,
-    thrust: float,
-    route: Float[np.ndarray, "_ 2"],
-    suggestion: Float[np.ndarray, "_ 2"] | None = None,
-    units: Mapping[str, str] = DIMENSIONLESS,
+    result: Navigation, paths: Mapping[str, Sequence[Float[np.ndarray, "_ 2"]]]
 ) -> Figure:
-    """Paths over the true and the learned force, and what is known of it.
-
-    Args:
-        course: start, goal and obstacles.
-        maps: the forces.
-        paths: positions of the runs of each controller [L].
-        thrust: greatest thrust of the swimmer [L T⁻²].
-        route: the planned way [L].
-        suggestion: predicted path of the suggested trajectory [L].
-        units: unit of each channel; "1" means dimensionless.
-    """
-    limit, panels = greatest_force(maps), {}
+    """Paths [L] over the true and the learned force, and what is known of it."""
+    maps, course, panels = result.maps, result.course, {}
+    assert maps is not None
+    shown = {"limit": greatest_force(maps), "units": result.units}
     for name, field in (("true force", maps.truth), ("learned force", maps.learned)):
         if field is not None:
-            shown = {"limit": limit, "units": units}
             panels[name] = partial(paths_map, field, course, paths, **shown)
     if maps.sd is not None:
-        known = {"route": route, "suggestion": suggestion, "units": units}
+        next_one = result.suggestion
         panels["its standard deviation"] = partial(
-            spread_map, maps.learned, maps.sd, course, thrust=thrust, **known
+            spread_map,
+            maps.learned,
+            maps.sd,
+            course,
+            thrust=result.thrust,
+            route=result.plan.route,
+            suggestion=None if next_one is None else next_one.path,
+            units=result.units,
         )
     count = len(panels)
     lettered = zip("abc", panels.items(), strict=False)
@@ -267,18 +254,17 @@ LOOKS: Mapping[str, tuple[str, str]] = {
 """Colour and dash of each design."""
 
 
-def bounds_figure(
-    bounds: Mapping[str, Sequence[Float[np.ndarray, " count"]]], accuracy: float
-) -> Figure:
+def bounds_figure(result: DesignResult) -> Figure:
     """The bound of each campaign after each trajectory, and what was asked for."""
     figure = new_figure(5.2, 3.2)
     ax = prepare_axes(figure.add_subplot())
-    for name, curves in bounds.items():
+    for name, curves in result.bounds.items():
         color, dash = LOOKS[name]
         for index, curve in enumerate(curves):
             label = name if index == 0 else None
             ax.plot(100 * curve, color=color, ls=dash, lw=1.2, label=label)
-    ax.axhline(100 * accuracy, color=BLACK, lw=0.8, ls=":", label="asked for")
+    asked = 100 * result.accuracy
+    ax.axhline(asked, color=BLACK, lw=0.8, ls=":", label="asked for")
     ax.set_yscale("log")
     ax.set_ylim(top=110)
     ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -288,20 +274,14 @@ def bounds_figure(
     return figure
 
 
-def recordings_figure(
-    course: Course,
-    maps: ForceMaps,
-    paths: Sequence[Float[np.ndarray, "_ 2"]],
-    *,
-    way: Float[np.ndarray, "_ 2"],
-    thrust: float,
-) -> Figure:
-    """What was recorded, over what is not known of the force, and the planned way."""
+def recordings_figure(result: DesignResult, design: str) -> Figure:
+    """What a design recorded, over what is not known of the force, and the way."""
+    maps, known = result.maps, {"thrust": result.thrust, "route": result.decision.way}
     assert maps.sd is not None
     figure = new_figure(4.8, 4.8)
     ax = figure.add_subplot()
-    spread_map(maps.learned, maps.sd, course, thrust=thrust, route=way, ax=ax)
-    for index, path in enumerate(paths):
+    spread_map(maps.learned, maps.sd, result.course, **known, ax=ax)
+    for index, path in enumerate(result.paths.get(design, ())):
         label = "recorded" if index == 0 else None
         line = {"color": TRACK, "lw": 0.9, "path_effects": _halo(BLACK, 2.0)}
         ax.plot(*path.T, label=label, **line)
@@ -319,25 +299,19 @@ ALONG = 24
 """Points along a circle of latitude of a ball in perspective."""
 
 
-def space_figure(
-    course: Course,
-    paths: Paths,
-    *,
-    route: Float[np.ndarray, "_ 3"],
-    units: Mapping[str, str] = DIMENSIONLESS,
-) -> Figure:
+def space_figure(result: Navigation, paths: Paths) -> Figure:
     """Paths [L] in perspective, and their projections along the three axes.
 
     All panels show the arena whole, lengths along all axes alike.
     """
     figure = new_figure(7.2, 7.4)
     perspective = figure.add_subplot(2, 2, 1, projection="3d")
-    _draw_perspective(perspective, course, paths, route, units)
+    _draw_perspective(perspective, result, paths)
     for panel, (letter, axes) in enumerate(PROJECTIONS.items(), start=2):
         ax = prepare_axes(figure.add_subplot(2, 2, panel))
-        _draw_projection(ax, course, paths, route, axes)
+        _draw_projection(ax, result, paths, axes)
         names = "".join("xyz"[axis] for axis in axes)
-        label_plane(ax, units, adjustable="box", axes=names)
+        label_plane(ax, result.units, adjustable="box", axes=names)
         title_panel(ax, f"{letter} projection on {names}")
     keys = controller_keys(paths)
     keys.append(Line2D([], [], color=PLAN, lw=1.5, ls="--", label="planned route"))
@@ -356,13 +330,8 @@ def _draw_ways(
     ax.plot(*route[:, axes].T, color=PLAN, lw=1.2, ls="--")
 
 
-def _draw_perspective(
-    ax: Any,
-    course: Course,
-    paths: Paths,
-    route: Float[np.ndarray, "_ 3"],
-    units: Mapping[str, str],
-) -> None:
+def _draw_perspective(ax: Any, result: Navigation, paths: Paths) -> None:
+    course = result.course
     lower, upper = course.arena
     turn, height = np.meshgrid(
         np.linspace(0, 2 * np.pi, ALONG), np.linspace(-np.pi / 2, np.pi / 2, ALONG // 2)
@@ -372,30 +341,26 @@ def _draw_perspective(
     for *center, radius in course.discs:
         surface = np.reshape(center, (3, 1, 1)) + radius * ball
         ax.plot_surface(*surface, color=WALL, alpha=0.5)
-    _draw_ways(ax, paths, route, [0, 1, 2])
+    _draw_ways(ax, paths, result.plan.route, [0, 1, 2])
     ax.plot(*course.start[:, None], "o", mfc=PAPER, mec=BLACK, ms=5)
     ax.plot(*course.goal[:, None], "x", color=BLACK, ms=6)
     ax.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]))
     ax.set_zlim(lower[2], upper[2])
     ax.set_box_aspect(upper - lower)
     for name in "xyz":
-        getattr(ax, f"set_{name}label")(channel_label(name, units))
+        getattr(ax, f"set_{name}label")(channel_label(name, result.units))
     ax.tick_params(labelsize=SMALL)
     title_panel(cast(Axes, ax), "(a) in perspective")
 
 
 def _draw_projection(
-    ax: Axes,
-    course: Course,
-    paths: Paths,
-    route: Float[np.ndarray, "_ 3"],
-    axes: tuple[int, int],
+    ax: Axes, result: Navigation, paths: Paths, axes: tuple[int, int]
 ) -> None:
-    shown = list(axes)
+    course, shown = result.course, list(axes)
     for ball in course.discs:
         x, y = ball[shown].tolist()
         ax.add_patch(Circle((x, y), float(ball[3]), fc=WALL, ec=BLACK, alpha=0.5))
-    _draw_ways(ax, paths, route, shown)
+    _draw_ways(ax, paths, result.plan.route, shown)
     x, y = course.goal[shown].tolist()
     ax.add_patch(Circle((x, y), course.tolerance, fill=False, ec=GREY))
     ax.plot(*course.start[shown], "o", mfc=PAPER, mec=BLACK, ms=5, zorder=6)

@@ -41,7 +41,7 @@ from pinav.figures.style import (
     with_unit,
 )
 from pinav.recordings import image_positions, labels
-from pinav.recordings.drive import vector
+from pinav.recordings.drive import command_vector
 from pinav.recordings.quality import Quality, positions
 from pinav.trajectories import Trajectories
 
@@ -211,7 +211,8 @@ def commands(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     every = max(1, int(recording.lengths.sum()) // _DOTS)
     for label, segment in zip(labels(recording), recording, strict=True):
         color, mark = _look(names, str(label["run"]))
-        drives = vector(segment)[::every]
+        logged = segment.commands
+        drives = command_vector(logged["frequency"], logged["heading"])[::every]
         ax.plot(*drives.T, mark, ms=1.6, mew=0, color=color, alpha=0.6)
     ax.set_aspect("equal", adjustable="datalim")
     round_ticks(ax)

@@ -53,8 +53,6 @@ class LineStyle:
 
     Attributes:
         label: what the legend says.
-        color: a matplotlib colour.
-        dash: a matplotlib line style.
     """
 
     label: str
@@ -313,17 +311,12 @@ def band(
     """A line within its band, over the truth.
 
     Args:
-        places: along the coordinate.
-        mean: the line.
         interval: lower and upper end of the band, such as `normal_interval` gives.
         truth: drawn below, where it is known.
-        color: of line and band.
-        name: of the line in a legend.
         line: format of the line, such as "o-".
         width: of the line [pt].
         alpha: opacity of the band.
         labels: of the axes; left alone unless given.
-        ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
     if truth is not None:

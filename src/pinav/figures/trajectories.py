@@ -63,9 +63,7 @@ def trajectory(
     Args:
         truth: true positions [L].
         models: positions of each model [L]; not-finite ones are left out.
-        units: unit of each channel; "1" means dimensionless.
         barrier: centre and width of an obstacle to outline, at one width.
-        ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
     if barrier is not None:
@@ -204,7 +202,6 @@ def loss_curve(
             bold. What is not a positive number leaves a gap.
         phases: name of each phase and the step at which it began.
         model: what was fitted; sets the colour.
-        ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
     rows = np.atleast_2d(finite(losses))

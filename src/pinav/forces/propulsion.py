@@ -339,7 +339,7 @@ class RollingPropulsion(AbstractCommandedForce):
         if self.programme is None:
             raise InputError(
                 "RollingPropulsion: expected commands; bind those of a trajectory by "
-                "pinav.dynamics.drive_by_commands(model, trajectory), or give a "
+                "pinav.dynamics.drive_by_arrays(model, times, commands), or give a "
                 "programme"
             )
         command = jnp.stack(self.programme(jnp.asarray(t) - self.delay))

@@ -1,6 +1,5 @@
 """Identification: which response to the commands a recording supports."""
 
-from pinav.identification.baselines import Baseline as Baseline
 from pinav.identification.baselines import least_squares as least_squares
 from pinav.identification.candidates import drift_only as drift_only
 from pinav.identification.candidates import gain_matrix as gain_matrix

@@ -1,49 +1,30 @@
 """Plain regressions on a track: gain and drift, or a restoring force."""
 
-import time
-from collections.abc import Callable
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
-from pinav.identification.forecast import Displacement, command_vector, integrate_held
+from pinav.identification.forecast import Displacement, integrate_held
 from pinav.identification.tracks import Track, commands_of
+from pinav.recordings.drive import command_vector
 from pinav.trajectories import Trajectory
 
 WINDOW = 1.0
 """Velocities are central differences over this time [s]."""
 
 
-class Baseline(eqx.Module):
-    """A fitted baseline: the velocity at each sample of a segment [L T⁻¹]."""
+def least_squares(track: Track) -> Displacement:
+    """Gain matrix and drift by least squares of the velocity: no delay, no noise.
 
-    name: str = eqx.field(static=True)
-    velocity: Callable[[Trajectory], Float[np.ndarray, "time 2"]]
-    seconds: float
-
-    def displacement(self) -> Displacement:
-        """Its velocity, held from sample to sample, integrated."""
-
-        def path(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
-            return integrate_held(self.velocity(piece), piece.times)
-
-        return path
-
-
-def least_squares(track: Track) -> Baseline:
-    """Gain matrix and drift by least squares of the velocity: no delay, no noise."""
-    begin = time.perf_counter()
+    Returns:
+        The fitted velocity, held from sample to sample, integrated.
+    """
     parts = [(piece, *velocities(track, piece)) for piece in track.pieces]
     design = np.concatenate([_regressors(piece)[rows] for piece, _, rows in parts])
     targets = np.concatenate([values for _, values, _ in parts])
     best = np.linalg.lstsq(design, targets, rcond=None)[0]
-
-    def velocity(piece: Trajectory) -> np.ndarray:
-        return _regressors(piece) @ best
-
-    return Baseline("least squares", velocity, time.perf_counter() - begin)
+    return lambda piece: integrate_held(_regressors(piece) @ best, piece.times)
 
 
 def velocities(
@@ -86,7 +67,6 @@ class RestoringForce(eqx.Module):
     Both are fitted together, so that neither takes what belongs to the other.
 
     Attributes:
-        interval: between the positions that were compared [T].
         pull: matrix $B$: the displacement in an interval for each unit of position.
         memory: matrix $\Phi$, which multiplies the previous displacement.
         offset: vector $a$ [L].
@@ -95,7 +75,6 @@ class RestoringForce(eqx.Module):
             there are none.
     """
 
-    interval: float
     pull: Float[np.ndarray, "2 2"]
     memory: Float[np.ndarray, "2 2"]
     offset: Float[np.ndarray, "2"]
@@ -106,7 +85,7 @@ class RestoringForce(eqx.Module):
     def rates(self) -> Float[np.ndarray, "2"]:
         """Rates at which the two principal displacements decay [1/T]."""
         left = np.abs(np.linalg.eigvals(np.eye(2) + self.pull))
-        return np.sort(-np.log(np.clip(left, 1e-12, None)) / self.interval)
+        return np.sort(-np.log(np.clip(left, 1e-12, None)) / INTERVAL)
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:
@@ -152,7 +131,6 @@ def restoring_force(train: Track, held_out: Track) -> RestoringForce:
     gain = 0.5 * count * (np.linalg.slogdet(without)[1] - np.linalg.slogdet(full)[1])
     offset, memory, pull = weights[0], weights[1:3].T, weights[3:].T
     return RestoringForce(
-        interval=INTERVAL,
         pull=pull,
         memory=memory,
         offset=offset,

@@ -45,7 +45,7 @@ from pinav.forces import (
     as_learned_force,
     tensor_matrix,
 )
-from pinav.identification.drive import is_open
+from pinav.identification.drive import is_open, known_gain
 from pinav.identification.fit import CandidateSearch, stated_coordinates
 from pinav.identification.likelihood import Design, Field, path_displacement, whiten
 from pinav.identification.parameters import DRIFT, GAIN, Prior
@@ -214,9 +214,11 @@ class _Problem:
         gains = jnp.einsum("ab,gbc->gac", mobility, design.still.gains)
         self.design = eqx.tree_at(lambda d: d.still.gains, design, gains)
         self.swimmer = swimmer
-        known_gain = design.drive.known_gain(system, mobility)
         self.field = displacements_by(
-            swimmer, self.design.blocks, known_gain, drift=is_open(system, DRIFT)
+            swimmer,
+            self.design.blocks,
+            known_gain(system, mobility),
+            drift=is_open(system, DRIFT),
         )
         self.weights: AbstractWeights = NoWeights()
         if environment is not None:

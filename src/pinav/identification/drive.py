@@ -6,10 +6,8 @@ are parameters of the search.
 """
 
 import abc
-import contextlib
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -21,15 +19,12 @@ from jaxtyping import Array, Float, Int
 from pinav import actuation
 from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_arrays
 from pinav.errors import InputError
-from pinav.fitting import EvidenceFit
 from pinav.forces import RollingPropulsion, ZeroFlow, ZeroForce
 from pinav.identification.parameters import (
     GAIN,
     ROLLING,
-    Coordinates,
     Parameter,
     Scale,
-    fitted_noise,
 )
 from pinav.identification.tracks import Blocks
 from pinav.systems import FreeNumber, LogNormal, Normal, System
@@ -58,25 +53,11 @@ class AbstractDrive(eqx.Module):
 
     parameters: eqx.AbstractVar[tuple[Parameter, ...]]
 
-    def coordinates(self, swimmer: OverdampedSwimmer) -> Coordinates:
-        """Coordinates of its parameters in a swimmer."""
-        return coordinates_of(self.parameters, swimmer)
-
     @abc.abstractmethod
     def displacements(
         self, coordinates: Float[Array, " parameter"], blocks: Blocks
     ) -> Float[Array, "sample 2"]:
         """Displacement since the first sample of a track, for a gain of 1."""
-
-    @abc.abstractmethod
-    def gains(self, system: System) -> Float[np.ndarray, "4 2 2"]:
-        """Gain matrix by each number of an open gain, zeros where there are fewer."""
-
-    @abc.abstractmethod
-    def known_gain(
-        self, system: System, mobility: Float[Array, "2 2"]
-    ) -> Float[Array, "2 2"]:
-        """Gain matrix that is not open, which a mobility makes a velocity of."""
 
 
 def drive_of(system: System) -> AbstractDrive:
@@ -118,48 +99,31 @@ class RollingDrive(AbstractDrive):
         times = programme.times - delay
         return programme.lagged_integral(response, times, jnp.exp(lag))
 
-    def gains(self, system: System) -> Float[np.ndarray, "4 2 2"]:
-        gains, propulsion = np.zeros((4, 2, 2)), system.swimmer.propulsion
-        if isinstance(propulsion, RollingPropulsion) and is_open(system, GAIN):
-            basis = gain_basis(np.ndim(propulsion.gain))
-            gains[: len(basis)] = basis
-        return gains
 
-    def known_gain(
-        self, system: System, mobility: Float[Array, "2 2"]
-    ) -> Float[Array, "2 2"]:
-        propulsion = system.swimmer.propulsion
-        if isinstance(propulsion, RollingPropulsion) and not is_open(system, GAIN):
-            return mobility @ propulsion.matrix
-        return jnp.zeros((2, 2))
+def open_gains(system: System) -> Float[np.ndarray, "4 2 2"]:
+    """Gain matrix by each number of an open gain, zeros where there are fewer."""
+    gains, propulsion = np.zeros((4, 2, 2)), system.swimmer.propulsion
+    if isinstance(propulsion, RollingPropulsion) and is_open(system, GAIN):
+        basis = gain_basis(np.ndim(propulsion.gain))
+        gains[: len(basis)] = basis
+    return gains
+
+
+def known_gain(system: System, mobility: Float[Array, "2 2"]) -> Float[Array, "2 2"]:
+    """Gain matrix that is not open, which a mobility makes a velocity of.
+
+    That of another propulsion than a rolling one is 1: its drive is a displacement.
+    """
+    propulsion = system.swimmer.propulsion
+    if isinstance(propulsion, RollingPropulsion) and not is_open(system, GAIN):
+        return mobility @ propulsion.matrix
+    rolls = isinstance(propulsion, RollingPropulsion | ZeroForce)
+    return jnp.zeros((2, 2)) if rolls else jnp.eye(2)
 
 
 def is_open(system: System, path: str) -> bool:
     """True where a system leaves a number open."""
     return any(number.path == path for number in system.learn)
-
-
-def rolling_coordinates(swimmer: Swimmer | OverdampedSwimmer) -> Coordinates:
-    """Coordinates of `ROLLING` in a swimmer, absent ones without a propulsion."""
-    return coordinates_of(ROLLING, swimmer)
-
-
-def coordinates_of(
-    parameters: Sequence[Parameter], swimmer: Swimmer | OverdampedSwimmer
-) -> Coordinates:
-    """Coordinates of parameters in a swimmer, absent where it has no such number."""
-    coordinates = np.array([parameter.absent for parameter in parameters])
-    for place, parameter in enumerate(parameters):
-        with contextlib.suppress(InputError):
-            number = FreeNumber(parameter.path).pick(swimmer)
-            at = parameter.scale.coordinate(float(number))
-            coordinates[place] = coordinates[place] if math.isnan(at) else at
-    return coordinates
-
-
-def fitted_coordinates(fit: EvidenceFit) -> Coordinates:
-    """Coordinates of a rolling swimmer that was fitted, and of the noise found."""
-    return np.concatenate([rolling_coordinates(fit.model), fitted_noise(fit)])
 
 
 def gain_basis(ndim: int) -> Float[np.ndarray, "number 2 2"]:
@@ -183,21 +147,16 @@ class SwitchedResponse(actuation.AbstractResponse):
     logit_residual: Float[Array, ""]
 
     def __call__(self, frequency: Array) -> Array:
-        branches = [
-            lambda f, a, b, made=made: _with_numbers(made, a, b)(f)
-            for made in RESPONSES.values()
-        ]
-        return jax.lax.switch(
-            self.index, branches, frequency, self.log_corner, self.logit_residual
-        )
-
-
-def _with_numbers(
-    response: actuation.AbstractResponse, log_corner: Array, logit_residual: Array
-) -> actuation.AbstractResponse:
-    values = {"corner": jnp.exp(log_corner), "residual": jax.nn.sigmoid(logit_residual)}
-    names = {field.name for field in dataclasses.fields(response)}
-    return dataclasses.replace(response, **{n: values[n] for n in values if n in names})
+        numbers = {
+            "corner": jnp.exp(self.log_corner),
+            "residual": jax.nn.sigmoid(self.logit_residual),
+        }
+        branches = []
+        for made in RESPONSES.values():
+            own = {name: numbers[name] for name in numbers if hasattr(made, name)}
+            response = dataclasses.replace(made, **own)
+            branches.append(lambda f, response=response: response(f))
+        return jax.lax.switch(self.index, branches, frequency)
 
 
 class OtherDrive(AbstractDrive):
@@ -237,14 +196,6 @@ class OtherDrive(AbstractDrive):
         driven = drive_by_arrays(swimmer, along.times, commands)
         jumps = getattr(driven.propulsion, "jumps", along.times)
         return integrate_between(driven, jumps, along.times, along.positions)
-
-    def gains(self, system: System) -> Float[np.ndarray, "4 2 2"]:
-        return np.zeros((4, 2, 2))
-
-    def known_gain(
-        self, system: System, mobility: Float[Array, "2 2"]
-    ) -> Float[Array, "2 2"]:
-        return jnp.eye(2)
 
 
 def _parameter(number: FreeNumber, system: System) -> Parameter:

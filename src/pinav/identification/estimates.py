@@ -26,92 +26,69 @@ WEIGHTS = "environment"
 """Path of all weights of the environment."""
 
 
-class LearnedNumber(eqx.Module):
-    """Flattened numbers of a swimmer or its noise, and slopes by all unknowns."""
-
-    path: str = eqx.field(static=True)
-    values: Float[np.ndarray, " number"]
-    slopes: Float[np.ndarray, "number unknown"]
-
-    def label(self, index: int) -> str:
-        """The path of one number: entries of a matrix or a vector by their place."""
-        rows = {1: "", 2: f"[{index}]", 4: f"[{index // 2}, {index % 2}]"}
-        return self.path + rows[len(self.values)]
-
-
-def learned_numbers(
+def learned_posterior(
+    swimmer: Swimmer | OverdampedSwimmer,
     learned: Sequence[Parameter],
     linear: dict[str, int],
     unknown: Float[np.ndarray, " unknown"],
-) -> list[LearnedNumber]:
-    """All learned numbers: of drive, gain, drift, environment and noise.
+    covariance: Float[np.ndarray, "unknown unknown"],
+) -> tuple[Posterior, dict[str, Estimate]]:
+    """Posterior of a swimmer, and the learned constants, those of the noise last.
 
     Args:
         linear: number of values of gain and drift, by their paths.
         unknown: coordinates of the nonlinear parameters, then gain, drift and weights.
     """
-    identity, numbers = np.eye(len(unknown)), []
-    for row, parameter, at in zip(identity, learned, unknown, strict=False):
-        slopes = parameter.scale.slope(at) * row[None]
-        value = np.array([parameter.scale.number(at)])
-        numbers.append(LearnedNumber(parameter.path, value, slopes))
-    first = len(learned)
-    rest = len(unknown) - first - sum(linear.values())
-    for path, count in {**linear, WEIGHTS: rest}.items():
-        if count:
-            rows = slice(first, first + count)
-            numbers.append(LearnedNumber(path, unknown[rows], identity[rows]))
-            first += count
-    return numbers
+    values, slopes = unknown.copy(), np.ones(len(unknown))
+    for place, parameter in enumerate(learned):
+        values[place] = parameter.scale.number(unknown[place])
+        slopes[place] = parameter.scale.slope(unknown[place])
+    covariance = slopes[:, None] * covariance * slopes
+    deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    paths = [parameter.path for parameter in learned]
+    labels = [*paths]
+    for path, count in linear.items():
+        paths += [path] * count
+        labels += [path + place for place in PLACES[count]]
+    constants = {
+        label: Estimate(float(value), float(sd))
+        for label, value, sd in zip(labels, values, deviations, strict=False)
+    }
+    constants = dict(sorted(constants.items(), key=lambda one: one[0] in NOISE_PLACES))
+    paths += [WEIGHTS] * (len(unknown) - len(paths))
+    rows = np.flatnonzero([path not in NOISE_PLACES for path in paths])
+    known = covariance[np.ix_(rows, rows)]
+    return _posterior(swimmer, [paths[i] for i in rows], values[rows], known), constants
 
 
-def is_noise(number: LearnedNumber) -> bool:
-    """True of a number that stands in no swimmer."""
-    return number.path in NOISE_PLACES
+PLACES = {
+    **{0: (), 1: ("",), 2: ("[0]", "[1]")},
+    4: ("[0, 0]", "[0, 1]", "[1, 0]", "[1, 1]"),
+}
+"""Places of so many values: none, a number, a vector of the plane, or a matrix."""
 
 
-def constants_of(
-    numbers: list[LearnedNumber], covariance: Float[np.ndarray, "unknown unknown"]
-) -> dict[str, Estimate]:
-    """Learned constants with standard deviations; those of the noise come last."""
-    estimates = {}
-    for number in sorted(numbers, key=is_noise):
-        if number.path == WEIGHTS:
-            continue
-        spread = np.diag(number.slopes @ covariance @ number.slopes.T)
-        deviations = np.sqrt(np.maximum(spread, 0.0))
-        several = zip(number.values, deviations, strict=True)
-        for index, (value, sd) in enumerate(several):
-            estimates[number.label(index)] = Estimate(float(value), float(sd))
-    return estimates
-
-
-def posterior_over(
+def _posterior(
     swimmer: Swimmer | OverdampedSwimmer,
-    numbers: list[LearnedNumber],
-    covariance: Float[np.ndarray, "unknown unknown"],
+    paths: list[str],
+    values: Float[np.ndarray, " number"],
+    covariance: Float[np.ndarray, "number number"],
 ) -> Posterior:
-    """The posterior of a swimmer whose learned numbers have these values."""
-    numbers = [number for number in numbers if not is_noise(number)]
-    free_numbers = [FreeNumber(n.path) for n in numbers if n.path != WEIGHTS]
-    has_weights = len(free_numbers) < len(numbers)
+    """The posterior of a swimmer whose numbers at these paths are learned."""
+    numbers = [FreeNumber(path) for path in dict.fromkeys(paths)]
 
     def select(model: Any) -> tuple:
-        weights = model.environment.parameters if has_weights else ()
+        weights = model.environment.parameters if WEIGHTS in paths else ()
         weights = weights if isinstance(weights, tuple) else (weights,)
-        return *weights, *(number.pick(model) for number in free_numbers)
+        return *weights, *(n.pick(model) for n in numbers if n.path != WEIGHTS)
 
     exact = eqx.tree_at(select, swimmer, replace_fn=lambda x: jnp.asarray(x, float))
     free, theta = ravel_model(exact, select)
-    places = [
-        selected_entries(free, len(theta), FreeNumber(number.path).pick)
-        for number in numbers
-    ]
-    order = np.concatenate([np.flatnonzero(chosen) for chosen in places])
-    rows = np.concatenate([number.slopes for number in numbers])
+    chosen = [selected_entries(free, len(theta), number.pick) for number in numbers]
+    order = np.concatenate(list(map(np.flatnonzero, chosen)))
     mean, full = np.array(theta), np.zeros((len(theta),) * 2)
-    mean[order] = np.concatenate([number.values for number in numbers])
-    full[np.ix_(order, order)] = rows @ covariance @ rows.T
+    mean[order] = values
+    full[np.ix_(order, order)] = covariance
     return Posterior(free, mean, full)
 
 

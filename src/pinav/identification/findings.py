@@ -24,7 +24,8 @@ from pinav.identification.estimates import estimates as estimates_of
 from pinav.identification.fit import fit_track
 from pinav.identification.parameters import DELAY
 from pinav.identification.selection import LEAST_SQUARES, Row, Selection
-from pinav.identification.tracks import Track, pairs_apart
+from pinav.identification.tracks import Track
+from pinav.recordings.drive import pairs_apart
 from pinav.systems import System
 
 TURNING_WINDOW = 2.0

@@ -22,8 +22,8 @@ from pinav.fitting import (
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import NoWeights
 from pinav.identification import likelihood
-from pinav.identification.drive import fitted_coordinates, is_open
-from pinav.identification.estimates import constants_of, learned_numbers, posterior_over
+from pinav.identification.drive import is_open
+from pinav.identification.estimates import learned_posterior
 from pinav.identification.parameters import (
     BLOCK_NOISE,
     CORNER,
@@ -35,6 +35,8 @@ from pinav.identification.parameters import (
     Coordinates,
     Parameter,
     Prior,
+    coordinates_of,
+    fitted_coordinates,
     learned_noise,
     stated_noise,
 )
@@ -91,8 +93,7 @@ WHITE = ("wandering.memory", BLOCK_NOISE)
 
 def stated_coordinates(system: System, design: likelihood.Design) -> Coordinates:
     """Coordinates that a system states; NaN for noise of which it says nothing."""
-    drive: Any = system.swimmer
-    return np.concatenate([design.drive.coordinates(drive), stated_noise(system)])
+    return coordinates_of(design.parameters, system.swimmer, stated_noise(system))
 
 
 class CandidateSearch:
@@ -170,8 +171,7 @@ class CandidateSearch:
     def present(self) -> Bool[np.ndarray, " coefficient"]:
         """True for each of the four gains and two drifts that is open."""
         gains, drifts = self.design.still.gains, self.design.still.drifts
-        several = [np.any(gains, axis=(1, 2)), np.any(drifts, axis=1)]
-        return np.concatenate(several)
+        return np.concatenate([np.any(gains, axis=(1, 2)), np.any(drifts, axis=1)])
 
     @property
     def linear(self) -> dict[str, int]:
@@ -370,9 +370,9 @@ class CandidateSearch:
         cross = slopes @ spread
         covariance = np.block([[spread, cross.T], [cross, alone + cross @ slopes.T]])
         unknown = np.concatenate([learned, linear_mean(learned)])
-        numbers = learned_numbers(self.learned, self.linear, unknown)
-        posterior = posterior_over(swimmer, numbers, covariance)
-        return posterior, constants_of(numbers, covariance)
+        return learned_posterior(
+            swimmer, self.learned, self.linear, unknown, covariance
+        )
 
 
 DIFFERENCE, ACROSS_KINKS, WIDEST = 0.02, 0.25, 0.5

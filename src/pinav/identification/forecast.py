@@ -11,17 +11,20 @@ from jaxtyping import Array, Complex, Float
 from pinav.actuation import HeldProgramme
 from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting import EvidenceFit
-from pinav.identification.drive import (
-    RollingDrive,
-    fitted_coordinates,
-    gain_basis,
-    rolling_coordinates,
-)
+from pinav.identification.drive import RollingDrive, gain_basis
 from pinav.identification.estimates import drift_of, entries, gain_of
 from pinav.identification.kalman import Disturbance, State, begin, predict, transitions
 from pinav.identification.likelihood import disturbance_of
-from pinav.identification.parameters import DRIFT, GAIN, ROLLING, Coordinates
+from pinav.identification.parameters import (
+    DRIFT,
+    GAIN,
+    ROLLING,
+    Coordinates,
+    coordinates_of,
+    fitted_coordinates,
+)
 from pinav.identification.tracks import Track, commands_of, round_up_to
+from pinav.recordings.drive import command_vector
 from pinav.trajectories import Trajectory
 
 Vectors = Float[np.ndarray, "time 2"]
@@ -59,19 +62,15 @@ def cycles(
     coordinates: Coordinates | None = None,
 ) -> Vectors:
     """Integral of the delayed response of a rolling swimmer along the heading."""
-    at = rolling_coordinates(swimmer) if coordinates is None else coordinates
+    if coordinates is None:
+        coordinates = coordinates_of(ROLLING, swimmer, {})
     with jax.enable_x64(new_val=True):
         # The response is chosen by its place, in one compiled program for all of them.
         drive = RollingDrive.of(swimmer)
         integral = eqx.filter_jit(RollingDrive.cycles)(
-            drive, jnp.asarray(at), programme_of(piece)
+            drive, jnp.asarray(coordinates), programme_of(piece)
         )
     return np.asarray(integral)[: len(piece.times)]
-
-
-def command_vector(frequency: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    r"""$f\,n(\theta)$ [Hz]."""
-    return frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
 
 
 def integrate_held(velocity: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -263,29 +262,26 @@ class Predictor(eqx.Module):
     def _slopes(self, piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
         """Slopes of a displacement by each unknown, and the covariance of these."""
         known, swimmer = self.wandering or self.fit, self.fit.model
-        columns, places = [], []
-        drive = rolling_coordinates(swimmer)
-        turned = cycles(swimmer, piece)
+        learned = {name.partition("[")[0] for name in known.constants}
+        drive, turned = coordinates_of(ROLLING, swimmer, {}), cycles(swimmer, piece)
+        columns = {}
         for place, parameter in enumerate(ROLLING):
-            if parameter.path in known.constants:
+            if parameter.path in learned:
                 # A forward difference is enough: a band needs its slope to per milles.
                 moved = drive + STEP * (np.arange(len(drive)) == place)
                 slope = (cycles(swimmer, piece, moved) - turned) / STEP
                 slope = slope @ gain_of(swimmer).T
                 slope = slope / parameter.scale.slope(drive[place])
-                columns.append(slope[:, :, None])
-                places.append(entries(known, parameter.path))
-        if GAIN in _roots(known):
+                columns[parameter.path] = slope[:, :, None]
+        if GAIN in learned:
             basis = gain_basis(np.ndim(swimmer.propulsion.gain))
-            columns.append(np.einsum("gab,tb->tag", basis, turned))
-            places.append(entries(known, GAIN))
-        if DRIFT in _roots(known):
+            columns[GAIN] = np.einsum("gab,tb->tag", basis, turned)
+        if DRIFT in learned:
             elapsed = piece.times - piece.times[0]
-            columns.append(np.einsum("ga,t->tag", np.eye(2), elapsed))
-            places.append(entries(known, DRIFT))
-        several = np.concatenate(places)
-        covariance = known.posterior.covariance[np.ix_(several, several)]
-        return np.concatenate(columns, axis=2), covariance
+            columns[DRIFT] = np.einsum("ga,t->tag", np.eye(2), elapsed)
+        places = np.concatenate([entries(known, path) for path in columns])
+        covariance = known.posterior.covariance[np.ix_(places, places)]
+        return np.concatenate([*columns.values()], axis=2), covariance
 
     def _beyond(self, piece: Trajectory) -> Vectors:
         """Displacement by the excess of the frequency over all that was fitted [L]."""
@@ -294,11 +290,6 @@ class Predictor(eqx.Module):
         excess = np.maximum(frequency - self.fastest, 0.0)
         along = integrate_held(command_vector(excess, heading), piece.times)
         return DISCREPANCY * along @ gain_of(self.fit.model).T
-
-
-def _roots(fit: EvidenceFit) -> set[str]:
-    """Paths of the learned constants, without places in a matrix or a vector."""
-    return {name.partition("[")[0] for name in fit.constants}
 
 
 STEP = 1e-3

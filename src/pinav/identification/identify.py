@@ -242,7 +242,7 @@ def identify_track(
     if not drawn:
         return result, whole
     paths = Paths.of(held_out, predictor, rollouts)
-    baseline = least_squares(selection.train).displacement()
+    baseline = least_squares(selection.train)
     return dataclasses.replace(
         result,
         paths=paths,
@@ -268,8 +268,8 @@ def _system_track(name: str | None, several: Iterable[IdentifiedTrack]) -> str |
         if results[name].reason:
             raise InputError(f"--track {name}: {results[name].reason}")
         return name
-    order = sorted(fitted, key=lambda track: (track.gain is None, -track.duration))
-    return order[0].name if order else None
+    fitted.sort(key=lambda track: (track.gain is None, -track.duration))
+    return fitted[0].name if fitted else None
 
 
 def summarise(several: Iterable[IdentifiedTrack]) -> dict[str, Row]:

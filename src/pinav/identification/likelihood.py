@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from pinav.identification.drive import AbstractDrive, drive_of, is_open
+from pinav.identification.drive import AbstractDrive, drive_of, is_open, open_gains
 from pinav.identification.kalman import (
     Disturbance,
     Innovations,
@@ -67,12 +67,8 @@ def rolling_about(frequency: Float[Array, " block"]) -> Float[Array, " step"]:
     disturbance as small as at rest would make that moment the most exact of data.
     """
     padded = jnp.concatenate([frequency[:1], frequency, frequency[-1:]])
-    later = padded[1:], padded[2:], padded[3:]
     steps = frequency.shape[0] - 1
-    highest = padded[:steps]
-    for shifted in later:
-        highest = jnp.maximum(highest, shifted[:steps])
-    return highest
+    return jnp.max(jnp.stack([padded[i : i + steps] for i in range(4)]), axis=0)
 
 
 class Regressors(NamedTuple):
@@ -156,7 +152,7 @@ class Design(eqx.Module):
             cycles=jnp.zeros_like(means[:, 1:3]),
             counts=jnp.asarray(blocks.counts),
             begins=jnp.asarray(blocks.begins),
-            gains=jnp.asarray(drive.gains(system)),
+            gains=jnp.asarray(open_gains(system)),
             drifts=float(is_open(system, DRIFT)) * jnp.eye(2),
         )
         return cls(jax.tree.map(jnp.asarray, blocks), still, drive)
@@ -262,10 +258,6 @@ class Whitened(eqx.Module):
         """The inverse of the information, applied."""
         return jnp.linalg.solve(self.information, right)
 
-    def coefficients(self) -> tuple[Float[Array, " coefficient"], Float[Array, "k k"]]:
-        """Best coefficients and their information."""
-        return self.solve(self.rows.T @ self.target), self.information
-
 
 def block_means(values: Array, blocks: Blocks) -> Array:
     """Means over the samples of each block; zero in padding."""
@@ -325,7 +317,7 @@ def evidence_and_coefficients(
     $1 + A A^\top$.
     """
     problem = whiten(theta, regressors, field)
-    best, information = problem.coefficients()
+    best = problem.solve(problem.rows.T @ problem.target)
     # Absent coefficients have zero columns and cost nothing.
     present = jnp.sum(jnp.any(problem.rows != 0, axis=0).astype(theta.dtype))
     constant = (
@@ -336,7 +328,7 @@ def evidence_and_coefficients(
     residuals = problem.target - problem.rows @ best
     columns = problem.field
     if not columns.shape[1]:
-        return 0.5 * residuals @ residuals + constant, (best, information)
+        return 0.5 * residuals @ residuals + constant, (best, problem.information)
     # The coefficients are profiled out of the field's columns, as out of the target.
     columns = columns - problem.rows @ problem.solve(problem.rows.T @ columns)
     # Woodbury's identity: the matrix is as large as the field has weights, not data.
@@ -346,7 +338,7 @@ def evidence_and_coefficients(
     )
     squares = residuals @ residuals - explained @ explained
     value = 0.5 * squares + jnp.sum(jnp.log(jnp.diagonal(factor))) + constant
-    return value, (best, information)
+    return value, (best, problem.information)
 
 
 @jax.jit

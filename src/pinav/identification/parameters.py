@@ -5,17 +5,20 @@ All have a place in one vector, those of the drive first; those of the noise tha
 system has not have a place too, so that one compiled likelihood serves all systems.
 """
 
+import contextlib
 import enum
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
-from pinav.identification.tracks import Track, pairs_apart
-from pinav.systems import System
+from pinav.identification.tracks import Track
+from pinav.recordings.drive import pairs_apart
+from pinav.systems import FreeNumber, System
 
 
 class Scale(enum.Enum):
@@ -196,28 +199,37 @@ def learned_noise(
     )
 
 
-def stated_noise(system: System) -> Float[np.ndarray, "8"]:
-    """Coordinates of a system's noise, NaN where not stated; slow drift 0 is none."""
-    numbers: dict[str, float] = {BLOCK_NOISE: float(system.observation.noise)}
-    if system.wandering is not None:
-        stated = vars(system.wandering)
-        numbers |= {f"wandering.{name}": float(one) for name, one in stated.items()}
-    return _coordinates(numbers)
+def coordinates_of(
+    parameters: Sequence[Parameter], swimmer: Any, noise: Mapping[str, float]
+) -> Coordinates:
+    """Coordinates of parameters, absent where there is no such number.
 
-
-def fitted_noise(fit: EvidenceFit) -> Float[np.ndarray, "8"]:
-    """Coordinates of the noise that a fit found."""
-    return _coordinates({name: one.value for name, one in fit.constants.items()})
-
-
-def _coordinates(numbers: dict[str, float]) -> Float[np.ndarray, "8"]:
-    coordinates = np.array([parameter.absent for parameter in DISTURBANCE])
-    for path in numbers.keys() & NOISE_PLACES.keys():
-        place = NOISE_PLACES[path]
-        coordinate = DISTURBANCE[place].scale.coordinate(numbers[path])
-        if math.isfinite(coordinate):
-            coordinates[place] = coordinate
+    Args:
+        swimmer: the paths of parameters of a drive lead to its numbers.
+        noise: numbers of the noise, by the paths of their parameters.
+    """
+    coordinates = np.array([parameter.absent for parameter in parameters])
+    for place, parameter in enumerate(parameters):
+        number = noise.get(parameter.path, math.nan)
+        if parameter.path not in NOISE_PLACES:
+            with contextlib.suppress(InputError):
+                number = float(FreeNumber(parameter.path).pick(swimmer))
+        at = parameter.scale.coordinate(number)
+        coordinates[place] = at if math.isfinite(at) else coordinates[place]
     return coordinates
+
+
+def stated_noise(system: System) -> dict[str, float]:
+    """The noise that a system states, by the paths of its parameters."""
+    stated = {} if system.wandering is None else vars(system.wandering)
+    numbers = {f"wandering.{name}": float(one) for name, one in stated.items()}
+    return {BLOCK_NOISE: float(system.observation.noise), **numbers}
+
+
+def fitted_coordinates(fit: EvidenceFit) -> Coordinates:
+    """Coordinates of a rolling swimmer that was fitted, and of the noise found."""
+    found = {name: one.value for name, one in fit.constants.items()}
+    return coordinates_of(PARAMETERS, fit.model, found)
 
 
 class Prior(NamedTuple):

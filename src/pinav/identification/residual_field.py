@@ -20,8 +20,8 @@ from pinav.fitting.engine.problem import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
 from pinav.identification import likelihood
-from pinav.identification.drive import fitted_coordinates
 from pinav.identification.forecast import Displacement, integrate_held, path_of
+from pinav.identification.parameters import fitted_coordinates
 from pinav.identification.rollouts import Errors, Rollouts
 from pinav.identification.tracks import Blocks, Track
 from pinav.systems import System
@@ -52,30 +52,59 @@ def fit_residual(
 ) -> ResidualFit:
     """Fit the weights of an environment to what a candidate leaves."""
     with jax.enable_x64(new_val=True):
-        design = _BaseDesign.of(track, system, base)
+        theta = jnp.asarray(fitted_coordinates(base))
+        design = likelihood.Design.of(system, Blocks.of(track))
+        regressors = design.regressors(theta)
+        whitened = likelihood.whiten(theta, regressors)
+        present = np.any(np.asarray(whitened.rows) != 0, axis=0)
+        rows = np.asarray(whitened.rows)[:, present]
+        basis = jnp.asarray(np.linalg.qr(rows)[0])
+        residuals = FilteredDisplacement(
+            theta, design.blocks, regressors, whitened.target, basis
+        )
+        num_free = 2 * int(whitened.count) - rows.shape[1]
         linear = environment.is_linear
         problem = Regression.of(
             environment,
-            design.residuals,
+            residuals,
             weights=lambda model: model.parameters,
             weights_prior=GaussianWeights(environment.prior()),
             noise=1.0,
             step_rule=FullStep() if linear else ShortenedStep(),
             is_linear=linear,
-            num_projected=len(design.residuals.target) - design.num_free,
+            num_projected=len(whitened.target) - num_free,
         )
         outcome, steps = iterate(problem, 1 if linear else NETWORK_STEPS)
         field = evidence_fit(
             problem, outcome, steps, not_finite="its velocity is not finite", advice={}
         )
         gain = model_evidence(field.linear, field.hyperparameters).log_evidence
-        normalisation = design.num_free * np.log(2 * np.pi)
-        target = design.residuals.project(design.residuals.target)
-        nothing = -0.5 * (normalisation + float(jnp.sum(target**2)))
+        target = residuals.project(residuals.target)
+        nothing = -0.5 * (num_free * np.log(2 * np.pi) + float(jnp.sum(target**2)))
+        moved = eqx.filter_jit(residuals.displacement)(field.model)
+        left = np.asarray(residuals.target - moved)
+        numbers = np.linalg.lstsq(rows, left, rcond=None)[0]
+        swimmer = _with_linear(base.model, *np.split(numbers, [present[:4].sum()]))
         return ResidualFit(
-            swimmer=design.swimmer(base.model, field.model),
+            swimmer=swimmer.with_environment(field.model),
             log_evidence=base.hyperparameters.log_evidence + float(gain - nothing),
         )
+
+
+def _with_linear(
+    swimmer: OverdampedSwimmer,
+    gain: Float[np.ndarray, " number"],
+    drift: Float[np.ndarray, " number"],
+) -> OverdampedSwimmer:
+    """The swimmer with another gain and drift, where it has such numbers."""
+    if len(gain):
+        propulsion: Any = swimmer.propulsion
+        shaped = jnp.asarray(gain).reshape(propulsion.gain.shape)
+        swimmer = eqx.tree_at(lambda s: s.propulsion.gain, swimmer, shaped)
+    if len(drift):
+        velocity = jnp.asarray(drift)
+        swimmer = eqx.tree_at(lambda s: s.flow.velocity, swimmer, velocity)
+    return swimmer
 
 
 class FilteredDisplacement(eqx.Module):
@@ -104,48 +133,6 @@ class FilteredDisplacement(eqx.Module):
     def project(self, values: Float[Array, " row"]) -> Float[Array, " row"]:
         """The part of values that gain and drift cannot explain."""
         return values - self.basis @ (self.basis.T @ values)
-
-
-class _BaseDesign(eqx.Module):
-    rows: Float[np.ndarray, "row regressor"]
-    residuals: FilteredDisplacement
-    num_free: int
-    num_gains: int
-
-    @classmethod
-    def of(cls, track: Track, system: System, base: EvidenceFit) -> "_BaseDesign":
-        blocks, theta = Blocks.of(track), jnp.asarray(fitted_coordinates(base))
-        design = likelihood.Design.of(system, blocks)
-        regressors = design.regressors(theta)
-        whitened = likelihood.whiten(theta, regressors)
-        rows = np.asarray(whitened.rows)
-        present = np.any(rows != 0, axis=0)
-        residuals = FilteredDisplacement(
-            theta=theta,
-            blocks=design.blocks,
-            regressors=regressors,
-            target=whitened.target,
-            basis=jnp.asarray(np.linalg.qr(rows[:, present])[0]),
-        )
-        num_free = 2 * int(whitened.count) - int(present.sum())
-        return cls(rows[:, present], residuals, num_free, int(present[:4].sum()))
-
-    def swimmer(
-        self, swimmer: OverdampedSwimmer, environment: Any
-    ) -> OverdampedSwimmer:
-        """The swimmer in the environment, gain and drift given it."""
-        moved = eqx.filter_jit(self.residuals.displacement)(environment)
-        left = np.asarray(self.residuals.target - moved)
-        numbers = np.linalg.lstsq(self.rows, left, rcond=None)[0]
-        if self.num_gains:
-            gain = jnp.asarray(numbers[: self.num_gains])
-            propulsion: Any = swimmer.propulsion
-            gain = gain.reshape(propulsion.gain.shape)
-            swimmer = eqx.tree_at(lambda s: s.propulsion.gain, swimmer, gain)
-        if len(numbers) > self.num_gains:
-            drift = jnp.asarray(numbers[self.num_gains :])
-            swimmer = eqx.tree_at(lambda s: s.flow.velocity, swimmer, drift)
-        return swimmer.with_environment(environment)
 
 
 def path_along(fit: ResidualFit) -> Displacement:

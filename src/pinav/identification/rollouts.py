@@ -10,8 +10,9 @@ from pinav.evaluation import normal_quantile
 from pinav.fitting import EvidenceFit
 from pinav.identification.estimates import drift_of, gain_of, speeds
 from pinav.identification.forecast import Displacement, Forecast, Predictor, cycles
-from pinav.identification.tracks import Track, commands_of, pairs_apart
+from pinav.identification.tracks import Track, commands_of
 from pinav.recordings import image_positions
+from pinav.recordings.drive import pairs_apart
 from pinav.trajectories import Trajectories, Trajectory
 
 HORIZONS = (1.0, 5.0, 10.0, 30.0)

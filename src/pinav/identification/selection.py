@@ -47,7 +47,8 @@ from pinav.identification.rollouts import (
     stack,
     stacking_weight,
 )
-from pinav.identification.tracks import Track, cut_track, pairs_apart
+from pinav.identification.tracks import Track, cut_track
+from pinav.recordings.drive import pairs_apart
 from pinav.settings import FRACTION
 from pinav.systems import System
 
@@ -157,10 +158,8 @@ class Selection:
     ) -> EvidenceFit:
         begin = time.perf_counter()
         fit = fit_track(self.train, system, start=start, **options)
-        seconds = time.perf_counter() - begin
-        self._add(
-            name, fit.hyperparameters.log_evidence, seconds, forecast.path_of(fit.model)
-        )
+        path = forecast.path_of(fit.model)
+        self._add(name, fit.hyperparameters.log_evidence, begin, path)
         return fit
 
     def _response(self) -> str:
@@ -210,29 +209,28 @@ class Selection:
             nan = float("nan")
             self.rows.append(Row(label, nan, nan, {}, nan, str(error)))
             return
-        seconds = time.perf_counter() - begin
-        path = path_along(fit)
-        self._add(label, fit.log_evidence, seconds, path, residual=fit)
+        self._add(label, fit.log_evidence, begin, path_along(fit), residual=fit)
 
     def add_least_squares(self) -> None:
         """The baseline, and where commands were given its average with the choice."""
-        fitted = least_squares(self.train)
-        path = fitted.displacement()
-        self._add(LEAST_SQUARES, float("nan"), fitted.seconds, path)
+        begin = time.perf_counter()
+        path = least_squares(self.train)
+        self._add(LEAST_SQUARES, float("nan"), begin, path)
         if self.train.commanded:
             begin, chosen = time.perf_counter(), forecast.path_of(self.best.model)
             weight = stacking_weight(self.train, chosen, path)
-            seconds = time.perf_counter() - begin
-            self._add(STACKED, float("nan"), seconds, stack(chosen, path, weight))
+            self._add(STACKED, float("nan"), begin, stack(chosen, path, weight))
 
     def _add(
         self,
         name: str,
         log_evidence: float,
-        seconds: float,
+        begin: float,
         displacement: forecast.Displacement,
         residual: ResidualFit | None = None,
     ) -> None:
+        """A line of the table, of a model whose fit began at this time."""
+        seconds = time.perf_counter() - begin
         displacement, by_horizon = forecast.cache_by_segment(displacement), {}
         for horizon in HORIZONS:
             rollouts = Rollouts.of(self.held_out, horizon)

@@ -233,15 +233,6 @@ def commands_of(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def pairs_apart(
-    times: Float[np.ndarray, " time"], interval: float
-) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
-    """Each sample, and the first one that comes an interval or more after it."""
-    later = np.searchsorted(times, times + interval)
-    first = np.flatnonzero(later < len(times))
-    return first, later[first]
-
-
 def cut_track(track: Track, kept: Callable[[np.ndarray], np.ndarray]) -> Track:
     """The part of a track at the times that are kept; blocks keep their length.
 

@@ -22,7 +22,6 @@ from pinav.fitting.environments.summary import MIXTURE, PROFILE, KnownSwimmer
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined
 from pinav.forces import (
-    AbstractForce,
     AbstractProfileTerm,
     AbstractTerm,
     as_learned_force,
@@ -231,10 +230,7 @@ def account(plan: FitPlan, fit: Learned) -> findings.Findings:
     starts = None if evidence is None else evidence.states[:, 0]
     predictions, outcomes = evaluation.predict(model, data, starts=starts)
     rmse = evaluation.score(predictions, outcomes, data).by_name()
-    maps = lines = None
-    if isinstance(model, KnownSwimmer):
-        maps = _force_maps(fit, plan) if data.dim == 2 else None
-        lines = _force_lines(fit, plan) if data.dim != 2 else None
+    maps, lines, force_error = _judge_force(fit, plan)
     losses, outcome = fit.losses, fit.ending
     if evidence is None:
         assert losses is not None  # there is no third kind of recipe
@@ -272,7 +268,7 @@ def account(plan: FitPlan, fit: Learned) -> findings.Findings:
             predictions,
             tuple(map(int, data.lengths)),
         ),
-        force_error=_force_error(fit, maps, plan),
+        force_error=force_error,
         hyperparameters=None if evidence is None else evidence.hyperparameters,
         iterations=None if evidence is None else evidence.iterations,
         support=None if evidence is None else evidence.support,
@@ -285,45 +281,36 @@ def account(plan: FitPlan, fit: Learned) -> findings.Findings:
     )
 
 
-def _force_maps(fit: Learned, plan: FitPlan) -> findings.ForceMaps:
-    model: Any = fit.model
-    learned = evaluation.field_map(model.environment, plan.data)
-    truth = _true_environment(plan)
-    return findings.ForceMaps(
-        learned,
-        sd=None if fit.posterior is None else fit.force_sd(learned),
-        true=None if truth is None else evaluation.field_map(truth, plan.data).force,
-    )
-
-
-def _true_environment(plan: FitPlan) -> AbstractForce | None:
-    source = source_system(plan.data.provenance)
-    return None if source is None else source.environment
-
-
-def _force_error(
-    fit: Learned, maps: findings.ForceMaps | None, plan: FitPlan
-) -> dict[str, float] | None:
-    truth = _true_environment(plan)
-    if truth is None or not isinstance(fit.model, KnownSwimmer):
-        return None
-    if maps is None or maps.truth is None:
-        error = evaluation.force_error_at_samples(
-            fit.model.environment, truth, plan.data
-        )
-        return {"at the samples": error}
-    return dict(evaluation.force_errors(maps.learned, maps.truth, maps.learned.regions))
-
-
-def _force_lines(fit: Learned, plan: FitPlan) -> dict[str, evaluation.ForceLine]:
-    """The force along lines through data that are not planar."""
-    model: Any = fit.model
-    has_profile = plan.choice.name == PROFILE
-    axes = model.environment.along if has_profile else range(plan.data.dim)
-    truth = _true_environment(plan)
-    return {
-        plan.data.channels[axis]: evaluation.force_line(
-            model.environment, plan.data, axis, posterior=fit.posterior, truth=truth
+def _judge_force(
+    fit: Learned, plan: FitPlan
+) -> tuple[
+    findings.ForceMaps | None,
+    dict[str, evaluation.ForceLine] | None,
+    dict[str, float] | None,
+]:
+    """Maps of a planar force, lines through another one, and its error."""
+    model, data = fit.model, plan.data
+    if not isinstance(model, KnownSwimmer):
+        return None, None, None
+    force: Any = model.environment
+    source = source_system(data.provenance)
+    truth = None if source is None else source.environment
+    if data.dim == 2:
+        learned = evaluation.field_map(force, data)
+        sd = None if fit.posterior is None else fit.force_sd(learned)
+        if truth is None:
+            return findings.ForceMaps(learned, sd=sd), None, None
+        true = evaluation.field_map(truth, data)
+        error = evaluation.force_errors(learned, true, learned.regions)
+        return findings.ForceMaps(learned, true, sd), None, error
+    axes = force.along if plan.choice.name == PROFILE else range(data.dim)
+    lines = {
+        data.channels[axis]: evaluation.force_line(
+            force, data, axis, posterior=fit.posterior, truth=truth
         )
         for axis in axes
     }
+    if truth is None:
+        return None, lines, None
+    error = evaluation.force_error_at_samples(force, truth, data)
+    return None, lines, {"at the samples": error}

@@ -30,16 +30,16 @@ class Rollouts:
 
 @dataclasses.dataclass(frozen=True)
 class ForceMaps:
-    """The force around planar data; its deviation is None without a posterior."""
+    """A planar force on a grid, and the true one where it is known.
+
+    Attributes:
+        sd: standard deviation of each component of the learned one [L T⁻²]; None
+            without a posterior.
+    """
 
     learned: FieldMap
+    truth: FieldMap | None = None
     sd: Float[np.ndarray, "row column 2"] | None = None
-    true: Float[np.ndarray, "row column 2"] | None = None
-
-    @property
-    def truth(self) -> FieldMap | None:
-        """The map of the true force, where it is known."""
-        return None if self.true is None else self.learned.showing(self.true)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,7 +82,6 @@ class FoundStructure:
             the data well enough to be fitted, or free kernels alone diverge.
         rotation: log evidence of a rotational part beside a potential [nats]; None
             where none was weighed.
-        turns: the force has a rotational part.
         sought: there were data enough for a search.
         of_teacher: it is the structure of the kernels that taught a network.
         tried: the hypotheses of the search, in the order in which they were weighed.

@@ -87,8 +87,7 @@ def learn(
         recipe: how it is fitted; what suits the data unless given. See
             `pinav.learning.recipes`.
         train: known constants to learn beside the unknown: damping, gain or drag.
-        width: neurons of each of its hidden layers.
-        depth: number of them.
+        width: neurons of each of the hidden layers of a network.
         checkpoint: where trajectory matching keeps its state and goes on from it.
         on_progress: called after each step or chunk.
 

@@ -124,7 +124,7 @@ class Learned(AbstractLearned):
         evidence = run.evidence
         if evidence is None or evidence.structure is None or not is_network(run.model):
             return run
-        folder.check_file(TEACHER_FILE)
+        folder.manifest.check(TEACHER_FILE)
         model = folder.read_model(TEACHER_FILE, build_untrained)
         teacher = dataclasses.replace(
             run,
@@ -157,7 +157,7 @@ class Learned(AbstractLearned):
         """Write the fit into a run; the model last, which says that all is there."""
         assert self.header is not None
         save(self.data, folder.path / DATA_FILE, overwrite=True)
-        folder.record(DATA_FILE)
+        folder.manifest.record(DATA_FILE)
         write_system_of(folder, self.system)
         results: dict[str, Any] = {
             POSTERIOR: self.evidence,

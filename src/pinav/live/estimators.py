@@ -10,7 +10,7 @@ import numpy as np
 
 from pinav.identification.running import RunningFit
 from pinav.identification.running.forecast import DriveEstimate, estimate, locate
-from pinav.live.messages import Frame, Hello, Point
+from pinav.live.messages import EventKind, Frame, Hello, Mode, Point
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,27 +47,27 @@ class AbstractEstimator(eqx.Module):
 
 
 class Intent(enum.Enum):
-    """Action of a pilot and its reason.
+    """Action of a pilot: the mode of its session, the reason, and the kind of event."""
 
-    Attributes:
-        PROBE: move about, to learn how the robot answers.
-        STEER: go on to the goal.
-        ARRIVED: stand still, the goal is reached.
-        AVOID: do not go on, a forbidden place is near.
-        BLIND: stand still, the robot has not been seen for too long.
-        UNREACHABLE: stand still, no way is known.
-        STALLED: probe, because the goal has come no nearer for long.
-        GIVE_UP: stop, because probing did not help.
-    """
+    PROBE = Mode.IDENTIFYING, "learning how the robot answers", EventKind.MODE
+    STEER = Mode.STEERING, "on the way to the goal", EventKind.MODE
+    ARRIVED = Mode.HOLDING, "the goal is reached", EventKind.ARRIVED
+    AVOID = Mode.STEERING, "a forbidden place is near", EventKind.SAFETY
+    BLIND = Mode.HOLDING, "the robot has not been seen for too long", EventKind.MODE
+    UNREACHABLE = Mode.HOLDING, "no way to the goal is known", EventKind.UNREACHABLE
+    STALLED = (
+        Mode.IDENTIFYING,
+        "the goal comes no nearer, moving about to learn more",
+        EventKind.STALLED,
+    )
+    GIVE_UP = (
+        Mode.STOPPED,
+        "the goal has come no nearer for too long",
+        EventKind.STALLED,
+    )
 
-    PROBE = "probe"
-    STEER = "steer"
-    ARRIVED = "arrived"
-    AVOID = "avoid"
-    BLIND = "blind"
-    UNREACHABLE = "unreachable"
-    STALLED = "stalled"
-    GIVE_UP = "give up"
+    def __init__(self, mode: Mode, reason: str, kind: EventKind) -> None:
+        self.mode, self.reason, self.kind = mode, reason, kind
 
 
 @dataclasses.dataclass(frozen=True)

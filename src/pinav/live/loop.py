@@ -1,16 +1,19 @@
-"""The loop at the rig: read, learn, answer, remember."""
+"""The loop at the rig: read, learn, answer, remember; and replays of recordings."""
 
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
+from pinav.identification.tracks import Track, commands_of
 from pinav.live.checkpoint import write_session
 from pinav.live.messages import (
     VERSION,
+    Bye,
     Command,
     Event,
     EventKind,
@@ -232,3 +235,53 @@ def header_places(line: bytes) -> dict[str, int] | None:
         if set(names) & set(titles)
     }
     return places if {"t", "x", "y"} <= set(places) else None
+
+
+def lines_of(track: Track, units: str) -> Iterator[bytes]:
+    """Hello, frames and bye of a track, as lines without newlines."""
+    steps = np.concatenate([np.diff(piece.times) for piece in track.pieces])
+    fastest = max(float(commands_of(piece)[0].max()) for piece in track.pieces)
+    yield encode(
+        Hello(
+            version=VERSION,
+            session=track.name[:200],
+            step=float(np.median(steps)),
+            units=units,
+            limits=Limits(frequency=max(fastest, 1e-3)),
+            clock="of the recording",
+        )
+    ).rstrip()
+    pieces = [(p.times, *p.states.T, *commands_of(p)) for p in track.pieces]
+    columns = (np.concatenate(parts).tolist() for parts in zip(*pieces, strict=True))
+    for seq, (t, x, y, frequency, heading) in enumerate(zip(*columns, strict=True)):
+        frame = Frame(
+            seq=seq, t=t, x=x, y=y, frequency=max(frequency, 0.0), heading=heading
+        )
+        yield encode(frame).rstrip()
+    yield encode(Bye(reason="end of the recording")).rstrip()
+
+
+def lines_in(path: Path) -> Iterator[bytes]:
+    """The lines of a finished file in the protocol."""
+    with open(path, "rb") as file:
+        for line in file:
+            if stripped := line.rstrip(b"\r\n"):
+                yield stripped
+
+
+def replay(
+    session: Session, lines: Iterator[bytes], speed: float | None = None
+) -> Iterator[tuple[FromPinav, float]]:
+    """Answers to lines, each with its seconds; the clock only sets the pace."""
+    begin, origin = time.monotonic(), None
+    for line in lines:
+        before = time.perf_counter()
+        outcome = session.after(line)
+        took = time.perf_counter() - before
+        session = outcome.session
+        for answer in outcome.answers:
+            if speed is not None and isinstance(answer, State):
+                origin = answer.t if origin is None else origin
+                due = begin + (answer.t - origin) / speed
+                time.sleep(max(due - time.monotonic(), 0.0))
+            yield answer, took

@@ -11,7 +11,7 @@ import http.server
 import importlib.resources
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import ClassVar
 
 import msgspec
@@ -158,7 +158,8 @@ def document(places: Places) -> tuple[bytes, str]:
     text = importlib.resources.files("pinav.live").joinpath("page.html").read_text()
     data = msgspec.json.encode(places).decode().replace("<", "\\u003c")
     page = text.replace("{{places}}", data)
-    allowed = " ".join(map(_digest, _scripts(page)))
+    scripts = [part.split("</script>")[0] for part in page.split("<script>")[1:]]
+    allowed = " ".join(map(_digest, scripts))
     style = _digest(page.split("<style>")[1].split("</style>")[0])
     policy = (
         f"default-src 'none'; script-src {allowed}; style-src {style}; "
@@ -166,10 +167,6 @@ def document(places: Places) -> tuple[bytes, str]:
         "frame-ancestors 'none'"
     )
     return page.encode(), policy
-
-
-def _scripts(page: str) -> Sequence[str]:
-    return [part.split("</script>")[0] for part in page.split("<script>")[1:]]
 
 
 def _digest(text: str) -> str:

@@ -8,7 +8,6 @@ where answers go.
 import dataclasses
 import hmac
 import math
-from typing import NamedTuple
 
 import msgspec
 
@@ -76,10 +75,8 @@ class Session:
     """All that a session remembers.
 
     Attributes:
-        pilot: pilot; none where the robot is only watched.
         blind: frames in a row without a position.
         doubted: position far from where a lost robot was expected.
-        refused_in_row: lines in a row that were no messages.
         repeating: the last line was a frame that had been there before.
         resumed_at: last frame that was learned from by a process before this one.
         known_in: unit of length of a drive learned in an earlier session; empty without
@@ -260,15 +257,15 @@ class Session:
         mode = Mode.IDENTIFYING if self.estimator.driven else Mode.WAITING
         if pilot is not None and self.mode is not Mode.STOPPED and newest:
             pilot, advice = self._advice(pilot)
-            mode = MEANINGS[advice.intent].mode
+            mode = advice.intent.mode
         elif pilot is not None:
             mode = self.mode
         session = dataclasses.replace(self, pilot=pilot, mode=mode)
         answers: list[FromPinav] = []
         if mode is not self.mode:
-            meaning = MEANINGS[advice.intent] if advice else Meaning(mode, "")
-            text = f"{mode}: {meaning.reason}" if advice else str(mode)
-            answers.append(session.event(meaning.kind, text))
+            kind = advice.intent.kind if advice else EventKind.MODE
+            text = f"{mode}: {advice.intent.reason}" if advice else str(mode)
+            answers.append(session.event(kind, text))
         if advice is not None:
             session = dataclasses.replace(session, counts=self.counts.plus("commands"))
             answers.append(session._command(advice))
@@ -328,35 +325,6 @@ class SessionOutcome:
     session: Session
     answers: tuple[FromPinav, ...] = ()
     hang_up: bool = False
-
-
-class Meaning(NamedTuple):
-    """An intent of a pilot, as a session tells it."""
-
-    mode: Mode
-    reason: str
-    kind: EventKind = EventKind.MODE
-
-
-IDENTIFYING, STEERING, HOLDING = Mode.IDENTIFYING, Mode.STEERING, Mode.HOLDING
-MEANINGS = {
-    Intent.PROBE: Meaning(IDENTIFYING, "learning how the robot answers"),
-    Intent.STEER: Meaning(STEERING, "on the way to the goal"),
-    Intent.ARRIVED: Meaning(HOLDING, "the goal is reached", EventKind.ARRIVED),
-    Intent.AVOID: Meaning(STEERING, "a forbidden place is near", EventKind.SAFETY),
-    Intent.BLIND: Meaning(HOLDING, "the robot has not been seen for too long"),
-    Intent.UNREACHABLE: Meaning(
-        HOLDING, "no way to the goal is known", EventKind.UNREACHABLE
-    ),
-    Intent.STALLED: Meaning(
-        *(IDENTIFYING, "the goal comes no nearer, moving about to learn more"),
-        EventKind.STALLED,
-    ),
-    Intent.GIVE_UP: Meaning(
-        Mode.STOPPED, "the goal has come no nearer for too long", EventKind.STALLED
-    ),
-}
-"""By intent."""
 
 
 def _distance(frame: Frame, position: tuple[float, float]) -> float:

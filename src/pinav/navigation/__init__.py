@@ -35,8 +35,6 @@ from pinav.navigation.design.candidates import Experiment as Experiment
 from pinav.navigation.design.candidates import Stage as Stage
 from pinav.navigation.design.candidates import Suggestion as Suggestion
 from pinav.navigation.design.candidates import suggest_next as suggest_next
-from pinav.navigation.maps import Course as Course
-from pinav.navigation.maps import ForceMaps as ForceMaps
 from pinav.navigation.planning.plan import Route as Route
 from pinav.navigation.planning.plan import TimeToGo as TimeToGo
 from pinav.navigation.planning.plan import time_to_go as time_to_go
@@ -59,6 +57,7 @@ from pinav.navigation.task.task import AbstractPath as AbstractPath
 from pinav.navigation.task.task import AbstractZone as AbstractZone
 from pinav.navigation.task.task import Behind as Behind
 from pinav.navigation.task.task import CirclePath as CirclePath
+from pinav.navigation.task.task import Course as Course
 from pinav.navigation.task.task import Disc as Disc
 from pinav.navigation.task.task import FigureEightPath as FigureEightPath
 from pinav.navigation.task.task import FollowPath as FollowPath

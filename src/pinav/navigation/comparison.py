@@ -13,6 +13,7 @@ from pinav.errors import InputError
 from pinav.evaluation import FieldMap, distances
 from pinav.fitting import AbstractLearned
 from pinav.forces import forces_at
+from pinav.learning.findings import ForceMaps
 from pinav.navigation.adaptive.flight import (
     ORACLE,
     FlightOutcome,
@@ -23,7 +24,6 @@ from pinav.navigation.adaptive.flight import (
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.design.candidates import Suggestion
-from pinav.navigation.maps import Course, ForceMaps
 from pinav.navigation.planning.plan import Route, TimeToGo
 from pinav.navigation.problem import (
     LEARNED,
@@ -33,7 +33,7 @@ from pinav.navigation.problem import (
 )
 from pinav.navigation.task.catalogue import Way
 from pinav.navigation.task.steering import SteeredSwimmer
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.task import Course, Task
 from pinav.navigation.trials.closed_loop import Episodes, run
 from pinav.navigation.trials.metrics import Interval, Summary, regret, summary
 from pinav.threads import map_on_cores
@@ -60,7 +60,6 @@ class PlanLattice:
         values: fraction that is left of a time to go, on a lattice of velocities, where
             there is inertia, and positions.
         lower: first point of the lattice along each axis.
-        spacing: of its points.
         scale: time in which a value falls to 1/e [T].
         ahead: time that the control looks ahead [T].
         horizon: time limit of the task [T].
@@ -97,12 +96,7 @@ class PlannedWay:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ComputingTimes:
-    """Computing time of a command [s].
-
-    Attributes:
-        first: of the first one, with its compilation.
-        median: of the later ones.
-    """
+    """Computing time of the first command, with its compilation, and of others [s]."""
 
     first: float
     median: float
@@ -116,12 +110,9 @@ class Navigation(AbstractNavigation):
         truth: name of the system whose environment is the truth; none if not known.
         controllers: performance, by the model with which they plan.
         regret: arrival times over those with the truth, by the same.
-        refused: reasons why there is no run with a model, by its name.
-        computing: computing times of the controller with the learned model.
         units: units of the channels, and the order of the dynamics.
         delay: time from command to motion [T].
         step: time for which a command holds [T].
-        episodes: closed loops, by the model with which the controller plans.
         maps: forces on the arena; none in space.
         suggestion: trajectory to record next; none where the fit tells of none.
     """
@@ -154,7 +145,6 @@ class OnlineNavigation(AbstractNavigation):
         step: time between two frames [T].
         prior: True where the first visit began with a fit.
         units: units of the channels, and the order of the dynamics.
-        controllers: performance of the oracle, and of the visits.
         paths: true positions of each swimmer at the frames, by the controller [L].
         shown: first flight of the first swimmer.
     """

@@ -93,7 +93,6 @@ class ControlMap(eqx.Module):
 
     Attributes:
         frequency: $f_b$ [cycles T⁻¹].
-        dim: components of a control.
     """
 
     frequency: float
@@ -245,10 +244,14 @@ HEADINGS = 24
 class TabulatedModel(eqx.Module):
     """A model of the swimmer on a task's arena, as tables."""
 
-    table: tables.FieldTable
     predictor: InertialTable | OverdampedTable
     control_map: ControlMap
     time_cost: TimeCost
+
+    @property
+    def table(self) -> tables.FieldTable:
+        """The table of the model."""
+        return self.predictor.table
 
 
 def tabulate_model(
@@ -303,7 +306,7 @@ def tabulate_model(
         spread,
         RISK_AVERSION,
     )
-    return TabulatedModel(table, predictor, drive, time_cost)
+    return TabulatedModel(predictor, drive, time_cost)
 
 
 def noise_margin(task: Task) -> float:

@@ -39,7 +39,6 @@ class NavigationProblem:
         task: its truth is that of the system, or the model where there is none.
         samples: draws of the posterior; none where the fit has no posterior.
         truth: name of the system whose environment is the truth, where it is known.
-        posterior: that of the fit, where further trajectories can be suggested.
     """
 
     task: Task
@@ -76,13 +75,16 @@ class NavigationProblem:
         if source is not None and source.environment is not None:
             known, truth = source.true_swimmer, source.name
         corners = np.array(enclosing_cube(fit.data))
-        task = way.task(model, known, "way", corners)
+        task, draws = way.task(model, known, "way", corners), []
+        if fit.posterior is not None and samples:
+            key = jax.random.fold_in(jax.random.key(seed), 1)
+            draws = fit.posterior.samples(samples, key=key)
         return cls(
             task=task,
             model=steered_swimmer(task, model),
             samples=tuple(
                 steered_swimmer(task, draw)
-                for draw in _draws(fit, samples, seed)
+                for draw in draws
                 if isinstance(draw, AbstractSwimmer)
             ),
             truth=truth,
@@ -149,13 +151,6 @@ def episode_keys(seed: int, count: int) -> Key[Array, " {count}"]:
     return jax.random.split(jax.random.key(seed), count)
 
 
-def _draws(fit: AbstractLearned, count: int, seed: int) -> list[AbstractDynamics]:
-    if fit.posterior is None or count == 0:
-        return []
-    key = jax.random.fold_in(jax.random.key(seed), 1)
-    return fit.posterior.samples(count, key=key)
-
-
 def _posterior(fit: AbstractLearned, model: AbstractDynamics) -> Posterior | None:
     """The fit's posterior where the next trajectory can be suggested.
 
@@ -172,7 +167,7 @@ SAMPLES = 120
 
 
 def suggest_trajectory(
-    problem: NavigationProblem, route: Float[np.ndarray, "time 2"], *, seed: int
+    problem: NavigationProblem, route: Float[np.ndarray, "time dim"], *, seed: int
 ) -> candidates.Suggestion | None:
     """The trajectory that would tell most about the force along a route.
 

@@ -18,7 +18,7 @@ from pinav.arguments import Scalar, Vector
 from pinav.dynamics import AbstractSwimmer, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import ZeroFlow, ZeroForce, cubic_weights
-from pinav.navigation.task.steering import HeldThrust, SteeredSwimmer
+from pinav.navigation.task.steering import SteeredSwimmer, with_thrust
 from pinav.navigation.task.task import Rectangle
 
 
@@ -203,7 +203,7 @@ BATCH = 512
 
 def _rates(dynamics: AbstractSwimmer, t: Scalar, x: Vector) -> Float[Array, " channel"]:
     """Acceleration at rest, and minus its change by a unit of velocity."""
-    swimmer = _with_thrust(dynamics, jnp.zeros_like(x))
+    swimmer = with_thrust(dynamics, jnp.zeros_like(x))
 
     def acceleration(v: Vector) -> Vector:
         return swimmer(t, jnp.concatenate([x, v]))[x.shape[0] :]
@@ -217,7 +217,7 @@ def _velocities(
     """Velocity without thrust, and its change by a unit of thrust."""
 
     def velocity(thrust: Vector) -> Vector:
-        return _with_thrust(dynamics, thrust)(t, x)
+        return with_thrust(dynamics, thrust)(t, x)
 
     return _linear(velocity, jnp.ones((), x.dtype), x)
 
@@ -233,10 +233,6 @@ def _linear(
     zero = function(jnp.zeros_like(x))
     columns = [function(unit) - zero for unit in jnp.eye(x.shape[0], dtype=x.dtype)]
     return jnp.concatenate([zero, (sign * jnp.stack(columns, axis=1)).ravel()])
-
-
-def _with_thrust(dynamics: AbstractSwimmer, thrust: Vector) -> AbstractSwimmer:
-    return eqx.tree_at(lambda swimmer: swimmer.propulsion, dynamics, HeldThrust(thrust))
 
 
 def _check_finite(values: Float[np.ndarray, "time point channel"], grid: Grid) -> None:

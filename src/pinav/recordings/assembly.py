@@ -2,10 +2,10 @@
 
 import dataclasses
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Float
 
 from pinav import __version__
 from pinav.errors import InputError
@@ -21,15 +21,7 @@ from pinav.recordings.particles import (
 )
 from pinav.recordings.rows import COMMAND_UNITS, FRAMES, Reading, Tracks, in_known_units
 from pinav.recordings.source import Source
-from pinav.trajectories import Trajectories
-
-
-class _Piece(NamedTuple):
-    label: dict[str, str | int]
-    times: Float64[np.ndarray, " time"]
-    positions: Float64[np.ndarray, "time dim"]
-    is_observed: Bool[np.ndarray, " time"]
-    commands: dict[str, Float64[np.ndarray, " time"]]
+from pinav.trajectories import Trajectories, Trajectory
 
 
 def assemble(tracks: Tracks, source: Source, format: str) -> Trajectories:
@@ -42,12 +34,12 @@ def assemble(tracks: Tracks, source: Source, format: str) -> Trajectories:
     by_name = particles(tracks, reading)
     pieces = [
         piece
-        for (run, kind, particle), particle_rows in by_name.items()
+        for (run, kind, name), particle in by_name.items()
         for piece in _pieces(
-            tracks, particle_rows, reading, (run or source.stem, kind, particle or "1")
+            tracks, particle, reading, (run or source.stem, kind, name or "1")
         )
     ]
-    whole = [piece for piece in pieces if len(piece.times) > 1]
+    whole = [(label, piece) for label, piece in pieces if len(piece.times) > 1]
     if not whole:
         raise InputError(
             f"the longest of {len(pieces)} segments has a single position; "
@@ -60,13 +52,12 @@ def assemble(tracks: Tracks, source: Source, format: str) -> Trajectories:
     channels = ("x", "y") if tracks.z is None else ("x", "y", "z")
     axes = scale * np.array([1.0, flip, 1.0][: len(channels)])
     return Trajectories.from_arrays(
-        [piece.times for piece in whole],
-        [axes * piece.positions for piece in whole],
-        observed=[
-            np.stack([piece.is_observed] * len(channels), axis=1) for piece in whole
-        ],
+        [piece.times for _, piece in whole],
+        [axes * piece.states for _, piece in whole],
+        observed=[piece.observed for _, piece in whole],
         commands={
-            name: [piece.commands[name] for piece in whole] for name in tracks.commands
+            name: [piece.commands[name] for _, piece in whole]
+            for name in tracks.commands
         },
         channels=channels,
         units={
@@ -83,14 +74,14 @@ def assemble(tracks: Tracks, source: Source, format: str) -> Trajectories:
             "repeated times left out": sum(p.repeats for p in by_name.values()),
             "rows without a command": sum(p.silent for p in by_name.values()),
             "bad rows left out": faults,
-            "segments left out": [p.label for p in pieces if len(p.times) < 2],
+            "segments left out": [one for one, piece in pieces if len(piece.times) < 2],
             "doubts": dict(tracks.doubts),
             "notes": [
                 *tracks.notes,
                 *_rate_notes(tracks, reading),
                 *_lost_notes(tracks, len(by_name)),
             ],
-            "trajectories": [piece.label for piece in whole],
+            "trajectories": [label for label, _ in whole],
         },
     )
 
@@ -221,7 +212,7 @@ def _conventions(tracks: Tracks, reading: Reading) -> dict[str, Any]:
 
 def _pieces(
     tracks: Tracks, particle: Particle, reading: Reading, name: tuple[str, str, str]
-) -> Iterator[_Piece]:
+) -> Iterator[tuple[dict[str, str | int], Trajectory]]:
     """The segments of a particle, from their first to their last position."""
     run, kind, particle_name = name
     label: dict[str, str | int] = {"run": run, "particle": particle_name}
@@ -233,12 +224,16 @@ def _pieces(
         if not rows.size:
             continue
         extent = slice(rows[0], rows[-1] + 1)
-        yield _Piece(
+        seen = particle.observed[extent, None]
+        positions = particle.positions[extent]
+        yield (
             {**label, "segment": number},
-            particle.times[extent],
-            particle.positions[extent],
-            particle.observed[extent],
-            {name: values[extent] for name, values in particle.commands.items()},
+            Trajectory(
+                times=particle.times[extent],
+                states=positions,
+                observed=np.broadcast_to(seen, positions.shape),
+                commands={n: values[extent] for n, values in particle.commands.items()},
+            ),
         )
 
 

@@ -19,7 +19,7 @@ from pinav.reading import PLAIN, Reading
 from pinav.recordings import units
 from pinav.recordings.conventions import rotations
 from pinav.recordings.particles import acting
-from pinav.recordings.rows import COMMAND_UNITS, FRAMES
+from pinav.recordings.rows import COMMAND_UNITS, FRAMES, read_commands
 from pinav.recordings.source import Source
 from pinav.recordings.table import example_of_columns, likely_columns
 from pinav.trajectories import Trajectories, Trajectory
@@ -63,16 +63,8 @@ def read_log(source: Source, reading: Reading) -> CommandLog:
             f"{', '.join(COMMAND_UNITS)}; got {', '.join(names)}; name them, such as "
             f"{example_of_columns(names).replace('x=', 'heading=').partition(' y=')[0]}"
         )
-    stated = reading.units or {}
-    commands = {
-        name: table.numbers(columns[name])
-        * units.command(
-            name,
-            COMMAND_UNITS[name],
-            stated.get(name) or table.unit(columns[name]) or COMMAND_UNITS[name],
-        )
-        for name in known
-    }
+    named = {name: columns[name] for name in known}
+    commands = read_commands(table, named, reading.units or {}, lost=False)
     if clock == "frame":
         times = table.whole_numbers(columns["frame"], least=0).astype(np.float64)
     else:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from pinav.trajectories import Trajectory
 
@@ -84,7 +84,7 @@ def drive(segments: Sequence[Trajectory]) -> Drive | None:
         return None
     frequency = np.concatenate([s.commands["frequency"] for s in segments])
     heading = np.concatenate([s.commands["heading"] for s in segments])
-    drives = np.concatenate([vector(s) for s in segments])
+    drives = command_vector(frequency, heading)
     turn = heading[frequency != 0] / (2 * np.pi) % 1.0
     return Drive(
         frequency=(float(frequency.min()), float(frequency.max())),
@@ -98,10 +98,11 @@ def drive(segments: Sequence[Trajectory]) -> Drive | None:
     )
 
 
-def vector(segment: Trajectory) -> Float[np.ndarray, "time 2"]:
-    """The drive $c$ at each sample [Hz]."""
-    frequency, heading = (segment.commands[n] for n in ("frequency", "heading"))
-    return np.stack([frequency * np.cos(heading), frequency * np.sin(heading)], axis=1)
+def command_vector(
+    frequency: Float[np.ndarray, " time"], heading: Float[np.ndarray, " time"]
+) -> Float[np.ndarray, "time 2"]:
+    r"""The drive $f\,n(\theta)$ [Hz]."""
+    return frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
 
 
 def _with_one(drives: Float[np.ndarray, "time 2"]) -> Float[np.ndarray, "time 3"]:
@@ -131,7 +132,8 @@ def _share_of_delay(segments: Sequence[Trajectory]) -> float:
     """Part of the drive's change within the lag that is not linear in it."""
     now, change = [], []
     for segment in segments:
-        times, drives = segment.times, vector(segment)
+        times, frequency = segment.times, segment.commands["frequency"]
+        drives = command_vector(frequency, segment.commands["heading"])
         known = times - LAG >= times[0]
         before = [np.interp(times[known] - LAG, times, part) for part in drives.T]
         now.append(drives[known])
@@ -170,14 +172,20 @@ class Speed:
     windows: int
 
 
+def pairs_apart(
+    times: Float[np.ndarray, " time"], interval: float
+) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
+    """Each sample, and the first one that comes an interval or more after it."""
+    later = np.searchsorted(times, times + interval)
+    first = np.flatnonzero(later < len(times))
+    return first, later[first]
+
+
 def window_ends(segment: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """First and last rows of windows of about `WINDOW`, or of longer intervals."""
     places = np.flatnonzero(segment.observed[:, :2].all(axis=1))
-    times = segment.times[places]
-    late = np.searchsorted(times, times + WINDOW)
-    late = np.maximum(late, np.arange(len(places)) + 1)
-    whole = late < len(places)
-    return places[whole], places[late[whole]]
+    first, last = pairs_apart(segment.times[places], WINDOW)
+    return places[first], places[last]
 
 
 def window_speeds(segment: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -134,7 +134,6 @@ def table_of(
         line, cells = body.pop(0)
         stated = {n: str(c).strip() for n, c in zip(header, cells, strict=False) if c}
         notes = (f"{place} {line} states the units",)
-    body = _without_empty_ends(body, len(header))
     body = _of_width(body, len(header), place, faults)
     if not body:
         raise InputError(
@@ -146,8 +145,8 @@ def table_of(
     columns, joined = _without_thousands(columns)
     if joined:
         notes = (*notes, "signs between thousands were left out")
-    if decimal and _has_decimal_commas(columns):
-        columns = {n: [_with_point(c) for c in cells] for n, cells in columns.items()}
+    columns, commas = _with_points(columns) if decimal else (columns, False)
+    if commas:
         notes = (*notes, "decimal commas were read as points")
     return Table(
         {name: cells for name, cells in columns.items() if name},
@@ -184,23 +183,17 @@ def _is_row_of_units(cells: Sequence[Any]) -> bool:
     return bool(known) and len(words) - len(silent) < 2 * len(known)
 
 
-def _without_empty_ends(body: Sequence[Row], width: int) -> list[Row]:
-    """Rows without the empty cells beyond the header that a last delimiter makes."""
-    return [
-        (
-            number,
-            cells if any(c not in ("", None) for c in cells[width:]) else cells[:width],
-        )
-        for number, cells in body
-    ]
-
-
 def _of_width(
     body: Sequence[Row], width: int, place: str, faults: dict[str, str] | None
 ) -> list[Row]:
-    """The rows that have as many cells as the header; the others are bad."""
+    """The rows that have as many cells as the header; the others are bad.
+
+    A last delimiter makes empty cells beyond the header, which do not count.
+    """
     kept = []
     for number, cells in body:
+        if not any(cell not in ("", None) for cell in cells[width:]):
+            cells = cells[:width]
         if len(cells) == width:
             kept.append((number, cells))
             continue
@@ -216,11 +209,22 @@ def _of_width(
     return kept
 
 
-def _has_decimal_commas(columns: dict[str, Sequence[Any]]) -> bool:
-    """True if numbers have commas and none of them a point."""
+def _with_points(
+    columns: dict[str, Sequence[Any]],
+) -> tuple[dict[str, Sequence[Any]], bool]:
+    """The columns with points for decimal commas, and whether there were any.
+
+    Commas are decimal ones if numbers have them and none of them a point.
+    """
     words = [c for cells in columns.values() for c in cells if isinstance(c, str)]
-    commas = any(_COMMA.fullmatch(word) for word in words)
-    return commas and not any(_POINT.fullmatch(word) for word in words)
+    if any(map(_POINT.fullmatch, words)) or not any(map(_COMMA.fullmatch, words)):
+        return columns, False
+
+    def in_one(cell: Any) -> Any:
+        numeric = isinstance(cell, str) and _COMMA.fullmatch(cell)
+        return cell.replace(",", ".") if numeric else cell
+
+    return {n: [in_one(c) for c in cells] for n, cells in columns.items()}, True
 
 
 _THOUSANDS = re.compile(r"\s*[-+]?\d{1,3}(,\d{3})+(\.\d*)?\s*")
@@ -254,11 +258,6 @@ def _without_thousands(
     return {n: [in_one(c) for c in cells] for n, cells in columns.items()}, True
 
 
-def _with_point(cell: Any) -> Any:
-    numeric = isinstance(cell, str) and _COMMA.fullmatch(cell)
-    return cell.replace(",", ".") if numeric else cell
-
-
 def is_number(cell: Any) -> bool:
     """True for a cell with a number, written with a point or a comma."""
     if isinstance(cell, int | float):
@@ -276,17 +275,15 @@ def rows_above_header(rows: Sequence[Sequence[Any]]) -> int:
     The header is the first row as wide as most rows are; nothing is skipped where that
     row holds a number, because then the header itself is at fault.
     """
-    widths = [_width(row) for row in rows[:_SAMPLE]]
+    widths = [
+        max((i for i, cell in enumerate(row, 1) if cell not in ("", None)), default=0)
+        for row in rows[:_SAMPLE]
+    ]
     common = Counter(w for w in widths if w > 1).most_common(1)
     if not common or (rows and widths[0] >= common[0][0]):
         return 0
     first = next(i for i, w in enumerate(widths) if w >= common[0][0])
     return 0 if any(is_number(cell) for cell in rows[first] if cell) else first
-
-
-def _width(row: Sequence[Any]) -> int:
-    filled = [i for i, cell in enumerate(row) if cell not in ("", None)]
-    return filled[-1] + 1 if filled else 0
 
 
 _DAMAGED = (

@@ -67,11 +67,7 @@ def read_recording(
     commands = reading.commands
     tracked = reading if commands is None else _without_commands(reading)
     try:
-        source = (
-            Source.of_frame(path, tracked)
-            if isinstance(path, DataFrame)
-            else Source.read(path, tracked)
-        )
+        source = Source.read(path, tracked)
         chosen = _format(source)
         recording = assemble(chosen.tracks(source), source, chosen.name)
         if commands is None:

@@ -124,6 +124,28 @@ class Tracks:
         return f"{self.place(row)}, column {self.columns.get(what, what)!r}"
 
 
+def read_commands(
+    table: Table,
+    columns: Mapping[str, str],
+    stated: Mapping[str, str],
+    *,
+    lost: bool = True,
+) -> dict[str, Float64[np.ndarray, " row"]]:
+    """The commands of a table in Hz and rad; NaN for empty cells that may be `lost`.
+
+    Args:
+        columns: column of each quantity; those that are no commands are passed over.
+        stated: units that stand above those of the table.
+    """
+    commands = {}
+    for name, target in COMMAND_UNITS.items():
+        if name in columns:
+            unit = stated.get(name) or table.unit(columns[name]) or target
+            values = table.numbers(columns[name], lost=lost)
+            commands[name] = values * units.command(name, target, unit)
+    return commands
+
+
 def varying(heights: Float64[np.ndarray, " row"]) -> Float64[np.ndarray, " row"] | None:
     """The heights, or None where they are all the same: a film of a plane."""
     known = heights[np.isfinite(heights)]

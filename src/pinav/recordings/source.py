@@ -88,8 +88,13 @@ class Source:
             object.__setattr__(self, "faults", {})
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str], reading: Reading = STRICT) -> "Source":
-        """The file at `path`, decompressed where it is gzip."""
+    def read(
+        cls, path: str | os.PathLike[str] | DataFrame, reading: Reading = STRICT
+    ) -> "Source":
+        """The file at `path`, decompressed where it is gzip, or a DataFrame."""
+        if isinstance(path, DataFrame):
+            columns = {str(name): np.asarray(path[name]) for name in path.columns}
+            return cls(Path("DataFrame"), b"", columns, reading)
         path = Path(path)
         if path.is_dir():
             return cls(path, b"", None, reading)
@@ -106,12 +111,6 @@ class Source:
         if not content.strip(b"\0 \r\n\t"):
             raise InputError("the file is empty; copy it from its origin again")
         return cls(path, content, None, reading)
-
-    @classmethod
-    def of_frame(cls, frame: DataFrame, reading: Reading) -> "Source":
-        """The columns of a DataFrame."""
-        columns = {str(name): np.asarray(frame[name]) for name in frame.columns}
-        return cls(Path("DataFrame"), b"", columns, reading)
 
     @property
     def stem(self) -> str:

@@ -168,15 +168,13 @@ class Table:
         """The numbers of a column; empty cells become NaN where they may be `lost`."""
         cells = self.column(name)
         values = _as_floats(cells)
-        if values is None or _is_wrong(values, lost=lost):
-            values = np.array(
-                [
-                    self._number(row, name, cell, lost=lost)
-                    for row, cell in enumerate(cells)
-                ],
-                np.float64,
-            )
-        return values
+        if values is not None:
+            known = values[np.isfinite(values)] if lost else values
+            if np.all(np.abs(known) < LARGEST):
+                return values
+        several = enumerate(cells)
+        numbers = [self._number(i, name, cell, lost=lost) for i, cell in several]
+        return np.array(numbers, np.float64)
 
     def _number(self, row: int, name: str, cell: Any, *, lost: bool) -> float:
         text = "" if cell is None else str(cell).strip()
@@ -320,13 +318,6 @@ FINITE = "a finite number"
 
 LARGEST = 1e100
 """Largest number of a recording: squares of larger ones overflow."""
-
-
-def _is_wrong(values: Float64[np.ndarray, " row"], *, lost: bool) -> bool:
-    """True for a number that is too large or, unless it may be lost, not finite."""
-    if lost:
-        values = values[np.isfinite(values)]
-    return not bool(np.all(np.abs(values) < LARGEST))
 
 
 def _as_floats(cells: Sequence[Any] | np.ndarray) -> np.ndarray | None:

@@ -100,6 +100,19 @@ def duration(unit: str | None) -> tuple[float, str]:
     return (_SECONDS[word], "s") if word in _SECONDS else (1.0, "?")
 
 
+def interval(where: str, word: str) -> float:
+    """A time from frame to frame, which is a positive number."""
+    try:
+        value = float(word)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise InputError(
+            f"{where}: expected a number > 0, got {word!r}; correct it, or export again"
+        )
+    return value
+
+
 def command(name: str, target: str, unit: str) -> float:
     """Factor that brings a command to the unit `target`."""
     known = _COMMANDS.get(target, {})

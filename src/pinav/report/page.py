@@ -63,7 +63,6 @@ def quantity(value: float | int | None, unit: str, digits: int = 3) -> str:
     """A number with its unit; dimensionless ("1") and unknown ("?") ones are left out.
 
     Args:
-        value: the number.
         unit: such as "um".
         digits: significant digits.
     """
@@ -88,7 +87,6 @@ def measured(value: float | None, sd: float | None) -> str:
     """A number to the last digit that its standard deviation leaves, and that.
 
     Args:
-        value: the estimate.
         sd: its standard deviation; None where there is none.
     """
     if value is None or sd is None or not (0 < sd < math.inf) or value == 0.0:
@@ -126,7 +124,6 @@ class Link(AbstractBlock):
 
     Attributes:
         target: name of the file.
-        text: the words to click.
     """
 
     target: str
@@ -156,7 +153,6 @@ class Table(AbstractBlock):
 
     Attributes:
         header: name of each column.
-        rows: the cells of each row.
         caption: what the table shows.
         name: of a file that keeps it, too, without ending; empty for none.
 
@@ -230,7 +226,6 @@ class Image(AbstractBlock):
     """A PNG, SVG or GIF file, embedded in the page.
 
     Attributes:
-        path: the file.
         alt: what it shows, for those who do not see it.
         caption: the words below it.
         width: share of the page's width, in (0, 1].
@@ -280,7 +275,6 @@ class Section:
 
     Attributes:
         heading: also its line in the table of contents.
-        blocks: in reading order.
     """
 
     heading: str
@@ -293,7 +287,6 @@ def render(title: str, subtitle: str, sections: Sequence[Section]) -> str:
     Args:
         title: the heading, also in the title bar.
         subtitle: one line below it, such as what was run and when.
-        sections: in reading order.
 
     Raises:
         InputError: an image cannot be read.
@@ -303,7 +296,10 @@ def render(title: str, subtitle: str, sections: Sequence[Section]) -> str:
         for index, section in enumerate(sections, start=1)
     )
     body = "\n".join(
-        _section(index, section) for index, section in enumerate(sections, start=1)
+        f'<section id="section-{index}">\n<h2>{escape(section.heading)}</h2>\n'
+        + "\n".join(block.html() for block in section.blocks)
+        + "\n</section>"
+        for index, section in enumerate(sections, start=1)
     )
     return _source("page.html").format(
         style="\n" + _source("page.css"),
@@ -312,12 +308,6 @@ def render(title: str, subtitle: str, sections: Sequence[Section]) -> str:
         contents=contents,
         body=body,
     )
-
-
-def _section(index: int, section: Section) -> str:
-    blocks = "\n".join(block.html() for block in section.blocks)
-    heading = escape(section.heading)
-    return f'<section id="section-{index}">\n<h2>{heading}</h2>\n{blocks}\n</section>'
 
 
 def _source(name: str) -> str:

@@ -33,7 +33,8 @@ def with_random_starts(build: Callable[[], System]) -> Scenario:
     def scenario(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
         return build().with_starts(key, count)
 
-    scenario.__doc__, scenario.__name__ = build.__doc__, build.__name__
+    for name in ("__doc__", "__module__", "__name__"):
+        setattr(scenario, name, getattr(build, name))
     SCENARIOS[build.__name__.replace("_", "-")] = scenario
     return scenario
 

@@ -1,7 +1,9 @@
-"""One attempt at a cell: what a worker does, wherever it is.
+"""What a worker of Dask does: it prepares its process, and attempts cells.
 
-Arguments and answer are text. An attempt leaves a mark before it begins, so that the
-next one knows how many workers a cell has cost, and whether it hung.
+Dask imports this module by its name: when a worker of this machine starts, and where a
+cell is handed to any other worker. Arguments and answer are text. An attempt leaves a
+mark before it begins, so that the next one knows how many workers a cell has cost, and
+whether it hung.
 """
 
 import errno
@@ -10,6 +12,7 @@ import importlib
 import os
 import platform
 import shutil
+import sys
 import time
 from pathlib import Path
 
@@ -17,7 +20,7 @@ import msgspec
 
 from pinav import __version__
 from pinav.errors import FitError, InputError
-from pinav.numerics import free_programs
+from pinav.numerics import ONE_CORE, free_programs, prepare_process
 from pinav.sweeps.store import RESULT, TRACE_FILE, Cell, CellOutcome, CellStore
 
 CRASHES = 3
@@ -45,7 +48,6 @@ class Order(msgspec.Struct, frozen=True):
 
     Attributes:
         token: of the sweep, which the worker must find in that folder.
-        cell: the cell as TOML.
         client: process and machine of the client.
         timeout: seconds after which the cell has failed; none for no limit.
     """
@@ -181,3 +183,22 @@ def _do(cell: Cell, here: Path, order: Order) -> str:
 
 def _is_of_the_system(error: BaseException | None) -> bool:
     return isinstance(error, OSError) and error.errno in REFUSALS_OF_THE_SYSTEM
+
+
+SETTINGS = {"JAX_ENABLE_X64": "true", "TQDM_DISABLE": "1", **ONE_CORE}
+"""Variables of the environment of a worker."""
+
+
+def dask_setup(worker: object) -> None:
+    """Prepare a worker of this machine, whose output is that of the command."""
+    del worker
+    os.dup2(2, 1)  # what a cell prints is no result of the command
+
+
+def attempt_here(version: str, order: str) -> str:
+    """`attempt` in a process that Dask started: prepared as that of a command is."""
+    prepare_process()
+    os.environ.update(SETTINGS)
+    if "jax" in sys.modules:  # imported before, by someone else
+        importlib.import_module("jax").config.update("jax_enable_x64", val=True)
+    return attempt(version, order)

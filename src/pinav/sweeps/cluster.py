@@ -9,7 +9,7 @@ from multiprocessing import resource_tracker
 from typing import Any
 
 from pinav.errors import InputError
-from pinav.sweeps import worker
+from pinav.sweeps import attempt
 
 CONNECTION_TIME = 10.0
 """How long a scheduler may take to answer [s]."""
@@ -43,7 +43,7 @@ class Cluster:
             order: an `Order` as JSON.
         """
         return self.client.submit(
-            worker.attempt_here,
+            attempt.attempt_here,
             version,
             order,
             workers=[place],
@@ -96,8 +96,8 @@ def local_cluster(count: int) -> Iterator[Cluster]:
                 memory_limit=None,  # the system ends what takes too much
                 dashboard_address="127.0.0.1:0",  # any free port
                 silence_logs=logging.CRITICAL,
-                env=worker.SETTINGS,
-                preload=worker.__name__,
+                env=attempt.SETTINGS,
+                preload=attempt.__name__,
             )
     except (OSError, RuntimeError) as error:
         raise InputError(

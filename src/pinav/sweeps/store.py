@@ -188,11 +188,6 @@ class CellStore:
             )
         return _read(folder / OUTCOME_FILE, CellOutcome, f"delete {folder}")
 
-    def read_result(self, cell: Cell, name: str, kind: type[Result]) -> Result:
-        """What a finished cell has written as JSON."""
-        folder = self.folder(cell)
-        return _read(folder / name, kind, f"delete {folder}")
-
     def wait_for(self, cell: Cell) -> CellOutcome | None:
         """The outcome of a cell that a worker says is done.
 

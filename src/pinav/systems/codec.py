@@ -114,7 +114,11 @@ def decode(key: str, wanted: Any, value: Any, context: Context) -> Any:
     if wanted is Any:
         return value
     if isinstance(wanted, types.UnionType) or typing.get_origin(wanted) is typing.Union:
-        return _decode_union(key, typing.get_args(wanted), value, context)
+        options = typing.get_args(wanted)
+        if float in options:  # a Scalar: a plain number, or an array without axes
+            return number(key, value)
+        real = next(option for option in options if option is not type(None))
+        return decode(key, real, value, context)
     if typing.get_origin(wanted) is tuple:
         return _decode_tuple(key, typing.get_args(wanted), value, context)
     if hasattr(wanted, "dim_str"):
@@ -136,13 +140,6 @@ def number(key: str, value: Any) -> float:
     if not math.isfinite(value):
         raise InputError(f"{key}: expected a finite number, got {value}")
     return float(value)
-
-
-def _decode_union(key: str, options: tuple, value: Any, context: Context) -> Any:
-    if float in options:  # a Scalar: a plain number, or an array without axes
-        return number(key, value)
-    real = [option for option in options if option is not type(None)]
-    return decode(key, real[0], value, context)
 
 
 def _decode_tuple(key: str, parts: tuple, value: Any, context: Context) -> tuple:

@@ -169,7 +169,7 @@ def parse_system(text: str, *, folder: Path | None = None, name: str = "") -> Sy
         times=_times(table),
         base_units=units,
         model=_model(table, context),
-        thermal=_thermal(table, order),
+        thermal=_thermal(table, order, context),
         learn=_learn(table, context),
     )
 
@@ -189,18 +189,15 @@ def _model(table: TOML, context: Context) -> str:
     return model
 
 
-def _thermal(table: TOML, order: int) -> ThermalUnknown:
-    stated = {
-        key: table.get("unknown", {})[key]
-        for key in FIELDS
-        if key in table.get("unknown", {})
-    }
+def _thermal(table: TOML, order: int, context: Context) -> ThermalUnknown:
+    unknown = table.get("unknown", {})
+    stated = {key: unknown[key] for key in FIELDS if key in unknown}
     if stated and order == 2:
         raise InputError(
             f"unknown.{next(iter(stated))}: thermal motion needs order = 1, a swimmer "
             "without inertia; drop it"
         )
-    return ThermalUnknown.of_table(stated)
+    return ThermalUnknown.of_table(stated, context)
 
 
 def _learn(table: TOML, context: Context) -> tuple[FreeNumber, ...]:

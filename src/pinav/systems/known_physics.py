@@ -99,19 +99,16 @@ def swimmer_of(
                 "thermal: thermal noise needs order = 1, a swimmer without inertia; "
                 "drop the table"
             )
-        drag = _drag(table["drag"], context)
+        if isinstance(table["drag"], dict):
+            drag = force_of("drag", table["drag"], context)
+        else:
+            NOT_NEGATIVE.check("drag", damping := number("drag", table["drag"]))
+            drag = LinearDrag(damping)
         drag = drag if isinstance(flow, ZeroFlow) else InFlow(drag, flow)
         return Swimmer(propulsion, drag, ZeroForce(), known), None
     mobility = _mobility(table, thermal, units, context)
     swimmer = OverdampedSwimmer(propulsion, ZeroForce(), mobility, flow, known)
     return swimmer, _thermal_energy(thermal, mobility, units)
-
-
-def _drag(value: Any, context: Context) -> AbstractForce:
-    if isinstance(value, dict):
-        return force_of("drag", value, context)
-    NOT_NEGATIVE.check("drag", damping := number("drag", value))
-    return LinearDrag(damping)
 
 
 def _mobility(

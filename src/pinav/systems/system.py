@@ -266,9 +266,9 @@ class System(eqx.Module):
     @property
     def diffusion(self) -> float | None:
         """Mean diffusion coefficient at the origin [L² T⁻¹]; none without noise."""
-        if self.thermal_energy is None or isinstance(self.swimmer, Swimmer):
+        noisy = self.with_noise_of(self.swimmer)
+        if not isinstance(noisy, BrownianSwimmer):
             return None
-        noisy = BrownianSwimmer(self.swimmer, self.thermal_energy)
         return float(np.trace(noisy.diffusion(jnp.zeros(self.dim))) / self.dim)
 
     def check_simulated(self) -> None:

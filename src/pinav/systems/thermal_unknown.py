@@ -1,12 +1,11 @@
 """The unknown in thermal motion in a file, in the words of `pinav fit`."""
 
-from typing import Any
+import dataclasses
 
 import equinox as eqx
-import msgspec
 
 from pinav.errors import InputError
-from pinav.systems.codec import TOML
+from pinav.systems.codec import TOML, Context, decode, number
 
 DIFFUSIONS = ("constant", "field", "tensor")
 """Forms of the diffusion."""
@@ -65,17 +64,30 @@ class ThermalUnknown(eqx.Module):
             split_period(text)
 
     @classmethod
-    def of_table(cls, table: TOML) -> "ThermalUnknown":
+    def of_table(cls, table: TOML, context: Context) -> "ThermalUnknown":
         """The settings of the table [unknown]; its `period` is a table of numbers.
 
         Raises:
             InputError: a value is none that the key may have.
         """
-        values = {name: _checked(name, value) for name, value in table.items()}
-        if "period" in values:
-            periods = values["period"].items()
-            values["period"] = tuple(f"{name}={one!r}" for name, one in periods)
-        return cls(**values)
+        periods = table.get("period", {})
+        if not isinstance(periods, dict):
+            raise InputError(
+                "unknown.period: expected numbers by coordinate, such as "
+                f"{{ x = 6.2832 }}, got {periods!r}"
+            )
+        words = [
+            f"{name}={number(f'unknown.period.{name}', one)!r}"
+            for name, one in periods.items()
+        ]
+        kinds = {field.name: field.type for field in dataclasses.fields(cls)}
+        stated = {**table, "period": words}
+        return cls(
+            **{
+                name: decode(f"unknown.{name}", kinds[name], value, context)
+                for name, value in stated.items()
+            }
+        )
 
     def table(self) -> TOML:
         """The table [unknown] that states it."""
@@ -86,25 +98,6 @@ class ThermalUnknown(eqx.Module):
         if self.period:
             values["period"] = dict(map(split_period, self.period))
         return values
-
-
-_FORMS: dict[str, tuple[Any, str]] = {
-    **dict.fromkeys(("diffusion", "observation", "reference"), (str, "a word")),
-    **dict.fromkeys(
-        ("coordinates", "warp"),
-        (tuple[str, ...], 'names of coordinates, such as ["z"]'),
-    ),
-    "period": (dict[str, float], "numbers by coordinate, such as { x = 6.2832 }"),
-}
-"""Type of the value of each key in a file, and words for it."""
-
-
-def _checked(name: str, value: Any) -> Any:
-    kind, words = _FORMS[name]
-    try:
-        return msgspec.convert(value, kind)
-    except msgspec.ValidationError as error:
-        raise InputError(f"unknown.{name}: expected {words}, got {value!r}") from error
 
 
 FIELDS = tuple(ThermalUnknown.__dataclass_fields__)

@@ -175,10 +175,6 @@ class HeatBalance(eqx.Module):
         total = jnp.stack([jnp.sum(heat), jnp.sum(taken), lost])
         return Rates(change, total)
 
-    def stored_heat(self, begin: Field, end: Field) -> Float[Array, ""]:
-        """Heat stored between two temperatures [J]."""
-        return jnp.sum((end - begin) / self.inverse_capacity)
-
     def sink_slope(self, temperature: Field) -> Field:
         """Change of what blood takes from each cell with its temperature [W m⁻³ K⁻¹].
 

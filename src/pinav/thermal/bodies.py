@@ -12,6 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
+from scipy.ndimage import center_of_mass
 
 from pinav.errors import InputError
 from pinav.thermal import quantities
@@ -112,7 +113,8 @@ def _voxel_body(case: Case, grid: Voxels, folder: Path) -> tuple[Bioheat, Body]:
     fractions = {name: jnp.asarray(masks[name], float) for name in case.tissues}
     perfusion = RegionalPerfusion(tuple(fractions.values()), tuple(laws))
     model = _join(case, cells, tissues, perfusion)
-    middle = _centroid(target, box.sizes)
+    places = zip(center_of_mass(target), box.sizes, strict=True)
+    middle = tuple(float((place + 0.5) * size) for place, size in places)
     return model, Body(fractions, jnp.asarray(target), middle, image=image)
 
 
@@ -287,9 +289,3 @@ def _target(
             f"{image.path}: expected a target, got no voxel with half of one or more"
         )
     return fraction
-
-
-def _centroid(target: np.ndarray, sizes: tuple[float, ...]) -> tuple[float, ...]:
-    places = np.indices(target.shape) + 0.5
-    means = [float((target * axis).sum() / target.sum()) for axis in places]
-    return tuple(mean * size for mean, size in zip(means, sizes, strict=True))

@@ -164,7 +164,7 @@ class RadialGrid(AbstractGrid):
             )
         centers = 0.5 * (edges[1:] + edges[:-1])
         along = ResistanceScale.of(edges, np.broadcast_to(conductivity, self.shape))
-        weights = np.stack([along.weights(place) for place in places])
+        weights = np.stack([linear_weights(along.at(x), along.values) for x in places])
         if self.exponent:
             near = places < centers[0]
             weights[near] = 0.0
@@ -409,9 +409,6 @@ class ResistanceScale(eqx.Module):
     def at(self, place: Number) -> float:
         """Resistance up to a place [m]."""
         return float(np.interp(place, self.places, self.resistances))
-
-    def weights(self, place: Number) -> Float[np.ndarray, " cell"]:
-        return linear_weights(self.at(place), self.values)
 
 
 def linear_weights(

@@ -39,8 +39,6 @@ OFF = 1e-5
 SHARES = {"T10": 0.1, "T50": 0.5, "T90": 0.9}
 """Share of the target's volume that exceeds each temperature."""
 
-AXES = "xyz"
-
 
 class AbstractHeatResult(eqx.Module):
     """What a task on a case computed."""
@@ -75,17 +73,32 @@ class RadialBalance(eqx.Module):
     start: Float[np.ndarray, " cell"]
 
 
+class Cut(NamedTuple):
+    """A plane of cells, or all of a field that is a plane itself.
+
+    Attributes:
+        axis: number of the axis that is normal to it.
+        place: index of the cells along it; none where the field has no third axis.
+    """
+
+    axis: int
+    place: int | None
+
+    def of(self, field: Any) -> Any:
+        """The cells of a field, of NumPy or JAX, that lie in the plane."""
+        if self.place is None:
+            return field
+        return field[(*(slice(None),) * self.axis, self.place)]
+
+
 class Plane(eqx.Module):
     """A plane of cells of which the temperature is kept over time.
 
     Attributes:
-        axis: name of the axis that is normal to it.
-        index: of the cells along that axis; none where the field has no third axis.
         temperatures: of the cells at the moments of the run [°C].
     """
 
-    axis: str
-    index: int | None
+    cut: Cut
     temperatures: Float32[np.ndarray, "moment row column"]
 
 
@@ -220,7 +233,7 @@ def _on_planes(
     count = len(times)
     kept = np.unique(np.linspace(0, count - 1, min(MOMENTS, count)).round().astype(int))
     planes = tuple(
-        Plane(AXES[cut.axis], cut.place, seen[f"plane {cut.axis}"][kept].astype("f4"))
+        Plane(cut, seen[f"plane {cut.axis}"][kept].astype("f4"))
         for cut in cuts_through(np.asarray(setup.body.target))
     )
     return {
@@ -288,24 +301,6 @@ def dose_at(
     values = jnp.asarray(temperatures)
     each = jax.vmap(cem43_segment)(values[:-1], values[1:], jnp.diff(times))
     return float(each.sum())
-
-
-class Cut(NamedTuple):
-    """A plane of cells, or all of a field that is a plane itself.
-
-    Attributes:
-        axis: number of the axis that is normal to it.
-        place: index of the cells along it; none where the field has no third axis.
-    """
-
-    axis: int
-    place: int | None
-
-    def of(self, field: Any) -> Any:
-        """The cells of a field, of NumPy or JAX, that lie in the plane."""
-        if self.place is None:
-            return field
-        return field[(*(slice(None),) * self.axis, self.place)]
 
 
 def cuts_through(target: Float[np.ndarray, "..."]) -> tuple[Cut, ...]:

@@ -48,11 +48,6 @@ class Image(eqx.Module):
     affine: Float[np.ndarray, "4 4"] | None = None
     every: float | None = None
 
-    @property
-    def is_nifti(self) -> bool:
-        """Whether the file says where the voxels are."""
-        return self.affine is not None
-
 
 def read_image(path: Path) -> Image:
     """An image of one of the formats.

@@ -16,7 +16,7 @@ from pinav.thermal import learning
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.heated_run import FOLLOWED, AbstractHeatResult, Watched
 from pinav.thermal.protocols import plan_steps
-from pinav.thermal.readings import Readings
+from pinav.thermal.readings import Readings, place_names
 from pinav.thermal.setup import Setup
 from pinav.thermal.solve import Solution, run, solve
 from pinav.thermal.tissue_fit import (
@@ -119,19 +119,6 @@ def follow_target(
     return follow
 
 
-class LearnedQuantity(eqx.Module):
-    """A number that was learned, and its true value where that is known.
-
-    Attributes:
-        name: its name, with the unit.
-    """
-
-    name: str
-    value: float
-    sd: float
-    true: float | None = None
-
-
 class HeldOut(eqx.Module):
     """Largest errors of the temperature at a power that was not fitted.
 
@@ -146,38 +133,33 @@ class HeldOut(eqx.Module):
     constant: float
 
 
-class FittedProbes(eqx.Module):
-    """Readings of probes, and what the fit predicts of them.
+class FittedCurves(eqx.Module):
+    """Readings over time, and the fit: of probes, or means over voxels of tissues.
 
     Attributes:
-        predicted: temperatures at their times and places [°C].
-    """
-
-    data: Readings
-    predicted: Float[np.ndarray, "time probe"]
-
-
-class MeanCurve(eqx.Module):
-    """Mean temperature of the voxels of a tissue that are read."""
-
-    read: Float[np.ndarray, " time"]
-    fitted: Float[np.ndarray, " time"]
-
-
-class FittedFrames(eqx.Module):
-    """Readings of voxels without turns and drift, and the fit.
-
-    Attributes:
-        read: last frame [°C]; NaN where no voxel is read.
-        fitted: fit of the last frame [°C].
+        names: names of the probes or tissues.
+        read: temperatures without turns and drift [°C].
     """
 
     times: Float[np.ndarray, " time"]
+    names: tuple[str, ...]
+    read: Float[np.ndarray, "time place"]
+    fitted: Float[np.ndarray, "time place"]
+
+
+class FittedFrame(eqx.Module):
+    """The last frame that was fitted, without turns and drift, and its fit.
+
+    Attributes:
+        time: of the frame [s].
+        read: [°C]; NaN where no voxel is read.
+    """
+
+    time: float
     read: Float[np.ndarray, "*grid"]
     fitted: Float[np.ndarray, "*grid"]
     target: Float[np.ndarray, "*grid"]
     spacing: tuple[float, ...]
-    means: dict[str, MeanCurve]
 
 
 class LearnedTissue(AbstractHeatResult):
@@ -188,6 +170,8 @@ class LearnedTissue(AbstractHeatResult):
         noise: estimated standard deviation of a reading [K].
         relative: True if both are in units of a map of the noise instead.
         constants: other numbers learned, by name.
+        quantities: numbers that can be compared with a truth, by name with its unit.
+        true: their true values, where they are known.
         constant_residual: root mean square residual of the best constant perfusion [K].
     """
 
@@ -202,10 +186,11 @@ class LearnedTissue(AbstractHeatResult):
     laws: dict[str, learning.PerfusionCurve]
     constant_residual: float
     held_out: tuple[HeldOut, ...]
-    quantities: tuple[LearnedQuantity, ...]
+    quantities: dict[str, Estimate]
+    true: dict[str, float]
     forecast: Forecast | None
-    probes: FittedProbes | None
-    frames: FittedFrames | None
+    curves: FittedCurves
+    frame: FittedFrame | None
 
 
 def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
@@ -224,7 +209,14 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
     )
     constants = fit.constants.items()
     held_out = settings.held_out if task.fitted is None else ()
-    in_frames = data.points is None
+    quantities, true = _compare(task, fit)
+    in_frames, frame = data.points is None, None
+    if data.points is not None:
+        names = tuple(place_names(data.points))
+        curves = FittedCurves(data.times, names, data.values, comparison.predicted)
+    else:
+        curves = _tissue_curves(setup, residuals, comparison)
+        frame = _last_frame(setup, residuals, comparison)
     return LearnedTissue(
         title=setup.title,
         outcome=fit.outcome,
@@ -234,30 +226,31 @@ def learn_tissue(task: TissueFit, data: Readings) -> LearnedTissue:
         relative=in_frames,
         log_evidence=fit.hyperparameters.log_evidence,
         constants={describe_constant(name, setup): one for name, one in constants},
-        quantities=_compare(task, fit),
+        quantities=quantities,
+        true=true,
         laws={} if is_constant else _laws(task, fit),
         constant_residual=_rms(by_constant.scaled),
         held_out=tuple(
             _held_out(setup, fit.model, constant.model, power) for power in held_out
         ),
         forecast=_forecast(task, fit),
-        probes=None if in_frames else FittedProbes(data, comparison.predicted),
-        frames=_frames(setup, residuals, comparison) if in_frames else None,
+        curves=curves,
+        frame=frame,
     )
 
 
-def _compare(task: TissueFit, fit: EvidenceFit) -> tuple[LearnedQuantity, ...]:
+def _compare(
+    task: TissueFit, fit: EvidenceFit
+) -> tuple[dict[str, Estimate], dict[str, float]]:
+    """Numbers that were learned, and the true ones where they are known."""
     names, quantities = quantities_of(task)
     if not names:
-        return ()
-    true: list[float | None] = [None] * len(names)
-    if task.truth is not None:
-        true = np.asarray(quantities(task.truth.model)).tolist()
-    estimates = derive(fit.posterior, quantities)
-    return tuple(
-        LearnedQuantity(name, one.value, one.sd, truth)
-        for name, one, truth in zip(names, estimates, true, strict=True)
-    )
+        return {}, {}
+    learned = dict(zip(names, derive(fit.posterior, quantities), strict=True))
+    if task.truth is None:
+        return learned, {}
+    true = np.asarray(quantities(task.truth.model)).tolist()
+    return learned, dict(zip(names, true, strict=True))
 
 
 class _Comparison(NamedTuple):
@@ -273,10 +266,26 @@ class _Comparison(NamedTuple):
         return cls(predicted, read, (predicted - read) * np.asarray(residuals.weights))
 
 
-def _frames(
+def _tissue_curves(
     setup: Setup, residuals: learning.Residuals, comparison: _Comparison
-) -> FittedFrames:
-    predicted, corrected = comparison.predicted, comparison.read
+) -> FittedCurves:
+    """Means over the voxels of each tissue that are read."""
+    assert isinstance(residuals.observe, learning.Voxels)
+    cells, means = np.asarray(residuals.observe.cells), {}
+    for name, fraction in setup.body.fractions.items():
+        inside = np.asarray(fraction).reshape(-1)[cells] > 0.5
+        if inside.any():
+            read = np.nanmean(comparison.read[:, inside], axis=1)
+            means[name] = read, comparison.predicted[:, inside].mean(axis=1)
+    read, fitted = (
+        np.stack(curves, axis=1) for curves in zip(*means.values(), strict=True)
+    )
+    return FittedCurves(residuals.schedule.times, tuple(means), read, fitted)
+
+
+def _last_frame(
+    setup: Setup, residuals: learning.Residuals, comparison: _Comparison
+) -> FittedFrame:
     assert isinstance(residuals.observe, learning.Voxels)
     grid, cells = setup.model.grid, np.asarray(residuals.observe.cells)
 
@@ -285,19 +294,12 @@ def _frames(
         full[cells] = values
         return full.reshape(grid.shape)
 
-    means = {}
-    for name, fraction in setup.body.fractions.items():
-        inside = np.asarray(fraction).reshape(-1)[cells] > 0.5
-        if inside.any():
-            read = np.nanmean(corrected[:, inside], axis=1)
-            means[name] = MeanCurve(read, predicted[:, inside].mean(axis=1))
-    return FittedFrames(
-        times=residuals.schedule.times,
-        read=image(corrected[-1]),
-        fitted=image(predicted[-1]),
+    return FittedFrame(
+        time=float(residuals.schedule.times[-1]),
+        read=image(comparison.read[-1]),
+        fitted=image(comparison.predicted[-1]),
         target=np.asarray(setup.body.target),
         spacing=grid.cell_sizes,
-        means=means,
     )
 
 

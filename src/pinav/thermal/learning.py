@@ -227,11 +227,8 @@ def learn(
     *,
     laws: Laws = lambda _: (),
     constants: Callable[[Any], PyTree] = lambda _: (),
-    noise: Number | None = None,
     stepper: AbstractStepper | None = None,
     start: AbstractStart = AT_REST,
-    max_iterations: int = 40,
-    throw: bool = True,
 ) -> EvidenceFit:
     """Fit laws of perfusion, and constants, to readings of probes or of voxels.
 
@@ -241,14 +238,11 @@ def learn(
             at steady state a scale of the power cannot be told from perfusion.
         laws: picks learned perfusions, such as `lambda m: m.perfusion.laws`.
         constants: picks numbers to learn, such as `lambda m: m.sources[0].scale`.
-        noise: standard deviation of a reading [K], of voxels in units of their map;
-            estimated unless given.
-        max_iterations: after which the fit counts as stalled.
 
     Raises:
         InputError: nothing is picked, the data do not fit the grid or the protocol, or
             a law of perfusion jumps.
-        FitError: the fit did not converge, and `throw` is true.
+        FitError: the fit did not converge.
     """
 
     def weights(candidate: Any) -> PyTree:
@@ -269,15 +263,13 @@ def learn(
         prior=IsotropicPrior(count) if count else None,
         constants=flat,
         scale=data.spread,
-        noise=noise,
         # nats of log evidence: half of one moves a law by little of its band
         tolerance=0.5 if count else 1e-2,
-        max_iterations=max_iterations,
+        max_iterations=40,
         num_projected=residuals.num_projected,
         # so many voxels leave little doubt where to step, and a run costs a tenth of a
         # Jacobian
         step_rule=ShortenedStep(corrections=6) if data.points is None else None,
-        throw=throw,
     )
 
 

@@ -81,7 +81,6 @@ def optimise(
     initial: Float[np.ndarray, " number"] | None = None,
     max_iterations: int = 60,
     tolerance: Number = 1e-5,
-    throw: bool = True,
 ) -> Optimum:
     """Find the run of largest `maximise` that satisfies all constraints.
 
@@ -93,14 +92,12 @@ def optimise(
             too.
         initial: design variables to start from, such as the `numbers` of a plan for
             similar tissue; those of the variables unless given.
-        max_iterations: of the quadratic programming.
         tolerance: change of the objective at which it ends.
-        throw: raise if no run satisfies the constraints.
 
     Raises:
         InputError: there is no design variable, a start for another number of them, or
             a law of perfusion that jumps.
-        FitError: the constraints are not satisfied, and `throw` is true.
+        FitError: the constraints are not satisfied.
     """
     if not variables:
         raise InputError("optimise variables: expected one or more, got none")
@@ -135,7 +132,7 @@ def optimise(
         outcome=Outcome.CONVERGED if converged else Outcome.STALLED,
     )
     excess = float(np.max(best.values[1:], initial=0.0))
-    if throw and excess > VIOLATION:
+    if excess > VIOLATION:
         names = ", ".join(c.name for c in optimum.constraints if c.value > c.bound)
         raise FitError(
             f"no run was found that satisfies: {names}; relax the bound, free more "

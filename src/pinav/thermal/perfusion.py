@@ -20,13 +20,6 @@ from pinav.errors import InputError
 from pinav.thermal.quantities import Field, Number
 from pinav.thermal.tissues import Blood, Property, Tissue, least_known
 
-UNITS = {
-    "1/s": "volume of blood per volume of tissue",
-    "kg/m3/s": "mass of blood per volume of tissue",
-    "ml/min/kg": "volume of blood per mass of tissue (heat transfer rate)",
-    "ml/min/100g": "volume of blood per 100 g of tissue",
-}
-
 PLAUSIBLE = (1e-3, 150.0)
 """Mass perfusions [kg m⁻³ s⁻¹] that living tissue can have; the kidney has 70."""
 
@@ -35,8 +28,9 @@ def mass_perfusion(value: Scalar, *, unit: str, blood: Blood, tissue: Tissue) ->
     r"""A perfusion in kg m⁻³ s⁻¹, from any of the usual conventions.
 
     Args:
-        unit: one of `UNITS`: volume perfusion `1/s`, mass perfusion `kg/m3/s`,
-            `ml/min/kg` as in the IT'IS database, or the clinical `ml/min/100g`.
+        unit: of blood per tissue and time: by volumes `1/s`, its mass per volume
+            `kg/m3/s`, its volume per mass `ml/min/kg` as in the IT'IS database (heat
+            transfer rate), or the clinical `ml/min/100g`.
         blood: its density turns volumes into masses.
         tissue: its density turns masses of tissue into volumes.
 
@@ -66,7 +60,7 @@ def perfusion_factor(unit: str, *, blood: Blood, tissue: Tissue) -> Property:
     }
     if unit not in factors:
         raise InputError(
-            f"perfusion unit {unit!r} is unknown; choose one of: {', '.join(UNITS)}"
+            f"perfusion unit {unit!r} is unknown; choose one of: {', '.join(factors)}"
         )
     return factors[unit]
 
@@ -297,11 +291,7 @@ class AbstractLearnedPerfusion(AbstractPerfusion):
 
 
 class NeuralPerfusion(AbstractLearnedPerfusion):
-    """Perfusion by a small network of the temperature; make one by `neural_perfusion`.
-
-    Attributes:
-        log_level: logarithm of the perfusion [kg m⁻³ s⁻¹] where the network is zero.
-    """
+    """Perfusion by a small network of temperature; make one by `neural_perfusion`."""
 
     network: eqx.nn.MLP
     log_level: Scalar
@@ -322,9 +312,6 @@ class KernelPerfusion(AbstractLearnedPerfusion):
     $g(T) = \sum_j v_j\,(k(T, c)\,L^{-\top})_j$ with
     $k(T, c) = \exp(-(T-c)^2/2\ell^2)$ and $L L^\top = k(c, c)$: for independent $v_j$
     of one variance a Gaussian process of length scale $\ell$.
-
-    Attributes:
-        log_level: logarithm of the perfusion [kg m⁻³ s⁻¹] where $g$ is zero.
     """
 
     values: Float[Array, " kernel"]

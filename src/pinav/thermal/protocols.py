@@ -16,6 +16,10 @@ from pinav.errors import InputError
 from pinav.thermal.quantities import Number, Numbers
 
 
+def _times(edges: Numbers) -> tuple[float, ...]:
+    return tuple(np.asarray(edges, float).reshape(-1).tolist())
+
+
 class AbstractProtocol(eqx.Module):
     """The field over time: smooth between switch times, free to jump at them.
 
@@ -51,7 +55,7 @@ class Piecewise(AbstractProtocol):
             or an amplitude or the frequency is negative.
     """
 
-    edges: tuple[float, ...] = eqx.field(static=True)
+    edges: tuple[float, ...] = eqx.field(static=True, converter=_times)
     starts: Float[Array, " interval"]
     ends: Float[Array, " interval"]
     frequency: Scalar
@@ -63,10 +67,10 @@ class Piecewise(AbstractProtocol):
                 f"protocol: expected edges that increase from 0 s, got {list(edges)}"
             )
         for values in (self.starts, self.ends):
-            if len(values) != len(self.edges) - 1:
+            if len(values) != len(edges) - 1:
                 raise InputError(
-                    f"protocol: expected {len(self.edges) - 1} amplitudes for "
-                    f"{len(self.edges)} edges, got {len(values)}"
+                    f"protocol: expected {len(edges) - 1} amplitudes for {len(edges)} "
+                    f"edges, got {len(values)}"
                 )
 
     @classmethod
@@ -75,7 +79,7 @@ class Piecewise(AbstractProtocol):
     ) -> "Piecewise":
         """A constant amplitude [A m⁻¹] between each two edges [s]."""
         values = jnp.asarray(amplitudes, float)
-        return cls(edges=_times(edges), starts=values, ends=values, frequency=frequency)
+        return cls(edges=edges, starts=values, ends=values, frequency=frequency)
 
     @classmethod
     def ramp(
@@ -83,12 +87,8 @@ class Piecewise(AbstractProtocol):
     ) -> "Piecewise":
         """Linear between amplitudes [A m⁻¹] given at each edge [s]."""
         values = jnp.asarray(amplitudes, float)
-        return cls(
-            edges=_times(edges),
-            starts=values[:-1],
-            ends=values[1:],
-            frequency=frequency,
-        )
+        starts, ends = values[:-1], values[1:]
+        return cls(edges=edges, starts=starts, ends=ends, frequency=frequency)
 
     @classmethod
     def on_off(
@@ -141,10 +141,6 @@ class Piecewise(AbstractProtocol):
         fraction = (t - begin) / (end - begin)
         change = self.ends[interval] - self.starts[interval]
         return self.starts[interval] + fraction * change
-
-
-def _times(edges: Numbers) -> tuple[float, ...]:
-    return tuple(np.asarray(edges, float).reshape(-1).tolist())
 
 
 COINCIDENT = 1e-9

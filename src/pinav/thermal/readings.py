@@ -1,21 +1,15 @@
 """Readings of thermometers: the data that thermal models are fitted to, as tables."""
 
-import csv
 from pathlib import Path
 
 import equinox as eqx
-import jax
 import numpy as np
-from jaxtyping import Bool, Float, PRNGKeyArray
+from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
 from pinav.files import write_text
-from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.protocols import AbstractProtocol
+from pinav.recordings.source import Source
 from pinav.thermal.quantities import Number
-from pinav.thermal.solve import probes_at, solve
-from pinav.thermal.starts import AT_REST, AbstractStart
-from pinav.thermal.steppers import AbstractStepper
 
 HOTTEST_READING = 150.0
 """Magnitude [°C] of a reading that is taken for kelvins."""
@@ -102,29 +96,9 @@ class Readings(eqx.Module):
         )
 
 
-def simulate_probes(
-    model: Bioheat,
-    protocol: AbstractProtocol,
-    points: Float[np.ndarray, "probe axis"],
-    *,
-    every: Number,
-    noise: Number,
-    key: PRNGKeyArray,
-    stepper: AbstractStepper | None = None,
-    start: AbstractStart = AT_REST,
-) -> Readings:
-    """Synthetic readings of a model."""
-    solution = solve(
-        model,
-        protocol,
-        observe=probes_at(model, points),
-        save_every=every,
-        stepper=stepper,
-        start=start,
-    )
-    clean = np.asarray(solution.observed)
-    noisy = clean + noise * np.asarray(jax.random.normal(key, clean.shape))
-    return Readings(np.asarray(solution.times), noisy, points)
+def place_names(points: Float[np.ndarray, "probe axis"]) -> list[str]:
+    """Names of probes by their places [m]."""
+    return [", ".join(f"{1e3 * x:g}" for x in point) + " mm" for point in points]
 
 
 def save_probes(data: Readings, path: Path, *, overwrite: bool = False) -> None:
@@ -152,40 +126,21 @@ def load_probes(path: Path) -> Readings:
         InputError: the file cannot be read, has other columns, or a cell is no number.
     """
     try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            header, *rows = list(csv.reader(file)) or [[]]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    names = tuple(name.strip() for name in header)
-    if names[:1] != ("t",) or names[-1:] != ("T",) or names[1:-1] not in AXES:
-        raise InputError(
-            f"{path}: expected the columns t, r, T or t, x, y, z, T, got "
-            f"{', '.join(names) or 'none'}"
-        )
-    cells = [_numbers(path, i, row, len(names)) for i, row in enumerate(rows, 2)]
-    return _to_grid(path, np.array(cells).reshape(-1, len(names)))
-
-
-def _numbers(path: Path, line: int, row: list[str], count: int) -> list[float]:
-    if len(row) != count:
-        raise InputError(f"{path}, row {line}: expected {count} cells, got {len(row)}")
-    numbers = []
-    for column, cell in enumerate(row):
-        missing = not cell.strip() and column == count - 1
-        try:
-            numbers.append(np.nan if missing else float(cell))
-        except ValueError as error:
+        table = Source.read(path).table()
+        names = tuple(table.columns)
+        if names[:1] != ("t",) or names[-1:] != ("T",) or names[1:-1] not in AXES:
             raise InputError(
-                f"{path}, row {line}, column {column + 1}: expected a number, got "
-                f"{cell!r}"
-            ) from error
-    return numbers
+                "expected the columns t, r, T or t, x, y, z, T, got "
+                f"{', '.join(names) or 'none'}"
+            )
+        columns = [table.numbers(name, lost=name == "T") for name in names]
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return _to_grid(path, np.stack(columns, axis=1))
 
 
 def _to_grid(path: Path, cells: np.ndarray) -> Readings:
     """One row for each time, one column for each probe, missing where nothing was."""
-    if not len(cells):
-        raise InputError(f"{path}: expected readings, got a header alone")
     _check_rows(path, cells)
     keys, counts = np.unique(cells[:, :-1], axis=0, return_counts=True)
     if counts.max() > 1:
@@ -203,11 +158,9 @@ def _to_grid(path: Path, cells: np.ndarray) -> Readings:
 
 
 def _check_rows(path: Path, cells: np.ndarray) -> None:
-    numbers, readings = cells[:, :-1], cells[:, -1]
+    times, readings = cells[:, 0], cells[:, -1]
     for wrong, expected, values in (
-        (~np.isfinite(numbers).all(axis=1), "finite times and places", numbers),
-        (numbers[:, 0] <= 0, "times > 0 s, the begin of the protocol", numbers[:, 0]),
-        (np.isinf(readings), "finite temperatures, or an empty cell", readings),
+        (times <= 0, "times > 0 s, the begin of the protocol", times),
         (
             np.abs(readings) > HOTTEST_READING,
             "temperatures in °C, which are kelvins less 273.15",

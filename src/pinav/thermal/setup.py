@@ -17,8 +17,8 @@ from pinav.thermal.dose import Arrhenius
 from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.protocols import LIMITS, HfLimit, Piecewise
 from pinav.thermal.quantities import Field
-from pinav.thermal.readings import Readings, simulate_probes
-from pinav.thermal.solve import default_stepper
+from pinav.thermal.readings import Readings
+from pinav.thermal.solve import default_stepper, probes_at, solve
 from pinav.thermal.sources import (
     AbstractSource,
     ParticleSource,
@@ -62,7 +62,11 @@ class Setup(eqx.Module):
         """The setup of a case."""
         model, body = build_body(case, folder)
         grid = model.grid
-        start = _start(case.start, grid.shape, folder)
+        start: starts.AbstractStart = starts.AT_REST
+        if isinstance(case.start, FromFile):
+            start = starts.read_state(folder / case.start.file, grid.shape)
+        elif case.start == "steady":
+            start = starts.AtSteadyState()
         sources = [_source(case, model, body, folder)]
         if case.eddy is not None:
             case.eddy.shape(grid)  # refuses a grid that has no axis
@@ -88,28 +92,21 @@ class Setup(eqx.Module):
 
     def readings(self, noise: float = 0.0, seed: int = 0) -> Readings:
         """Readings of the probes, as if the case were the truth."""
-        return simulate_probes(
+        solution = solve(
             self.model,
             self.protocol,
-            self.points,
-            every=self.every,
-            noise=noise,
-            key=jax.random.key(seed),
+            observe=probes_at(self.model, self.points),
+            save_every=self.every,
             stepper=self.stepper,
             start=self.start,
         )
+        clean = np.asarray(solution.observed)
+        kicks = np.asarray(jax.random.normal(jax.random.key(seed), clean.shape))
+        return Readings(np.asarray(solution.times), clean + noise * kicks, self.points)
 
     @property
     def arterial(self) -> float:
         return float(self.model.blood.arterial)
-
-
-def _start(
-    start: FromFile | str, shape: tuple[int, ...], folder: Path
-) -> starts.AbstractStart:
-    if isinstance(start, FromFile):
-        return starts.read_state(folder / start.file, shape)
-    return starts.AtSteadyState() if start == "steady" else starts.AT_REST
 
 
 def _stepper(case: Case, model: Bioheat) -> AbstractStepper:

@@ -172,6 +172,7 @@ def run(
     # observed after every step and picked here: a scan cannot save at some steps alone
     saved = jnp.asarray(schedule.saved)
     temperatures, doses = jax.tree.map(lambda a: a[saved], observed)
+    warming = end.temperature - begin.temperature
     return Solution(
         times=jnp.asarray(schedule.times),
         observed=temperatures,
@@ -179,8 +180,7 @@ def run(
         hottest=hottest,
         final=eqx.tree_at(lambda s: s.time, end, jnp.asarray(schedule.times[-1])),
         energy=EnergyBalance(
-            *jnp.sum(flows, axis=0),
-            stored=balance.stored_heat(begin.temperature, end.temperature),
+            *jnp.sum(flows, axis=0), stored=jnp.sum(warming / balance.inverse_capacity)
         ),
     )
 

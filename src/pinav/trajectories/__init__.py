@@ -14,8 +14,10 @@ from pinav.trajectories.files import load as load
 from pinav.trajectories.files import save as save
 from pinav.trajectories.selection import Split as Split
 from pinav.trajectories.selection import concatenate as concatenate
+from pinav.trajectories.selection import halve as halve
 from pinav.trajectories.selection import informative_rows as informative_rows
 from pinav.trajectories.selection import informative_samples as informative_samples
+from pinav.trajectories.selection import join_halves as join_halves
 from pinav.trajectories.selection import split as split
 from pinav.trajectories.selection import with_all_channels as with_all_channels
 from pinav.trajectories.selection import with_missing_channels as with_missing_channels

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float64, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
 from pinav.arguments import check_positive, check_range
 from pinav.errors import InputError
@@ -57,7 +57,7 @@ class GaussianNoise(AbstractDegradation):
         noisy = _channel_mask(self, self.channels or channels, channels)
         noise = self.deviation * random.standard_normal(trajectory.states.shape)
         noise = np.where(trajectory.observed & noisy[None], noise, 0.0)
-        return _with(trajectory, states=trajectory.states + noise)
+        return eqx.tree_at(lambda t: t.states, trajectory, trajectory.states + noise)
 
 
 class FrameLoss(AbstractDegradation):
@@ -128,15 +128,14 @@ class MotionBlur(AbstractDegradation):
                 "MotionBlur: expected complete samples; apply it before FrameLoss and "
                 "Unobserved"
             )
+        from scipy.interpolate import make_interp_spline
+
         times = trajectory.times
         opened = np.maximum(times - self.exposure / 2, times[0])
         closed = np.minimum(times + self.exposure / 2, times[-1])
-        columns = [
-            (_integral(times, y, closed) - _integral(times, y, opened))
-            / (closed - opened)
-            for y in trajectory.states.T
-        ]
-        return _with(trajectory, states=np.stack(columns, axis=1))
+        path = make_interp_spline(times, trajectory.states, k=1).antiderivative()
+        states = (path(closed) - path(opened)) / (closed - opened)[:, None]
+        return eqx.tree_at(lambda t: t.states, trajectory, states)
 
 
 class Subsample(AbstractDegradation):
@@ -196,23 +195,6 @@ def degrade(
     }
     channels, units = trajectories.channels, trajectories.units
     return Trajectories.from_pieces(pieces, channels, units, provenance)
-
-
-def _integral(
-    times: Float64[np.ndarray, " time"],
-    values: Float64[np.ndarray, " time"],
-    ends: Float64[np.ndarray, " end"],
-) -> Float64[np.ndarray, " end"]:
-    """Integral of the piecewise linear function from the first time to each end."""
-    areas = 0.5 * (values[1:] + values[:-1]) * np.diff(times)
-    whole = np.concatenate([[0.0], np.cumsum(areas)])
-    index = np.clip(np.searchsorted(times, ends, "right") - 1, 0, len(times) - 2)
-    at_end = np.interp(ends, times, values)
-    return whole[index] + 0.5 * (values[index] + at_end) * (ends - times[index])
-
-
-def _with(trajectory: Trajectory, states: np.ndarray) -> Trajectory:
-    return eqx.tree_at(lambda t: t.states, trajectory, states)
 
 
 def _hide(trajectory: Trajectory, hidden: np.ndarray) -> Trajectory:

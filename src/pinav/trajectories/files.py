@@ -68,22 +68,20 @@ def load(
     try:
         check_regular(path)
         with open(path, "rb") as file:
-            return _with_units(read(file), units or {})
+            trajectories = read(file)
+        for name in units or {}:
+            if name not in trajectories.units:
+                raise InputError(
+                    f"units: {name!r} is no column; expected some of "
+                    f"{', '.join(trajectories.units)}"
+                )
     except InputError as error:
         raise InputError(f"{os.fspath(path)}: {error}") from error
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"{os.fspath(path)}: cannot read: {reason}") from error
-
-
-def _with_units(trajectories: Trajectories, units: Mapping[str, str]) -> Trajectories:
-    for name in units:
-        if name not in trajectories.units:
-            raise InputError(
-                f"units: {name!r} is no column; expected some of "
-                f"{', '.join(trajectories.units)}"
-            )
-    return dataclasses.replace(trajectories, units={**trajectories.units, **units})
+    stated = {**trajectories.units, **(units or {})}
+    return dataclasses.replace(trajectories, units=stated)
 
 
 def is_trajectories(path: str | os.PathLike[str]) -> bool:

@@ -1,5 +1,7 @@
 """Parts of trajectories, several put together, and channels that nobody observed."""
 
+import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -10,8 +12,7 @@ from jaxtyping import Float, Int, PRNGKeyArray
 from pinav.errors import InputError
 from pinav.settings import FRACTION
 from pinav.systems import System, velocity_unit
-from pinav.trajectories.trajectories import Trajectories, check_names
-from pinav.trajectories.trajectory import Trajectory
+from pinav.trajectories.trajectories import Trajectories, check_names, read_only
 
 
 def with_missing_channels(
@@ -21,23 +22,16 @@ def with_missing_channels(
 
     A tracker gives positions; a swimmer with inertia has velocities too.
     """
-    extra = len(units)
-
-    def widen(piece: Trajectory) -> Trajectory:
-        blank = np.zeros((len(piece.times), extra))
-        return Trajectory(
-            times=piece.times,
-            states=np.concatenate([piece.states, blank], axis=1),
-            observed=np.concatenate([piece.observed, blank > 0], axis=1),
-            commands=piece.commands,
-        )
-
     channels = check_names((*trajectories.channels, *units), trajectories.commands)
-    return Trajectories.from_pieces(
-        [widen(piece) for piece in trajectories],
-        channels,
-        {**trajectories.units, **units},
-        trajectories.provenance,
+    blank = np.zeros((*trajectories.times.shape, len(units)))
+    states = np.concatenate([trajectories.states, blank], axis=2)
+    observed = np.concatenate([trajectories.observed, blank > 0], axis=2)
+    return dataclasses.replace(
+        trajectories,
+        states=read_only(states),
+        observed=read_only(observed),
+        channels=channels,
+        units={**trajectories.units, **units},
     )
 
 
@@ -86,6 +80,42 @@ def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> 
     order = np.asarray(jax.random.permutation(key, count))
     train, held_out = np.sort(order[:num_train]), np.sort(order[num_train:])
     return Split(trajectories.select(train), trajectories.select(held_out))
+
+
+def halve(trajectories: Trajectories, least: int) -> Trajectories:
+    """Each trajectory as two, one after the other, of half of its samples.
+
+    Args:
+        least: samples of a half; shorter trajectories stay whole.
+    """
+    pieces = []
+    for whole in trajectories:
+        middle = len(whole.times) // 2
+        ends = (middle, len(whole.times)) if middle >= least else (len(whole.times),)
+        for first, end in itertools.pairwise((0, *ends)):
+            part = slice(first, end)
+            pieces.append(jax.tree.map(lambda rows, part=part: rows[part], whole))
+    return Trajectories.from_pieces(
+        pieces, trajectories.channels, trajectories.units, trajectories.provenance
+    )
+
+
+def join_halves(
+    states: Float[np.ndarray, "half sample state"],
+    trajectories: Trajectories,
+    least: int,
+) -> Float[np.ndarray, "trajectory time state"]:
+    """States of trajectories from those of their halves; see `halve`."""
+    halves = iter(zip(states, halve(trajectories, least).lengths, strict=True))
+    joined = np.zeros((*trajectories.times.shape, states.shape[-1]))
+    for row, length in zip(joined, trajectories.lengths, strict=True):
+        filled = 0
+        while filled < length:
+            half, count = next(halves)
+            row[filled : filled + count] = half[:count]
+            filled += count
+        row[length:] = row[length - 1]
+    return joined
 
 
 def concatenate(several: Sequence[Trajectories]) -> Trajectories:

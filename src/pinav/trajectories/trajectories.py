@@ -117,7 +117,7 @@ class Trajectories(eqx.Module):
             times=_pad([piece.times for piece in pieces]),
             states=_pad([piece.states for piece in pieces]),
             observed=_pad([piece.observed for piece in pieces], mode="constant"),
-            lengths=_read_only(np.array([len(p.times) for p in pieces], np.int64)),
+            lengths=read_only(np.array([len(p.times) for p in pieces], np.int64)),
             commands={
                 name: _pad([piece.commands[name] for piece in pieces])
                 for name in pieces[0].commands
@@ -238,8 +238,8 @@ class Trajectories(eqx.Module):
         }
         return dataclasses.replace(
             self,
-            states=_read_only(self.states[..., columns]),
-            observed=_read_only(self.observed[..., columns]),
+            states=read_only(self.states[..., columns]),
+            observed=read_only(self.observed[..., columns]),
             channels=tuple(channels),
             units=units,
         )
@@ -325,10 +325,11 @@ def _pad(
         np.pad(a, [(0, longest - len(a))] + [(0, 0)] * (a.ndim - 1), mode)
         for a in arrays
     ]
-    return _read_only(np.stack(padded))
+    return read_only(np.stack(padded))
 
 
-def _read_only(array: np.ndarray) -> np.ndarray:
+def read_only(array: np.ndarray) -> np.ndarray:
+    """The array, which nothing can write to any more."""
     array.setflags(write=False)
     return array
 

@@ -88,7 +88,6 @@ test_bad_input_is_refused = refusals(
     (lambda: Factor("a", 1.0, 1.0), "Factor a: expected a finite range"),
     (indices_of(factors=()), "factors: expected one or more"),
     (indices_of(samples=100), "expected a power of two"),
-    (indices_of(confidence=1.0), "expected between 0 and 1"),
     (indices_of(lambda x: np.full_like(x, np.nan)), "an outcome is not finite"),
     (indices_of(lambda x: x[:, 0]), "a row per sample and a column per"),
 )

@@ -180,7 +180,7 @@ def boxed(folder, shape, moments):
 
     def plane(cut):
         cooling = (np.asarray(cut.of(jnp.asarray(hot))) - 37) * warm[kept, None, None]
-        return Plane("xyz"[cut.axis], cut.place, (37 + cooling).astype("f4"))
+        return Plane(cut, (37 + cooling).astype("f4"))
 
     curve = 37 + 8 * warm
     run = sample(
@@ -200,7 +200,7 @@ def boxed(folder, shape, moments):
         moments=times[kept],
         planes=tuple(map(plane, cuts_through(target))),
     )
-    made = RunFolder.create(folder, {"run": {}}, overwrite=False)
+    made = RunFolder.create(folder, {"run": {"command": "heat"}}, overwrite=False)
     made.write_arrays("results.npz", {"temperature": run.temperature})
     made.store("metrics", run)
     return folder

@@ -179,7 +179,7 @@ def test_a_run_of_bioheat_in_a_box_is_read_as_it_was_run(plane, browser, boxed):
     browser.wait_for("globalThis.explorer?.elapsed !== undefined")
     result = RunFolder.open(boxed).load("metrics", HeatedRun)
     section = browser.run("explorer.section.normal")
-    (saved,) = (p.temperatures for p in result.planes if p.axis == section)
+    (saved,) = (p.temperatures for p in result.planes if "xyz"[p.cut.axis] == section)
     page = browser.run("[...explorer.section.temperature]")
     sides = np.array(browser.run("explorer.section.box"))[1::2]
     cell = tuple((5 / sides * saved.shape[1:]).astype(int))

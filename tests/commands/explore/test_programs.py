@@ -15,10 +15,10 @@ import pinav.forces as forces
 from pinav.actuation import StepOutResponse
 from pinav.commands.explore import printing
 from pinav.commands.explore.document import script_json
-from pinav.commands.explore.force_table import MARGIN, TableBox, tabulate
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.primitives import RULES
-from pinav.dynamics import FixedStep, drive_by_commands, rollout
+from pinav.commands.explore.programs import MARGIN, TableBox, tabulate
+from pinav.dynamics import FixedStep, drive_by_arrays, rollout
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.learning.learned import Learned
 
@@ -273,7 +273,7 @@ def test_paths_and_bands_are_those_of_the_package(name, fitted_runs, tmp_path):
     piece = list(run.data)[content["tracks"][0]["index"]]
     extent = content["extent"]
     first = run.models[content["models"][0]["name"]]
-    path = rollout(drive_by_commands(first, piece), start, times)
+    path = rollout(drive_by_arrays(first, piece.times, piece.commands), start, times)
     error = np.abs(np.array(page["states"]) - np.asarray(path.ys))[:, :2]
     assert error.max() < BAR * extent
     if run.posterior is not None and "model" in run.models:
@@ -289,7 +289,7 @@ def band(posterior, piece, start, times):
         return posterior.rollout_band(start, times).sd[:, :2]
 
     def path(theta):
-        model = drive_by_commands(posterior.free(theta), piece)
+        model = drive_by_arrays(posterior.free(theta), piece.times, piece.commands)
         return rollout(model, start, times, solver=FixedStep()).ys
 
     rows = np.asarray(jax.jacfwd(path)(jnp.asarray(posterior.mean)))

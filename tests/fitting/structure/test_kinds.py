@@ -5,18 +5,9 @@ import numpy as np
 import pytest
 from tests.fitting.structure.observed_forces import observed_forces
 
-from pinav.fitting.structure.kinds import (
-    lattices,
-    simple_kinds,
-    with_one_less,
-)
+from pinav.fitting.structure.kinds import lattices, simple_kinds, with_one_less
 from pinav.fitting.structure.search import simplify
-from pinav.fitting.structure.starts import (
-    Region,
-    central_term,
-    obstacles_at,
-    wall_term,
-)
+from pinav.fitting.structure.starts import Region, central_term, obstacles_at, wall_term
 from pinav.fitting.structure.trials import polish
 from pinav.forces import CentralTerm, PlaneWaves, soft_wall
 

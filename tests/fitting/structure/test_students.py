@@ -29,7 +29,7 @@ from pinav.forces import (
     spread_weights,
     tanh_network,
 )
-from pinav.scenarios.vessels import box
+from pinav.scenarios.viscous import box
 from pinav.trajectories import simulate, with_velocities
 
 SIZE = {"width": 16, "depth": 2}

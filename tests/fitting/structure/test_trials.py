@@ -6,16 +6,9 @@ import pytest
 from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.fitting.structure.kinds import with_one_less
-from pinav.fitting.structure.starts import (
-    Region,
-    central_term,
-    obstacles_at,
-)
+from pinav.fitting.structure.starts import Region, central_term, obstacles_at
 from pinav.fitting.structure.trials import Proposal, polish, with_places
-from pinav.forces import (
-    GaussianBarrier,
-    LinearForce,
-)
+from pinav.forces import GaussianBarrier, LinearForce
 from pinav.forces.fitted_laws import FittedLaw
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))

@@ -10,7 +10,7 @@ from tests.rig import Robot
 
 from pinav.codec import decode, encode
 from pinav.identification.running import DriveGrid, RunningFit, forecast
-from pinav.identification.running.bank import Bank, CommandHistory
+from pinav.identification.running.bank import Bank, CommandHistory, Frames
 from pinav.identification.running.forecast import estimate, gain_at, locate
 
 
@@ -38,9 +38,14 @@ def run(fit, steps, robot=None, rest=20):
     return fit, robot
 
 
+def unseen(times, frequency, heading):
+    """Frames of which the commands alone are known."""
+    return Frames(times, np.full((len(times), 2), np.nan), frequency, heading)
+
+
 def turned_by(fit, history, times):
     """What commands have turned by some times, for each drive and memory."""
-    turned = history.at(times, fit.grid.delays)[:, fit.grid.drive]
+    turned = history.at(times[:, None] - fit.grid.delays)[:, fit.grid.drive]
     return np.einsum("mab,tmb->tma", fit.bank.mean[:, :, 3:], turned - turned[0])
 
 
@@ -107,7 +112,7 @@ def test_a_forecast_adds_commands_to_those_that_act_late(known):
     commands = np.array([2.0, 0.5, 1.0, 9.0]), np.array([0.1, 2.0, -1.0, 0.0])
     ahead, still = (forecast(fit, times, *c) for c in (commands, (none, none)))
     moved, late = (
-        turned_by(fit, fit.history.extend(fit.grid, *added), times)
+        turned_by(fit, fit.history.extend(fit.grid, unseen(*added)), times)
         for added in ((times, *commands), (times[:1], none[:1], none[:1]))
     )
     by_drive = np.einsum("m,tma->ta", fit.bank.weight, moved - late)
@@ -154,14 +159,16 @@ def test_the_position_is_followed_and_lost_frames_are_predicted(known):
 
 
 def test_commands_are_integrated_with_each_delay():
-    grid, begun = small_grid(), CommandHistory.begin(small_grid(), 0.0, 0.0, 0.0)
-    history = begun.extend(grid, *np.array([[1.0, 2.0], [1.0, 0.0], [0.5, 0.0]]))
-    turned = history.at(np.array([0.5, 1.5, 9.0]), grid.delays)
+    grid = small_grid()
+    begun = CommandHistory.begin(grid, unseen(*np.zeros((3, 1))))
+    added = np.array([[1.0, 2.0], [1.0, 0.0], [0.5, 0.0]])
+    history = begun.extend(grid, unseen(*added))
+    turned = history.at(np.array([[0.5], [1.5], [9.0]]) - grid.delays)
     linear = turned[:, [0, 2]] @ [math.cos(0.5), math.sin(0.5)]
     assert np.allclose(linear, [[0, 0], [0.4, 0.2], [1, 1]])
     kept = history.forget(1.5)
     assert list(kept.times) == [1.0, 2.0]
-    assert np.array_equal(kept.at(np.array([3.0]), grid.delays), turned[-1:])
+    assert np.array_equal(kept.at(3.0 - grid.delays[None]), turned[-1:])
 
 
 def test_the_bank_is_the_posterior_of_a_linear_model():

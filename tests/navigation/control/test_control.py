@@ -12,15 +12,12 @@ from tests.navigation.steering_worlds import SwimmerPredictor, drifted_time, swi
 from tests.refusals import refusals
 
 from pinav.navigation.control.controller import (
-    ArrivalCost,
-    GradientGuide,
     Observation,
     TrackingCost,
     TrajectoryPrediction,
 )
 from pinav.navigation.control.default import controller
 from pinav.navigation.control.mppi import GradientMPC, PathIntegral
-from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.predictors import tabulate_model
 from pinav.navigation.task.task import CirclePath, Disc, FollowPath, ReachGoal
 from pinav.navigation.trials.closed_loop import run, run_many
@@ -85,20 +82,6 @@ def test_arrival_in_a_uniform_drift_is_that_of_the_closed_form():
     episode = run(task, controller(task, task.truth), key=jax.random.key(0))
     assert episode.reached
     assert episode.arrival_time == pytest.approx(exact, rel=0.01)
-
-
-@pytest.mark.slow
-def test_shooting_arrives_as_soon_as_path_integrals():
-    task = swimming((0.2, 0.0))
-    here = tabulate_model(task, task.truth, points=21)
-    plan = time_to_go(task, task.truth, tables=here, points=41)
-    prediction = TrajectoryPrediction(here.predictor, here.control_map, task.step, 12)
-    goal = prediction, ArrivalCost(plan), GradientGuide(plan)
-    times = [
-        run(task, method, key=jax.random.key(0)).arrival_time
-        for method in (GradientMPC(*goal, iterations=10), PathIntegral(*goal))
-    ]
-    assert times[0] == pytest.approx(times[1], rel=0.02)
 
 
 @pytest.mark.slow

@@ -28,7 +28,6 @@ from pinav.navigation.design.candidates import (
     InformedDesign,
     RandomDesign,
     Stage,
-    best_candidate,
     expected_sd,
     imagine,
     suggest_next,
@@ -180,25 +179,6 @@ def test_less_noise_tells_more(adaptive, belief):
         sds.append(expected_sd(stage, straight(experiment, [2.0, 2.0], 0.0)))
     assert np.all(np.diff(sds) > 0)
     assert sds[-1] == pytest.approx(rms(belief.best, WAY), rel=0.01)
-
-
-def test_a_search_only_improves_from_round_to_round(adaptive):
-    experiment = experiment_of(adaptive.task)
-    first = experiment.draw(8, key=jax.random.key(6))
-    keys = list(jax.random.split(jax.random.key(16), 2))
-
-    def judge(candidate):
-        """Nothing is known of some: where their first heading is to the left."""
-        heading = float(candidate.heading[0])
-        return np.inf if np.cos(heading) < 0 else abs(heading % 6.28 - 0.1)
-
-    none, one, two = (
-        best_candidate(judge, experiment, first, variations=3, keys=keys[:rounds])[1]
-        for rounds in (0, 1, 2)
-    )
-    assert none == min(judge(first[k]) for k in range(8)) < np.inf
-    assert none >= one >= two
-    assert none > two
 
 
 def test_random_programmes_obey_limits_and_region():

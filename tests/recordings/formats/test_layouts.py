@@ -223,7 +223,7 @@ DAMAGED = [
     (
         "a.xml",
         icy().replace('x="1.0"', 'x="wall"'),
-        r"track 7, detection 1, attribute 'x': .* got 'wall'",
+        r"track 7, detection 1, column 'x': .* got 'wall'",
     ),
     ("a.mdf", "MTrackJ 1.5.1\n", r"no line begins with Point"),
     (

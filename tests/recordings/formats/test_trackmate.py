@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from tests.defects import defects, told
-from tests.recordings.synthetic import EXAMPLE, check, rows_of, tracks
+from tests.recordings.synthetic import EXAMPLE, Track, check, rows_of, tracks
 
 from pinav.recordings import Reading, labels, read_recording
 
@@ -127,7 +127,7 @@ def test_xml_of_a_film_never_calibrated(read):
 
 DECLARED = '<?xml version="1.0" encoding="UTF-8"?>'
 GOOD = xml(EXAMPLE)
-SPOT = "particle 1, detection 2, attribute"
+SPOT = "particle 1, detection 2, column"
 SPACED = XML.format("px", "s", 1, "{}")
 LONE = [t._replace(frames=t.frames[:1], xs=t.xs[:1], ys=t.ys[:1]) for t in EXAMPLE]
 AT = 't="1" x="2'
@@ -141,8 +141,8 @@ BAD_XML = [
         GOOD.replace('nSpots="4"', 'nSpots="9"'),
         r"particle 1, attribute 'nSpots': expected 9 detections, got 4; export",
     ),
-    (GOOD.replace(' x="2.0"', ""), rf"{SPOT} 'x': .* got nothing; exp"),
-    (GOOD.replace(AT, 'x="2'), rf"{SPOT} 't': .* got nothing"),
+    (GOOD.replace(' x="2.0"', ""), rf"{SPOT} 'x': .* got an empty cell"),
+    (GOOD.replace(AT, 'x="2'), rf"{SPOT} 't': .* got an empty cell"),
     (GOOD.replace('x="2.0"', 'x="wall"'), rf"{SPOT} 'x': .* got 'wall'"),
     (GOOD.replace('x="2.0"', 'x="2_0"'), rf"{SPOT} 'x': .* got '2_0'"),
     (GOOD.replace('x="2.0"', 'x="NaN"'), rf"{SPOT} 'x': .* got 'NaN'"),
@@ -154,7 +154,7 @@ BAD_XML = [
         r"particle 1, detection 3, column 't': frame 2 of '0' stands in particle 1, de",
     ),
     (xml(EXAMPLE, interval="fast"), r"'frameInterval': .* got 'fast'"),
-    (xml(EXAMPLE, interval="0"), r"'frameInterval': expected > 0, got"),
+    (xml(EXAMPLE, interval="0"), r"'frameInterval': expected a number > 0, got"),
     (xml(LONE), r"the longest of 2 segments has a single position"),
     (
         f'<!DOCTYPE t [<!ENTITY a "1"><!ENTITY b "&a;&a;">]>{GOOD}',
@@ -175,3 +175,12 @@ BAD_XML = [
 def test_damaged_xml_is_named_with_its_place(read, content, message):
     with told(rf"a\.xml: .*{message}"):
         read(content, name="a.xml")
+
+
+def test_a_bad_spot_is_left_out_and_counted(read):
+    line = [Track("0", list(range(20)), np.arange(20.0).tolist(), [0.0] * 20)]
+    text = xml(line).replace('x="7.0"', 'x="wall"')
+    data = read(text, name="a.xml", strict=False)
+    assert data.lengths.tolist() == [19]
+    (fault,) = data.provenance["bad rows left out"]
+    assert "particle 1, detection 8, column 'x'" in fault

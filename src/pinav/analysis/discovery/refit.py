@@ -20,7 +20,6 @@ from pinav.fitting import Outcome, Posterior
 from pinav.fitting.bayes.problem import BayesProblem, LocalTrajectories
 from pinav.fitting.engine.evidence_fit import iterate
 from pinav.fitting.engine.local_model import ParametricModel, ravel_model
-from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.matching.state import Trainable
 from pinav.forces.laws import AbstractLaw, LawForce
 from pinav.trajectories import Trajectories, with_velocities
@@ -93,34 +92,15 @@ def refit(
             local = move and problem.linearise(move.theta, move.states)
         except (FitError, InputError):
             local = None
-        if local is not None:
-            return _result(law, local.quadratic, outcome, learned)
-    return Refit(
-        law=law,
-        constants=constants,
-        covariance=np.diag(np.full(len(constants), np.inf)),
-        squares=np.inf,
-        noise=np.inf,
-        num_residuals=learned.num_residuals,
-        outcome=Outcome.DIVERGED,
-    )
-
-
-def _result(
-    law: AbstractLaw, local: Quadratic, outcome: Outcome, learned: "LearnedOnPaths"
-) -> Refit:
-    count = local.num_free
-    squares = max(local.squares, count * (ROUNDING * learned.scale) ** 2)
-    variance = squares / max(count - len(local.point), 1)
-    return Refit(
-        law=law,
-        constants=local.point,
-        covariance=variance * _inverse(local.hessian),
-        squares=squares,
-        noise=float(np.sqrt(variance)),
-        num_residuals=count,
-        outcome=outcome,
-    )
+    if local is None:
+        lost = np.diag(np.full(len(constants), np.inf))
+        count, outcome = learned.num_residuals, Outcome.DIVERGED
+        return Refit(law, constants, lost, np.inf, np.inf, count, outcome)
+    best, count = local.quadratic, local.quadratic.num_free
+    squares = max(best.squares, count * (ROUNDING * learned.scale) ** 2)
+    variance = squares / max(count - len(best.point), 1)
+    covariance, noise = variance * _inverse(best.hessian), float(np.sqrt(variance))
+    return Refit(law, best.point, covariance, squares, noise, count, outcome)
 
 
 def _inverse(

@@ -36,6 +36,9 @@ Indices = Float[np.ndarray, "outcome factor"]
 RESAMPLES = 200
 """Samples of the bootstrap."""
 
+CONFIDENCE = 0.95
+"""Probability of its intervals."""
+
 
 class Factor(eqx.Module):
     """A parameter that varies uniformly and independently of the others.
@@ -80,7 +83,6 @@ def sobol_indices(
     outcomes: Sequence[str],
     *,
     samples: int = 256,
-    confidence: float = 0.95,
     seed: int = 0,
 ) -> SobolIndices:
     """Sobol' indices of every outcome with respect to every factor.
@@ -91,10 +93,16 @@ def sobol_indices(
         samples: a power of two.
 
     Raises:
-        InputError: there is no factor, `samples` is no power of two, `confidence` is
-            not between 0 and 1, or an outcome is not finite.
+        InputError: there is no factor, `samples` is no power of two, or an outcome is
+            not finite.
     """
-    _check(factors, samples, confidence)
+    if not factors:
+        raise InputError("sobol_indices factors: expected one or more, got none")
+    if samples < 2 or samples & (samples - 1):
+        raise InputError(
+            "sobol_indices samples: expected a power of two, such as 256, got "
+            f"{samples}"
+        )
     generator = np.random.default_rng(seed)
     from scipy.stats import qmc  # seconds of imports that few commands need
 
@@ -114,7 +122,7 @@ def sobol_indices(
         _indices(stacked[:, generator.integers(0, samples, samples)])
         for _ in range(RESAMPLES)
     ]
-    ends = [0.5 - confidence / 2, 0.5 + confidence / 2]
+    ends = [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2]
     intervals = np.quantile(np.array(draws), ends, axis=0)
     first_order, total = (blank + index for index in _indices(stacked))
     return SobolIndices(
@@ -124,7 +132,7 @@ def sobol_indices(
         first_interval=blank[..., None] + np.moveaxis(intervals[:, 0], 0, -1),
         total=total,
         total_interval=blank[..., None] + np.moveaxis(intervals[:, 1], 0, -1),
-        confidence=confidence,
+        confidence=CONFIDENCE,
         variance=values[: 2 * samples].var(axis=0),
     )
 
@@ -161,20 +169,6 @@ def _indices(
         )
     shape = first.shape[0], len(mixed)  # SciPy drops the axis of a single outcome
     return indices.first_order.reshape(shape), indices.total_order.reshape(shape)
-
-
-def _check(factors: Sequence[Factor], samples: int, confidence: float) -> None:
-    if not factors:
-        raise InputError("sobol_indices factors: expected one or more, got none")
-    if samples < 2 or samples & (samples - 1):
-        raise InputError(
-            "sobol_indices samples: expected a power of two, such as 256, got "
-            f"{samples}"
-        )
-    if not 0 < confidence < 1:
-        raise InputError(
-            f"sobol_indices confidence: expected between 0 and 1, got {confidence}"
-        )
 
 
 OUTCOMES = ("final x", "final y", "displacement", "least distance", "arrival")
@@ -231,11 +225,7 @@ class RolloutStudy(eqx.Module):
             start, ts = jnp.asarray(self.start), jnp.asarray(self.ts)
             nominal = _paths(swimmer, start, ts, (), jnp.zeros((1, 0)))
             paths = _paths(swimmer, start, ts, names, jnp.asarray(parameters))
-        return self._outcomes(np.asarray(paths), np.asarray(nominal)[0, -1])
-
-    def _outcomes(
-        self, paths: Float[np.ndarray, "sample time 2"], goal: Float[np.ndarray, "2"]
-    ) -> Float[np.ndarray, "sample outcome"]:
+        goal, paths = np.asarray(nominal)[0, -1], np.asarray(paths)
         final = paths[:, -1]
         displacement = np.linalg.norm(final - goal, axis=1)
         distances = np.linalg.norm(paths - self.landmark, axis=2)

@@ -12,7 +12,7 @@ from pinav.commands.results import fingerprint, keep, start_run
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.figures import Picture
-from pinav.figures.laws import evidence_bars
+from pinav.figures.analysis import evidence_bars
 from pinav.fitting import (
     Estimate,
     EvidenceFit,
@@ -28,12 +28,7 @@ from pinav.fitting.environments.catalogue import (
     with_linear_drag,
     with_tensor_drag,
 )
-from pinav.fitting.environments.summary import (
-    TIMED,
-    DataSummary,
-    ModelChoice,
-    summarise_for,
-)
+from pinav.fitting.environments.summary import TIMED, ModelChoice, summarise_for
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.learning.evidence import rotational_part
 from pinav.learning.plan import choose_system
@@ -71,7 +66,6 @@ class ComparisonVerdict:
     """The answer of the evidence to a question.
 
     Attributes:
-        models: the simple and the rich model.
         difference: of their log evidence [nats]; none where one has none.
     """
 
@@ -208,23 +202,17 @@ def compare(
     for name in dict.fromkeys(settings.models):
         stored = f"evidence-{name}"
         if not folder.has(f"{stored}.json"):
-            folder.store(stored, _candidate(name, settings, known, data, folder))
+            try:
+                one = _judge(fit_model(name, settings, known, data, folder), data)
+            except FitError as error:
+                one = ComparedModel("failed", reason=str(error))
+            folder.store(stored, one)
         rows[name] = folder.load(stored, ComparedModel)
     return Comparison(rows, tuple(verdicts(rows)))
 
 
-def _candidate(
-    name: str,
-    settings: CompareSettings,
-    known: System,
-    data: Trajectories,
-    folder: RunFolder,
-) -> ComparedModel:
-    """The evidence of one candidate."""
-    try:
-        result = fit_model(name, settings, known, data, folder)
-    except FitError as error:
-        return ComparedModel("failed", reason=str(error))
+def _judge(result: EvidenceFit, data: Trajectories) -> ComparedModel:
+    """The evidence of a fit."""
     return ComparedModel(
         outcome=str(result.outcome),
         evidence=model_evidence(result.linear, result.hyperparameters),
@@ -247,7 +235,9 @@ def fit_model(
     summary = summarise_for(choice, data)
     swimmer, inputs = known.swimmer, with_all_channels(data, known)
     if name == "first-order" and isinstance(swimmer, Swimmer):
-        swimmer = _without_inertia(swimmer, summary)
+        # the limit of strong drag: the mobility is one over the drag
+        mobility = 1 / mean_drag(swimmer, summary)
+        swimmer = OverdampedSwimmer(swimmer.propulsion, swimmer.environment, mobility)
         inputs = data.only(known.position_channels)
     if name == "isotropic-drag":
         swimmer = with_linear_drag(swimmer, summary)
@@ -268,12 +258,6 @@ def fit_model(
         )
 
 
-def _without_inertia(swimmer: Swimmer, summary: DataSummary) -> OverdampedSwimmer:
-    """The limit of strong drag: the mobility is one over the drag."""
-    mobility = 1 / mean_drag(swimmer, summary)
-    return OverdampedSwimmer(swimmer.propulsion, swimmer.environment, mobility)
-
-
 def verdicts(rows: dict[str, ComparedModel]) -> list[ComparisonVerdict]:
     """The answer of the evidence to each question that two of the models answer.
 
@@ -290,7 +274,8 @@ def _verdict(
     names: tuple[str, str], meanings: list[str], rows: dict[str, ComparedModel]
 ) -> ComparisonVerdict:
     simple, rich = (rows[name].log_evidence for name in names)
-    caveats = _caveats(rows, names)
+    bad = [name for name in names if rows[name].outcome != str(Outcome.CONVERGED)]
+    caveats = " and ".join(f"the fit of {name} {rows[name].outcome}" for name in bad)
     if simple is None or rich is None:
         text = f"No verdict on {meanings[0]} or {meanings[1]}: {caveats}."
         return ComparisonVerdict(names, None, text)
@@ -304,14 +289,6 @@ def _verdict(
     if caveats:
         text += f" Caution: {caveats}."
     return ComparisonVerdict(names, difference, text)
-
-
-def _caveats(rows: dict[str, ComparedModel], names: tuple[str, str]) -> str:
-    bad = [name for name in names if rows[name].outcome != CONVERGED]
-    return " and ".join(f"the fit of {name} {rows[name].outcome}" for name in bad)
-
-
-CONVERGED = str(Outcome.CONVERGED)
 
 
 def run(options: CompareOptions) -> CommandResult:

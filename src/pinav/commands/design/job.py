@@ -232,7 +232,7 @@ def _next_sentence(result: DesignResult) -> str:
 def _bounds(result: DesignResult) -> Picture:
     return Picture(
         "design-bounds",
-        lambda: bounds_figure(result.bounds, result.accuracy),
+        partial(bounds_figure, result),
         "Bound of the relative error of the force along the planned way (95 %), after "
         "each trajectory of each campaign.",
         width=0.8,
@@ -246,13 +246,7 @@ def _map(result: DesignResult) -> Picture:
     )
     return Picture(
         "design-recordings",
-        lambda: recordings_figure(
-            result.course,
-            result.maps,
-            result.paths.get(design, ()),
-            way=result.decision.way,
-            thrust=result.thrust,
-        ),
+        partial(recordings_figure, result, design),
         f"Standard deviation of the force after {what}, its trajectories, and the way "
         "that is planned then.",
         width=0.7,

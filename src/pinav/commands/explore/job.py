@@ -9,12 +9,13 @@ from typing import Any
 
 import jax
 
+from pinav.commands import HEAT
 from pinav.commands.command import CommandResult
 from pinav.commands.explore import ExploreOptions
 from pinav.commands.explore.document import PAGE, document
-from pinav.commands.explore.payload import fit_of_plan, is_plan, payload_of, plan_of
+from pinav.commands.explore.payload import fit_of_plan, payload_of, plan_of
 from pinav.commands.explore.printing import Tree
-from pinav.commands.explore.warmth import heat_payload, is_heated
+from pinav.commands.explore.warmth import heat_payload
 from pinav.errors import InputError
 from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
@@ -107,12 +108,12 @@ def run(options: ExploreOptions) -> CommandResult:
 
 def _payload(folder: RunFolder, options: ExploreOptions) -> Tree:
     """What the page knows of a fit, of a plan on one, or of a run of bioheat."""
-    plans = is_plan(folder)
+    plans = not folder.models() and bool(folder.identity().get("fitted"))
     if options.fit is not None and not plans:
         raise InputError(f"--fit: {options.run} is no plan on another run; drop it")
     if plans:
         fit = Learned.open(fit_of_plan(folder, options.fit))
         return payload_of(fit, plan_of(folder))
-    if is_heated(folder):
+    if folder.command == HEAT.name:
         return heat_payload(folder)
     return payload_of(Learned.open(options.run))

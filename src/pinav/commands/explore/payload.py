@@ -9,10 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.commands.explore.force_table import TableBox
 from pinav.commands.explore.printing import Tree, pack_array
-from pinav.commands.explore.programs import Controls, Programs
-from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer, takes_commands
+from pinav.commands.explore.programs import Controls, Programs, TableBox
+from pinav.dynamics import (
+    AbstractDynamics,
+    AbstractSwimmer,
+    OverdampedSwimmer,
+    Swimmer,
+    takes_commands,
+)
 from pinav.dynamics.swimmers import unbound
 from pinav.errors import InputError
 from pinav.evaluation import extent, square
@@ -22,8 +27,7 @@ from pinav.learning.learned import Learned
 from pinav.navigation import AbstractNavigation, Navigation
 from pinav.runs import RunFolder
 from pinav.scenarios import source_system
-from pinav.systems import System
-from pinav.trajectories import Trajectories, Trajectory
+from pinav.trajectories import Trajectory
 
 SAMPLES = 24_000
 """Samples of all tracks at most; longer tracks are thinned evenly."""
@@ -39,7 +43,6 @@ def payload_of(run: Learned, plan: Tree | None = None) -> Tree:
     """A run as the page takes it.
 
     Args:
-        run: the fit.
         plan: of a navigation through the force that the fit has learned.
 
     Raises:
@@ -51,28 +54,36 @@ def payload_of(run: Learned, plan: Tree | None = None) -> Tree:
             f"{run.folder.path}: explore draws a plane, got the coordinates "
             f"{', '.join(data.channels)}; take pinav report"
         )
-    box, times = square(data), _times(data)
+    sampled = data.times[data.observed.any(axis=-1)]
+    box, times = square(data), (float(sampled.min()), float(sampled.max()))
     if plan is not None:
         box = _union(box, plan["arena"])
-    names = _shown_models(run)
-    first = run.models[names[0]]
-    programs = Programs(
-        _controls(run, first), TableBox((box[0], box[2]), (box[1], box[3]), times)
+    order = sorted(
+        run.models, key=lambda name: not isinstance(run.models[name], AbstractSwimmer)
     )
+    names = order[:MODELS]
+    first = run.models[names[0]]
+    # a network that is the whole rate of change has a force, and no thrust of its own
+    known = first if isinstance(first, AbstractSwimmer) else None
+    has_force = known is None or not isinstance(known.environment, ZeroForce)
+    has_thrust = known is not None and not isinstance(known.propulsion, ZeroForce)
+    most = max((len(_changes(piece)) for piece in data), default=1) or 1
+    controls = Controls(most if takes_commands(first) else None)
+    programs = Programs(controls, TableBox((box[0], box[2]), (box[1], box[3]), times))
     models = [
         programs.add(run.models[n], run.posterior if n == "model" else None)
         for n in names
     ]
     truth = _true_swimmer(run)
-    physics = programs.add(_without_environment(first, run.system))
+    physics = programs.add((known or run.system.swimmer).without_environment())
     if plan is not None:
         plan = {**plan, "steered": programs.add_steered(first)}
     tracks = _tracks(run)
     return {
         "version": 2,
-        "title": _title(run, first),
+        "title": run.system.name + (f": {run.choice.name}" if has_force else ""),
         "run": run.folder.path.name,
-        "order": _order(first, run.system),
+        "order": 1 if isinstance(first, OverdampedSwimmer) else run.system.order,
         "units": {**data.units, "force": run.system.base_units.force},
         "box": list(map(float, box)),
         "extent": float(extent(data)),
@@ -85,22 +96,14 @@ def payload_of(run: Learned, plan: Tree | None = None) -> Tree:
         "physics": physics,
         "truth": None if truth is None else programs.add(truth),
         "posterior": _posterior(run, box, times) if models[0]["parameters"] else None,
-        "hasForce": not isinstance(_part(first, "environment"), ZeroForce),
-        "hasThrust": not isinstance(_part(first, "propulsion"), ZeroForce),
-        "commands": programs.controls.count,
+        "hasForce": has_force,
+        "hasThrust": has_thrust,
+        "commands": controls.count,
         "response": _response(first, tracks),
         "tracks": tracks,
         "plan": plan,
         "programs": programs.text,
     }
-
-
-def _title(run: Learned, model: AbstractDynamics) -> str:
-    """System and model; the system alone where nothing stands for an environment."""
-    name = run.system.name
-    if isinstance(_part(model, "environment"), ZeroForce):
-        return name
-    return f"{name}: {run.choice.name}"
 
 
 def _union(
@@ -112,23 +115,6 @@ def _union(
     middle, half = (low + high) / 2, float((high - low).max()) / 2
     x, y = middle.tolist()
     return x - half, x + half, y - half, y + half
-
-
-def _shown_models(run: Learned) -> list[str]:
-    """Names of the models, those that hold the known physics first."""
-    swims = Swimmer | OverdampedSwimmer
-    order = sorted(run.models, key=lambda n: not isinstance(run.models[n], swims))
-    return order[:MODELS]
-
-
-def _order(model: AbstractDynamics, system: System) -> int:
-    return 1 if isinstance(model, OverdampedSwimmer) else system.order
-
-
-def _times(data: Trajectories) -> tuple[float, float]:
-    """First and last time of the data [T]."""
-    times = data.times[data.observed.any(axis=-1)]
-    return float(times.min()), float(times.max())
 
 
 def _kicks(run: Learned) -> float:
@@ -148,11 +134,6 @@ def _kicks(run: Learned) -> float:
     return strength * math.sqrt(2 * wandering.memory)
 
 
-def _without_environment(model: AbstractDynamics, system: System) -> AbstractDynamics:
-    swims = isinstance(model, Swimmer | OverdampedSwimmer)
-    return (model if swims else system.swimmer).without_environment()
-
-
 def _true_swimmer(run: Learned) -> Swimmer | OverdampedSwimmer | None:
     """The true swimmer, where the system or the data state it."""
     source = source_system(run.data.provenance)
@@ -160,20 +141,6 @@ def _true_swimmer(run: Learned) -> Swimmer | OverdampedSwimmer | None:
         if system is not None and system.environment is not None:
             return system.true_swimmer
     return None
-
-
-def _part(model: AbstractDynamics, name: str) -> Any:
-    """A force of a swimmer; none of a network that is the whole rate of change."""
-    if isinstance(model, Swimmer | OverdampedSwimmer):
-        return getattr(model, name)
-    return ZeroForce() if name == "propulsion" else None
-
-
-def _controls(run: Learned, model: AbstractDynamics) -> Controls:
-    """The commands that the propulsion takes: as many as the track with most has."""
-    if not takes_commands(model):
-        return Controls(None)
-    return Controls(max((len(_changes(piece)) for piece in run.data), default=1) or 1)
 
 
 def _response(model: AbstractDynamics, tracks: list[Tree]) -> Tree | None:
@@ -301,7 +268,6 @@ def directions(
     place.
 
     Args:
-        posterior: of the model.
         box: where the force is weighed, x from and to, y from and to [L].
         times: at which it is weighed [T].
 
@@ -341,7 +307,6 @@ def fit_of_plan(folder: RunFolder, stated: Path | None) -> Path:
     """The run of the model that a plan was made with.
 
     Args:
-        folder: of the plan.
         stated: where that run is; the one of its name beside the plan unless given.
 
     Raises:
@@ -391,8 +356,3 @@ def plan_of(folder: RunFolder) -> Tree:
     if result.suggestion is not None and result.suggestion.path is not None:
         plan["suggestion"] = result.suggestion.path.tolist()
     return plan
-
-
-def is_plan(folder: RunFolder) -> bool:
-    """True if the run has a plan on the model of another run, and no model itself."""
-    return not folder.models() and bool(folder.identity().get("fitted"))

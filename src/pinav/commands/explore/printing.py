@@ -29,7 +29,6 @@ class Value(NamedTuple):
     """An array of which JavaScript can tell each entry.
 
     Attributes:
-        shape: its shape.
         at: expression of the entry at an index.
         inputs: names of the inputs that it depends on.
         entry: expression of an entry of the memory that holds it; None where it has to
@@ -126,7 +125,6 @@ class Printer:
     """The statements of one function, as they are written.
 
     Args:
-        constants: of the page.
         rules: how each primitive is printed.
         late: names of the inputs that change from call to call.
     """

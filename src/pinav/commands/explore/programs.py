@@ -4,16 +4,16 @@ import contextlib
 import dataclasses
 import json
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.actuation import HeldProgramme
 from pinav.arguments import Scalar, State, Vector
-from pinav.commands.explore.force_table import TableBox, tabulate
 from pinav.commands.explore.primitives import RULES
 from pinav.commands.explore.printing import (
     Constants,
@@ -22,7 +22,12 @@ from pinav.commands.explore.printing import (
     UnknownPrimitive,
     print_function,
 )
-from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer, drive_by_arrays
+from pinav.dynamics import (
+    AbstractDynamics,
+    AbstractSwimmer,
+    OverdampedSwimmer,
+    drive_by_arrays,
+)
 from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.forces import (
@@ -33,9 +38,79 @@ from pinav.forces import (
     SumForce,
     Superposition,
     as_learned_force,
+    forces_at,
 )
+from pinav.navigation.tables import FieldTable, Grid
 
-SWIMMERS = Swimmer | OverdampedSwimmer
+SIDE = 97
+"""Places along each side; half as many err eight times as much."""
+
+MOMENTS = 9
+"""Moments of a force that changes in time."""
+
+MARGIN = 0.1
+"""Share of the box by which a table goes beyond each side of it."""
+
+CHECKED = 400
+"""Random places at which a table is compared with its force."""
+
+
+class TableBox(NamedTuple):
+    """Where and when a force is tabulated.
+
+    Attributes:
+        lower: least x and y [L].
+        upper: greatest x and y [L].
+        times: first and last time [T].
+    """
+
+    lower: tuple[float, float]
+    upper: tuple[float, float]
+    times: tuple[float, float]
+
+
+class TabulatedForce(AbstractForce):
+    """A force that is read from a table, cubic in space and linear in time [F].
+
+    Attributes:
+        first: the time at which the table begins [T].
+    """
+
+    table: FieldTable
+    first: Scalar
+
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
+        return self.table(t - self.first, x)
+
+
+def tabulate(force: AbstractForce, box: TableBox) -> tuple[TabulatedForce, float]:
+    """A table of a force on a swimmer at rest, and its error.
+
+    Args:
+        box: where it is tabulated.
+
+    Returns:
+        The table, and the largest error that was found at random places, as a share of
+        the largest force there.
+    """
+    lower, upper = np.array(box.lower), np.array(box.upper)
+    margin = MARGIN * (upper - lower)
+    lower, upper = lower - margin, upper + margin
+    first, last = box.times
+    generator = np.random.default_rng(0)
+    points = generator.uniform(lower + margin, upper - margin, (CHECKED, 2))
+    times = generator.uniform(first, last, CHECKED)
+    exact = np.asarray(forces_at(force, times, points))
+    is_static = np.array_equal(exact, forces_at(force, np.full(CHECKED, first), points))
+    moments = np.linspace(first, last, 1 if is_static else MOMENTS)
+    spacing = jnp.asarray((upper - lower) / (SIDE - 1))
+    grid = Grid(jnp.asarray(lower), spacing, (SIDE, SIDE))
+    values = [forces_at(force, np.full(grid.shape, t), grid.points) for t in moments]
+    interval = (last - first) / max(len(moments) - 1, 1) or 1.0
+    table = TabulatedForce(FieldTable(grid, jnp.stack(values), interval), first)
+    missed = np.abs(np.asarray(forces_at(table, times, points)) - exact).max()
+    return table, float(missed / max(np.abs(exact).max(), np.finfo(float).tiny))
+
 
 Potential = Callable[[Scalar, Vector], Float[Array, ""]]
 
@@ -44,7 +119,6 @@ class OperatedForce(AbstractForce):
     """A propulsion as the reader of the page operates it.
 
     Attributes:
-        force: the propulsion.
         thrust: factor of its size.
         turn: angle by which it is turned [rad].
     """
@@ -82,7 +156,7 @@ class Controls:
             times, frequency, heading = values
             commands = {"frequency": frequency, "heading": heading}
             return drive_by_arrays(model, times, commands)
-        if not isinstance(model, SWIMMERS):
+        if not isinstance(model, AbstractSwimmer):
             return model
         propulsion = OperatedForce(model.propulsion, *values)
         return dataclasses.replace(model, propulsion=propulsion)
@@ -127,7 +201,7 @@ class Programs:
         try:
             return self._add(_ModelPrinter(self, model, posterior))
         except UnknownPrimitive as unknown:
-            if isinstance(model, SWIMMERS):
+            if isinstance(model, AbstractSwimmer):
                 table, error = tabulate(model.environment, self.box)
                 with contextlib.suppress(UnknownPrimitive):
                     printer = _ModelPrinter(self, model.with_environment(table), None)
@@ -170,8 +244,6 @@ class _ModelPrinter:
 
     Args:
         programs: those of the run.
-        model: the dynamics.
-        posterior: of its parameters, or None.
     """
 
     def __init__(
@@ -189,7 +261,7 @@ class _ModelPrinter:
         place: dict[str, tuple[int, ...]] = {"t": (), "x": (2,)}
         state: dict[str, tuple[int, ...]] = {"t": (), "y": (self.states,)}
         printed = {"rate": self._print(_rate, **state)}
-        if not isinstance(self.fixed, SWIMMERS):
+        if not isinstance(self.fixed, AbstractSwimmer):
             return printed
         printed["force"] = self._print(_force, **place)
         if potential_of(self.fixed.environment) is not None:

@@ -14,13 +14,6 @@ from pinav.thermal.heated_run import AbstractHeatResult, HeatedRun, Plane, Radia
 from pinav.thermal.planned_run import PlannedRun
 
 
-def is_heated(folder: RunFolder) -> bool:
-    """Whether the run is one of bioheat: it has temperatures and no model."""
-    if folder.models() or not folder.has(RESULTS):
-        return False
-    return "temperature" in folder.read_arrays(RESULTS)
-
-
 def heat_payload(folder: RunFolder) -> Tree:
     """A run of bioheat, or a planned one, as the page takes it.
 
@@ -66,8 +59,6 @@ def _radial_payload(run: HeatedRun, balance: RadialBalance) -> Tree:
     }
 
 
-RESULTS = "results.npz"
-
 NUMBERS = 300_000
 """Temperatures that the page holds at most, of two bytes each."""
 
@@ -88,8 +79,8 @@ def section_payload(run: HeatedRun) -> Tree:
     cells = sum(thin(plane.temperatures[0]).size for plane in run.planes)
     count = min(max(NUMBERS // cells, 2), len(moments))
     kept = np.unique(np.linspace(0, len(moments) - 1, count).round().astype(int))
-    fields = {one.axis: thin(one.temperatures[kept]) for one in run.planes}
-    limits = _limits(*fields.values())
+    fields = [thin(plane.temperatures[kept]) for plane in run.planes]
+    limits = _limits(*fields)
     doses = {f"dose/{name}": curve for name, curve in run.doses.items()}
     curves = {name: pack_array(c) for name, c in (run.temperatures | doses).items()}
     probes = [] if run.probes is None else run.probes.T
@@ -100,11 +91,11 @@ def section_payload(run: HeatedRun) -> Tree:
         "sections": [
             {
                 **_place(plane, run),
-                "temperature": _levels(fields[plane.axis], limits),
-                "dose": _dose(_cut(run.dose, plane)),
-                "target": pack_array(thin(_cut(run.target, plane))),
+                "temperature": _levels(field, limits),
+                "dose": _dose(plane.cut.of(run.dose)),
+                "target": pack_array(thin(plane.cut.of(run.target))),
             }
-            for plane in run.planes
+            for plane, field in zip(run.planes, fields, strict=True)
         ],
         "points": run.points.tolist(),
         "curves": curves,
@@ -120,21 +111,15 @@ def thin(plane: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
 
 def _place(plane: Plane, run: HeatedRun) -> Tree:
     """Position of a section: the axes along it, its sides and its height [m]."""
-    axis = "xyz".index(plane.axis)
+    axis, place = plane.cut
     spacing, shape = run.spacing, run.target.shape
     along = [a for a in range(len(shape)) if a != axis]
     return {
-        "normal": plane.axis,
+        "normal": "xyz"[axis],
         "axes": ["xyz"[a] for a in along],
         "sides": [float(spacing[a] * shape[a]) for a in along],
-        "at": None if plane.index is None else spacing[axis] * (plane.index + 0.5),
+        "at": None if place is None else spacing[axis] * (place + 0.5),
     }
-
-
-def _cut(field: np.ndarray, plane: Plane) -> np.ndarray:
-    if plane.index is None:
-        return field
-    return np.take(field, plane.index, axis="xyz".index(plane.axis))
 
 
 def _limits(*fields: np.ndarray) -> tuple[float, float]:

@@ -19,7 +19,6 @@ from pinav.figures import overlay_figure, recording_figure
 from pinav.figures.images import save_pictures
 from pinav.files import write_text
 from pinav.fitting import judge_increments
-from pinav.reading import Reading
 from pinav.recordings.conventions import in_words
 from pinav.recordings.drive import Drive
 from pinav.recordings.quality import Quality, Run, Track, quality
@@ -40,36 +39,27 @@ READING_FILE = "reading.toml"
 """How the file was read, for `--reading` of other commands."""
 
 
-def inspect(
-    settings: Reading,
-    path: Path,
-    out: Path | None = None,
-    *,
-    image: Path | None = None,
-    overwrite: bool = False,
-) -> Quality:
-    """The quality report of a recording, written into a folder where one is given.
-
-    Args:
-        out: folder of `inspection.json`, `inspection.html`, `figures/` and
-            `reading.toml`.
-    """
-    if out is not None and (out / JSON_FILE).exists() and not overwrite:
+def run(options: InspectOptions) -> CommandResult:
+    """Inspect a recording, and write the report where a folder is given."""
+    settings, path, out = options.settings, options.file, options.out
+    if out is not None and (out / JSON_FILE).exists() and not options.overwrite:
         raise InputError(f"{out}: holds a report already; give --overwrite or another")
-    if image is not None and out is None:
+    if options.image is not None and out is None:
         raise InputError("--image: is drawn into a report; give --out too")
     recording = _with_labels(read_data(path, settings, doubtful=True), path)
     report = _with_verdict(quality(recording), recording)
+    document, written = encode(report).document, None
     if out is not None:
-        text = json.dumps(encode(report).document, indent=2, allow_nan=False)
-        html = page(recording, report, out, image)  # makes the folder
+        content = json.dumps(document, indent=2, allow_nan=False)
+        html = page(recording, report, out, options.image)  # makes the folder
         log = settings.commands  # as it is called in every folder
         settings = msgspec.structs.replace(settings, commands=log and log.absolute())
-        content = tomli_w.dumps(settings.content())
-        write_text(out / READING_FILE, content, overwrite=True)
-        write_text(out / JSON_FILE, text, overwrite=True)
-        write_text(out / PAGE_FILE, html, overwrite=True)
-    return report
+        how = tomli_w.dumps(settings.content())
+        write_text(out / READING_FILE, how, overwrite=True)
+        write_text(out / JSON_FILE, content, overwrite=True)
+        written = out / PAGE_FILE
+        write_text(written, html, overwrite=True)
+    return CommandResult(document, text(report), page=written)
 
 
 def _with_verdict(report: Quality, recording: Trajectories) -> Quality:
@@ -261,16 +251,3 @@ def _tracks_table(report: Quality) -> Table:
 def _localisation(name: str) -> Callable[[Track], Cell]:
     """A number of the localisation, where there is one."""
     return lambda track: getattr(track.localisation, name, None)
-
-
-def run(options: InspectOptions) -> CommandResult:
-    """Inspect as the command line does."""
-    report = inspect(
-        options.settings,
-        options.file,
-        options.out,
-        image=options.image,
-        overwrite=options.overwrite,
-    )
-    page = None if options.out is None else options.out / PAGE_FILE
-    return CommandResult(encode(report).document, text(report), page=page)

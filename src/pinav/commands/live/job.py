@@ -15,10 +15,9 @@ from pinav.errors import InputError
 from pinav.identification.tracks import tracks
 from pinav.live.checkpoint import read_session, with_drive_of
 from pinav.live.estimators import DriveEstimator
-from pinav.live.loop import Loop
+from pinav.live.loop import Loop, lines_in, lines_of, replay
 from pinav.live.messages import Command, Event, FromPinav, Limits, State
 from pinav.live.page import EventPrinter, Page, Places
-from pinav.live.replay import lines_in, lines_of, replay
 from pinav.live.roller_pilot import RollerPilot
 from pinav.live.session import Session
 from pinav.live.sources import sink_of, source_of
@@ -92,8 +91,6 @@ def new_session(
     """The session that settings ask for, with nothing learned but an earlier drive.
 
     Args:
-        settings: of the command line.
-        token: shared secret.
         prior: folder of an earlier session.
 
     Raises:
@@ -117,7 +114,8 @@ def run(options: LiveOptions) -> CommandResult:
     with contextlib.ExitStack() as stack:
         page = None
         if options.page is not None:
-            page = stack.enter_context(Page.serve(options.page, _places(options)))
+            places = Places(options.settings.goal(), tuple(options.settings.discs()))
+            page = stack.enter_context(Page.serve(options.page, places))
             print(f"page: {page.address}", file=sys.stderr, flush=True)
         tally = Tally(EventPrinter(_print, people=options.status), page)
         if options.replay:
@@ -132,11 +130,6 @@ def run(options: LiveOptions) -> CommandResult:
 def _print(text: str) -> None:
     sys.stdout.write(text)
     sys.stdout.flush()
-
-
-def _places(options: LiveOptions) -> Places:
-    discs = tuple(options.settings.discs())
-    return Places(options.settings.goal(), discs)
 
 
 def _live(options: LiveOptions, tally: Tally) -> None:

@@ -1,40 +1,40 @@
 """The findings of `pinav navigate`: the same blocks on a terminal and in a report."""
 
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
-from pinav.commands.navigate.online_sections import (
-    online_sections,
-    percent_interval,
-    ratio_interval,
-)
 from pinav.commands.steering import programme_table
 from pinav.figures.animation import Trails, save_animation
+from pinav.figures.fits import bands_figure, moments_figure
 from pinav.figures.images import Movie, Picture
 from pinav.figures.navigation import (
     closed_loop_figure,
+    greatest_force,
     outcome_bars,
+    paths_map,
     plan_map,
     space_figure,
 )
-from pinav.figures.style import draw_panels
+from pinav.figures.style import DIMENSIONLESS, draw_panels, with_unit
+from pinav.learning.findings import ForceMaps
 from pinav.navigation import (
     AbstractNavigation,
+    FlightOutcome,
     Interval,
     Navigation,
     OnlineNavigation,
     Suggestion,
     Summary,
 )
-from pinav.navigation.maps import ForceMaps
 from pinav.report import AbstractBlock, Cell, Paragraph, Section, Table, quantity
 from pinav.units import force_unit
 
 DRAWN = 8
-"""Runs of each controller on a map."""
+"""Runs or flights of each controller on a map."""
 
 CAPTION = (
     "Success and violation with Wilson's 95 % interval; arrival: median time of those "
@@ -62,11 +62,12 @@ def sections(result: AbstractNavigation) -> list[Section]:
         return [*parts, Section("Closed loop", [_in_space(result)])]
     if result.suggestion is not None:
         outcome.append(_programme(result.suggestion, result.units.get("t", "1")))
+    first = {name: one.states[0, :, :2] for name, one in result.episodes.items()}
     return [
         *parts,
         Section("Plan", [_plan(result)]),
-        Section("Closed loop", [_loops(result, result.maps)]),
-        Section("A run", [_animation(result, result.maps)]),
+        Section("Closed loop", [_loops(result)]),
+        Section("A run", [_movie("navigate-run", "run", result, result.maps, first)]),
     ]
 
 
@@ -178,22 +179,12 @@ def _in_space(result: Navigation) -> Picture:
         "the way planned on the learned force (dashed). The controllers differ in the "
         "model with which they plan. Balls must not be entered."
     )
-    shown = {"route": result.plan.route, "units": result.units}
-    draw = partial(space_figure, result.course, _paths(result), **shown)
+    draw = partial(space_figure, result, _paths(result))
     return Picture("navigate-closed-loop", draw, caption)
 
 
-def _loops(result: Navigation, maps: ForceMaps) -> Picture:
-    draw = partial(
-        closed_loop_figure,
-        result.course,
-        maps,
-        _paths(result),
-        thrust=result.thrust,
-        route=result.plan.route,
-        suggestion=None if result.suggestion is None else result.suggestion.path,
-        units=result.units,
-    )
+def _loops(result: Navigation) -> Picture:
+    draw = partial(closed_loop_figure, result, _paths(result))
     caption = (
         f"Paths of at most {DRAWN} runs of each controller, in "
         f"{environment_words(result)}. The controllers differ in the model with which "
@@ -202,11 +193,133 @@ def _loops(result: Navigation, maps: ForceMaps) -> Picture:
     return Picture("navigate-closed-loop", draw, caption)
 
 
-def _animation(result: Navigation, maps: ForceMaps) -> Movie:
-    paths = {name: loops.states[0, :, :2] for name, loops in result.episodes.items()}
-    shown = result.course, maps, Trails(paths, result.step)
-    return Movie(
-        "navigate-run",
-        lambda file: save_animation(*shown, file, units=result.units),
-        "One run of each controller with the same noise.",
+def _movie(
+    name: str,
+    what: str,
+    result: Navigation | OnlineNavigation,
+    maps: ForceMaps,
+    paths: Mapping[str, Float[np.ndarray, "_ 2"]],
+) -> Movie:
+    """One run or flight of each controller over the force."""
+    trails, units = Trails(paths, result.step), result.units
+    write = partial(save_animation, result.course, maps, trails, units=units)
+    return Movie(name, write, f"One {what} of each controller with the same noise.")
+
+
+ONLINE_CAPTION = (
+    "Success, violation and arrival within the task's own limit (in time) with "
+    "Wilson's 95 % interval; arrival: median and quantiles of those that arrived; "
+    "regret: median over pairs of the arrival time over that with the true force; "
+    "force error: root sum of squared errors over the visited path, relative; cover: "
+    "of nominal 95 % bands there; consistency: squared error of the position over its "
+    "variance, 1 where the filter is right."
+)
+
+
+def online_sections(result: OnlineNavigation) -> list[Section]:
+    """The outcome, what was believed, and the flights."""
+    rows, shown = result.controllers, result.shown
+    successes = {name: row.success for name, row in rows.items()}
+    regrets = {n: row.regret for n, row in rows.items() if row.regret is not None}
+    bars = Picture(
+        "learn-online-regret",
+        lambda: outcome_bars(successes, regrets),
+        "Success and regret with 95 % intervals.",
+        width=0.7,
     )
+    belief = Picture(
+        "learn-online-belief",
+        partial(moments_figure, result),
+        "The first flight over its belief at several moments. Top: the mean force; "
+        "bottom: its standard deviation. Where nothing was seen the mean is zero.",
+    )
+    bands = Picture(
+        "learn-online-bands",
+        partial(bands_figure, result),
+        "The force along the first flight, as it was (line) and as it is believed at "
+        "the end (mean and band of 95 %).",
+        width=0.8,
+    )
+    words = map(Paragraph, online_sentences(result))
+    table = online_table(rows, result.units)
+    first = {name: paths[0] for name, paths in result.paths.items()}
+    movie = _movie("learn-online-flight", "flight", result, shown.maps, first)
+    return [
+        Section("Outcome", [*words, table, bars]),
+        Section("Belief", [belief, bands]),
+        Section("Flights", [_flights(result)]),
+        Section("A flight", [movie]),
+    ]
+
+
+def online_table(
+    controllers: Mapping[str, FlightOutcome], units: Mapping[str, str] = DIMENSIONLESS
+) -> Table:
+    """One row for each controller."""
+    length, time = units.get("x", "1"), units.get("t", "1")
+    columns: dict[str, Callable[[FlightOutcome], Cell]] = {
+        "success": lambda row: percent_interval(row.success),
+        "in time": lambda row: percent_interval(row.in_time),
+        "violation": lambda row: percent_interval(row.violation),
+        with_unit("arrival", time): lambda row: row.arrival.median,
+        "5 %": lambda row: row.arrival.low,
+        "95 %": lambda row: row.arrival.high,
+        "regret": lambda row: "–" if row.regret is None else ratio_interval(row.regret),
+        with_unit("least clearance", length): lambda row: row.clearance,
+        "force error": lambda row: row.force_error,
+        "cover": lambda row: row.cover,
+        "consistency": lambda row: row.consistency,
+    }
+    rows = [
+        (name, *(column(row) for column in columns.values()))
+        for name, row in controllers.items()
+    ]
+    runs = next(iter(controllers.values())).runs
+    return Table(("flights", *columns), rows, f"{runs} flights each. {ONLINE_CAPTION}")
+
+
+def online_sentences(result: OnlineNavigation) -> list[str]:
+    """The findings in words."""
+    last = list(result.controllers.values())[1]
+    length, time = (result.units.get(channel, "1") for channel in ("x", "t"))
+    before = "the fit alone" if result.prior else "nothing"
+    frame, command, plan = (
+        0.0 if np.isnan(seconds) else 1e3 * seconds
+        for seconds in (last.frame_time, last.command_time, last.replan_time)
+    )
+    return [
+        f"Task {result.task} (synthetic): {before} is known of the force beforehand; "
+        f"positions with an error of {quantity(result.position_noise, length)} are all "
+        "that is observed, commands come into force after "
+        f"{quantity(result.delay, time)}.",
+        f"Flights were given up after {quantity(result.time_limit, time)}; the "
+        f"task's own limit is {quantity(result.own_limit, time)}.",
+        f"Learning from a frame takes at most {frame:.2g} ms (99 %), a command "
+        f"{command:.2g} ms, a plan {plan:.2g} ms (medians); the belief takes "
+        f"{last.memory / 1e6:.2g} MB. The safety filter changed {last.changed:.2g} "
+        "commands in a flight.",
+    ]
+
+
+def _flights(result: OnlineNavigation) -> Picture:
+    maps = result.shown.maps
+    drawn = {name: paths[:DRAWN] for name, paths in result.paths.items()}
+    shown = {"limit": greatest_force(maps), "units": result.units}
+    panel = partial(paths_map, maps.truth, result.course, drawn, **shown)
+    draw = partial(draw_panels, (4.6, 4.6), [panel])
+    caption = f"At most {DRAWN} flights of each controller over the true force."
+    return Picture("learn-online-paths", draw, caption, width=0.6)
+
+
+def percent_interval(interval: Interval) -> str:
+    """The interval of a proportion."""
+    parts = interval.value, interval.lower, interval.upper
+    value, lower, upper = (100 * part for part in parts)
+    return f"{value:.0f} % ({lower:.0f}–{upper:.0f})"
+
+
+def ratio_interval(interval: Interval) -> str:
+    """The interval of a ratio."""
+    parts = interval.value, interval.lower, interval.upper
+    value, lower, upper = ("∞" if math.isinf(p) else f"{p:.3f}" for p in parts)
+    return f"{value} ({lower}–{upper})"

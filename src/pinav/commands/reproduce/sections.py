@@ -56,15 +56,6 @@ def label_of(model: str, seed: int | None) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class Spread:
-    """Total errors of a model over its seeds."""
-
-    median: float
-    best: float
-    worst: float
-
-
-@dataclasses.dataclass(frozen=True)
 class Reproduction:
     """The paper's experiment.
 
@@ -100,20 +91,17 @@ class Reproduction:
         return sorted(listed, key=lambda one: ROWS.index(one.model))
 
     @property
-    def summary_total(self) -> dict[str, Spread]:
-        """Median, best and worst total error of each model over its seeds."""
+    def totals(self) -> dict[str, list[float]]:
+        """Total error of each model for each of its seeds."""
         totals: dict[str, list[float]] = {}
         for row in self.table2:
             totals.setdefault(row.model, []).append(row.total)
-        return {
-            model: Spread(float(np.median(values)), min(values), max(values))
-            for model, values in totals.items()
-        }
+        return totals
 
     @property
     def improvement(self) -> dict[str, float]:
         """Ratios of median total errors to that of the trained UDE."""
-        median = {model: one.median for model, one in self.summary_total.items()}
+        median = {name: float(np.median(some)) for name, some in self.totals.items()}
         factors = {
             f"{model} / ude": median[model] / median["ude"]
             for model in median
@@ -236,8 +224,8 @@ def _table2(result: Reproduction) -> Table:
 
 def _spread(result: Reproduction) -> Table:
     rows = [
-        (model, spread.median, spread.best, spread.worst)
-        for model, spread in result.summary_total.items()
+        (model, float(np.median(totals)), min(totals), max(totals))
+        for model, totals in result.totals.items()
         if model not in ("physics-only", "ude-kernel")
     ]
     seeds = ", ".join(map(str, result.settings.seeds))

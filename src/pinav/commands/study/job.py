@@ -15,13 +15,12 @@ import equinox as eqx
 import jax
 import msgspec
 
-from pinav.codec import decode, encode
 from pinav.commands import STUDY
 from pinav.commands.command import CommandResult
 from pinav.commands.results import keep
 from pinav.commands.settings import ModelName
 from pinav.commands.study import StudyOptions, StudySettings
-from pinav.commands.sweep import Sweep, start_sweep, status_text
+from pinav.commands.sweep import FILE, Sweep, start_sweep, status_text
 from pinav.dynamics import AbstractDynamics
 from pinav.errors import InputError
 from pinav.evaluation import (
@@ -39,15 +38,15 @@ from pinav.evaluation import (
 )
 from pinav.figures import Picture
 from pinav.figures.errors import scaling_figure
-from pinav.files import write_text
 from pinav.fitting.environments.summary import KnownSwimmer
 from pinav.learning.learn import infer
 from pinav.learning.plan import MATCHED_MODELS, plan_fit
 from pinav.learning.recipes import Bayes, Curriculum
 from pinav.report import Cell as Entry
 from pinav.report import Paragraph, Section, Table
+from pinav.runs import RunFolder
 from pinav.scenarios import scenario
-from pinav.sweeps import Cell, CellOutcome, CellStore, sweep_status
+from pinav.sweeps import Cell, sweep_status
 from pinav.systems import System
 from pinav.trajectories import GaussianNoise, Trajectories, degrade, simulate
 
@@ -182,8 +181,6 @@ def csv_rows(study: Study) -> list[list[Entry]]:
     ]
 
 
-FIT_FILE, TASK = "fit.json", "pinav.commands.study.job:do_cell"
-
 NESTED = 32
 """Trajectories that are simulated for each seed at least: of one shape, compiled once,
 of which smaller sets are the first ones."""
@@ -206,7 +203,7 @@ def cells(name: str, world: str, settings: StudySettings) -> list[Cell]:
         grid = [(settings.count, sigma) for sigma in settings.sigmas]
     return [
         Cell.of(
-            TASK,
+            "pinav.commands.study.job:do_cell",
             StudyCell(model, count, sigma, settings.held_out, settings.max_steps),
             system=world,
             seed=seed,
@@ -223,15 +220,13 @@ def study(name: str, world: str, settings: StudySettings, sweep: Sweep) -> Study
     """Fit and score every cell."""
     chosen = cells(name, world, settings)
     outcomes = sweep.run(chosen, name)
-    fits = map(_fit_of, chosen, outcomes, [sweep.store] * len(chosen))
+    fits = (
+        _without_scores(cell, f"failed: {outcome.failure}")
+        if outcome.failure
+        else sweep.result(cell, StudyFit)
+        for cell, outcome in zip(chosen, outcomes, strict=True)
+    )
     return Study(name, world, tuple(fits))
-
-
-def _fit_of(cell: Cell, outcome: CellOutcome, store: CellStore) -> StudyFit:
-    """The fit of a cell that is done; one that failed has no scores."""
-    if outcome.failure:
-        return _without_scores(cell, f"failed: {outcome.failure}")
-    return decode(StudyFit, store.read_result(cell, FIT_FILE, dict), {})
 
 
 def _without_scores(cell: Cell, outcome: str) -> StudyFit:
@@ -245,13 +240,11 @@ def do_cell(cell: Cell, folder: Path) -> None:
     clean = clean_data(cell.system, cell.seed, max(one.count, NESTED))
     clean = clean.select(range(one.count))
     data = with_noise(clean, one.sigma, cell.seed)
-    model, outcome = fit_model(
-        one.model, known, data, seed=cell.seed, max_steps=one.max_steps
-    )
+    numbers = {"seed": cell.seed, "max_steps": one.max_steps}
+    model, outcome = fit_model(one.model, known, data, **numbers)
     held = _held_out(cell.system, one.held_out)
     fit = with_scores(_without_scores(cell, outcome), model, known, clean, held)
-    document = msgspec.json.encode(encode(fit).document)
-    write_text(folder / FIT_FILE, document.decode())
+    RunFolder(folder).store(FILE, fit)
 
 
 @functools.lru_cache(maxsize=2)

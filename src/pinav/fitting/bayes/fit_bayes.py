@@ -11,9 +11,10 @@ import jax
 import numpy as np
 
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
-from pinav.errors import InputError
+from pinav.errors import FitError, InputError
 from pinav.fitting.bayes.neural import FitSpecification, Teacher
 from pinav.fitting.bayes.parameters import Learn, learned_environment
+from pinav.fitting.bayes.pieces import fit_pieces
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.evidence_fit import (
     EvidenceFit,
@@ -108,9 +109,14 @@ def fit_bayes(
         else:
             fitted = Teacher.of_fit(teacher)
             ended = _learn(specification, fitted, max_iterations, on_step)
-        return evidence_fit(
-            *ended, not_finite=NOT_FINITE, advice=ADVICE if throw else {}
-        )
+        fit = evidence_fit(*ended, not_finite=NOT_FINITE, advice={})
+        learned = learned_environment(model)
+        is_linear = learned is not None and learned.is_linear
+        if fit.outcome is Outcome.DIVERGED and is_linear and learn is not None:
+            fit = fit_pieces(specification, fit, refine, max_iterations, on_step)
+        if throw and fit.outcome in ADVICE:
+            raise FitError(ADVICE[fit.outcome], str(fit.outcome))
+        return fit
 
 
 NOT_FINITE = (

@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from pinav.arguments import Scalar, State, Vector, on_device
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
-from pinav.fitting.engine.local_model import ParametricModel
+from pinav.fitting.engine.local_model import ModelOfParameters, ParametricModel
 from pinav.fitting.engine.multiple_shooting import sensitivities
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.quadratic import Parameters
@@ -196,7 +196,7 @@ def _force_jacobians(
 
 @eqx.filter_jit
 def linear_rollout(
-    free: ParametricModel,
+    free: ModelOfParameters,
     theta: Float[Array, " parameter"],
     y0: State,
     ts: Float[Array, " time"],

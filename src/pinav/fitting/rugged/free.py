@@ -11,6 +11,7 @@ import numpy as np
 
 from pinav.errors import FitError
 from pinav.fitting.bayes.fit_bayes import ADVICE
+from pinav.fitting.bayes.pieces import fit_pieces
 from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.outcome import Outcome
@@ -30,7 +31,12 @@ def fit_rough(fits: Fits) -> EvidenceFit:
     Raises:
         FitError: it fails.
     """
-    return dataclasses.replace(fits, throw=False).fit(AS_FINE_AS_HILLS_NEED)
+    fit = dataclasses.replace(fits, throw=False).fit(AS_FINE_AS_HILLS_NEED)
+    if fit.outcome is not Outcome.DIVERGED:
+        return fit
+    return fit_pieces(
+        fits.specification, fit, AS_FINE_AS_HILLS_NEED, fits.max_iterations, fits.report
+    )
 
 
 def fit_free(fits: Fits, rough: EvidenceFit | None = None) -> StructuredFit:

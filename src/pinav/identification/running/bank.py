@@ -18,6 +18,7 @@ References:
 import itertools
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -240,6 +241,51 @@ class DriveGrid(eqx.Module):
         return self.delays[self.drive // len(self.corners)]
 
 
+class Frames(eqx.Module):
+    """Positions [L] and the commands [Hz, rad] applied from each time on.
+
+    Attributes:
+        positions: NaN where the robot was not seen.
+    """
+
+    times: Float[np.ndarray, " frame"]
+    positions: Float[np.ndarray, "frame 2"]
+    frequency: Float[np.ndarray, " frame"]
+    heading: Float[np.ndarray, " frame"]
+
+    @classmethod
+    def none(cls) -> "Frames":
+        """No frame."""
+        return cls(np.empty(0), np.empty((0, 2)), np.empty(0), np.empty(0))
+
+    @classmethod
+    def one(
+        cls,
+        time: float,
+        position: tuple[float, float] | None,
+        frequency: float,
+        heading: float,
+    ) -> "Frames":
+        """A single frame; no position where the robot was not seen."""
+        place = (np.nan, np.nan) if position is None else position
+        values = (time, place, frequency, heading)
+        return cls(*(np.array([value], float) for value in values))
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __add__(self, later: "Frames") -> "Frames":
+        return jax.tree.map(lambda *both: np.concatenate(both), self, later)
+
+    def __getitem__(self, places: slice | np.ndarray) -> "Frames":
+        return jax.tree.map(lambda values: values[places], self)
+
+    @property
+    def observed(self) -> "Frames":
+        """Those in which the robot was seen."""
+        return self[~np.isnan(self.positions[:, 0])]
+
+
 REACH = 2.0
 """Commands are kept for so much longer than the longest delay [s]."""
 
@@ -256,39 +302,20 @@ class CommandHistory(eqx.Module):
     integrals: Float[np.ndarray, "command response 2"]
 
     @classmethod
-    def begin(
-        cls, grid: DriveGrid, time: float, frequency: float, heading: float
-    ) -> "CommandHistory":
-        """One command, held from `time` on, and no drive before it."""
-        rates = effective_rates(grid, np.array([frequency]), np.array([heading]))
-        return cls(np.array([time]), rates, np.zeros_like(rates))
+    def begin(cls, grid: DriveGrid, frame: Frames) -> "CommandHistory":
+        """The command of one frame, held from then on, and no drive before it."""
+        rates = effective_rates(grid, frame.frequency, frame.heading)
+        return cls(frame.times, rates, np.zeros_like(rates))
 
-    def extend(
-        self,
-        grid: DriveGrid,
-        times: Float[np.ndarray, " later"],
-        frequency: Float[np.ndarray, " later"],
-        heading: Float[np.ndarray, " later"],
-    ) -> "CommandHistory":
-        """The history with later commands, whose times increase."""
-        rates = np.concatenate([self.rates, effective_rates(grid, frequency, heading)])
-        times = np.concatenate([self.times, times])
+    def extend(self, grid: DriveGrid, later: Frames) -> "CommandHistory":
+        """The history with the commands of later frames."""
+        added = effective_rates(grid, later.frequency, later.heading)
+        rates = np.concatenate([self.rates, added])
+        times = np.concatenate([self.times, later.times])
         first = len(self.times) - 1
         steps = np.diff(times[first:])[:, None, None] * rates[first:-1]
-        later = self.integrals[-1] + np.cumsum(steps, axis=0)
-        return CommandHistory(times, rates, np.concatenate([self.integrals, later]))
-
-    def replace_last(
-        self,
-        grid: DriveGrid,
-        frequency: Float[np.ndarray, "1"],
-        heading: Float[np.ndarray, "1"],
-    ) -> "CommandHistory":
-        """The history with another command from its last time on."""
-        rates = np.concatenate(
-            [self.rates[:-1], effective_rates(grid, frequency, heading)]
-        )
-        return CommandHistory(self.times, rates, self.integrals)
+        moved = self.integrals[-1] + np.cumsum(steps, axis=0)
+        return CommandHistory(times, rates, np.concatenate([self.integrals, moved]))
 
     def forget(self, before: float) -> "CommandHistory":
         """Without what ended before a time; integrals keep their origin."""
@@ -300,13 +327,14 @@ class CommandHistory(eqx.Module):
         )
 
     def at(
-        self, times: Float[np.ndarray, " time"], delays: Float[np.ndarray, " delay"]
+        self, times: Float[np.ndarray, "time delay"]
     ) -> Float[np.ndarray, "time drive 2"]:
-        """Integrals of the delayed commands [cycles], delays first, then responses."""
-        query = times[:, None] - delays
-        place = np.searchsorted(self.times, query, side="right") - 1
-        elapsed = query - self.times[np.maximum(place, 0)]
-        elapsed = np.where(place < 0, 0.0, elapsed)
+        """Integrals of the commands up to delayed times [cycles].
+
+        Drives are counted delays first, then responses.
+        """
+        place = np.searchsorted(self.times, times, side="right") - 1
+        elapsed = np.where(place < 0, 0.0, times - self.times[np.maximum(place, 0)])
         place = np.maximum(place, 0)
         values = self.integrals[place] + elapsed[..., None, None] * self.rates[place]
         return values.reshape(len(times), -1, 2)

@@ -66,7 +66,7 @@ def locate(fit: RunningFit, time: float) -> DriveForecast | None:
         return None
     members = _Members.of(fit, fit.bank)
     elapsed = time - fit.block_time
-    turned = fit.history.at(np.array([time]), fit.grid.delays) - fit.cycles
+    turned = fit.history.at(time - fit.grid.delays[None]) - fit.cycles
     row = rows(turned[:, members.drive], elapsed, members.memory)
     noise, _, _ = wandering(elapsed, members.memory, fit.block_frequency)
     return members.mix(row, noise[None])
@@ -110,12 +110,8 @@ def _turned_before(
 ) -> Float[np.ndarray, "time member 2"]:
     """Cycles after the first time by earlier commands that act late [cycles]."""
     assert fit.history is not None
-    none, history = np.zeros(1), fit.history
-    if times[0] <= history.times[-1]:
-        history = history.replace_last(fit.grid, none, none)
-    else:
-        history = history.extend(fit.grid, times[:1], none, none)
-    turned = history.at(times, fit.grid.delays)[:, members.drive]
+    delayed = np.minimum(times[:, None] - fit.grid.delays, times[0])
+    turned = fit.history.at(delayed)[:, members.drive]
     return turned - turned[0]
 
 
@@ -166,7 +162,6 @@ class DriveEstimate(eqx.Module):
     """
 
     delay: float
-    delay_sd: float
     gain: float
     gain_sd: float
     offset: float
@@ -191,15 +186,12 @@ def estimate(fit: RunningFit) -> DriveEstimate | None:
     if fit.bank is None:
         return None
     weight = fit.bank.weight
-    delays = fit.grid.member_delay
-    delay = float(weight @ delays)
     matrix, sd = gain_at(fit, 1.0)
     along = (matrix[0, 0] + matrix[1, 1]) / 2
     across = (matrix[1, 0] - matrix[0, 1]) / 2
     drift = weight @ fit.bank.mean[:, :, 2]
     return DriveEstimate(
-        delay=delay,
-        delay_sd=float(np.sqrt(weight @ (delays - delay) ** 2)),
+        delay=float(weight @ fit.grid.member_delay),
         gain=float(np.hypot(along, across)),
         gain_sd=sd,
         offset=float(np.arctan2(across, along)),

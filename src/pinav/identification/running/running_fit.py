@@ -3,57 +3,16 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Float
 
-from pinav.identification.running.bank import REACH, Bank, CommandHistory, DriveGrid
-
-
-class Frames(eqx.Module):
-    """Positions [L] and the commands [Hz, rad] applied from each time on.
-
-    Attributes:
-        positions: NaN where the robot was not seen.
-    """
-
-    times: Float[np.ndarray, " frame"]
-    positions: Float[np.ndarray, "frame 2"]
-    frequency: Float[np.ndarray, " frame"]
-    heading: Float[np.ndarray, " frame"]
-
-    @classmethod
-    def none(cls) -> "Frames":
-        """No frame."""
-        return cls(np.empty(0), np.empty((0, 2)), np.empty(0), np.empty(0))
-
-    @classmethod
-    def one(
-        cls,
-        time: float,
-        position: tuple[float, float] | None,
-        frequency: float,
-        heading: float,
-    ) -> "Frames":
-        """A single frame; no position where the robot was not seen."""
-        place = (np.nan, np.nan) if position is None else position
-        values = (time, place, frequency, heading)
-        return cls(*(np.array([value], float) for value in values))
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def __add__(self, later: "Frames") -> "Frames":
-        return jax.tree.map(lambda *both: np.concatenate(both), self, later)
-
-    def __getitem__(self, places: slice | np.ndarray) -> "Frames":
-        return jax.tree.map(lambda values: values[places], self)
-
-    @property
-    def observed(self) -> "Frames":
-        """Those in which the robot was seen."""
-        return self[~np.isnan(self.positions[:, 0])]
-
+from pinav.identification.running.bank import (
+    REACH,
+    Bank,
+    CommandHistory,
+    DriveGrid,
+    Frames,
+)
 
 BLOCK = 0.5
 """Positions are averaged over so many seconds, as in identification."""
@@ -143,7 +102,7 @@ class RunningFit(eqx.Module):
         frame = Frames.one(time, position, frequency, heading)
         return dataclasses.replace(
             self,
-            history=CommandHistory.begin(self.grid, time, frequency, heading),
+            history=CommandHistory.begin(self.grid, frame),
             frames=frame,
             block_begin=time,
             cycles=None,
@@ -153,11 +112,8 @@ class RunningFit(eqx.Module):
     def _extend(self, frame: Frames) -> CommandHistory:
         """The commands with those of a frame, less what is too old to act."""
         if self.history is None:
-            time, f, heading = frame.times[0], frame.frequency[0], frame.heading[0]
-            return CommandHistory.begin(self.grid, time, f, heading)
-        later = self.history.extend(
-            self.grid, frame.times, frame.frequency, frame.heading
-        )
+            return CommandHistory.begin(self.grid, frame)
+        later = self.history.extend(self.grid, frame)
         if self.bank is None:
             return later
         return later.forget(frame.times[0] - REACH - self.grid.delays[-1])
@@ -204,7 +160,8 @@ class RunningFit(eqx.Module):
         time = float(observed.times.mean())
         position = observed.positions.mean(axis=0)
         frequency = float(observed.frequency.mean())
-        cycles = self.history.at(observed.times, self.grid.delays).mean(axis=0)
+        delayed = observed.times[:, None] - self.grid.delays
+        cycles = self.history.at(delayed).mean(axis=0)
         if self.cycles is None:
             bank = self.bank.place(position, self.grid.blur)
         else:

@@ -3,19 +3,19 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from pinav.learning.findings import ForceMaps
 from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.steering import AdaptiveController, ControllerState
 from pinav.navigation.belief.belief import Belief
-from pinav.navigation.maps import Course, ForceMaps
 from pinav.navigation.task.steering import physics_only
-from pinav.navigation.task.task import Task
+from pinav.navigation.task.task import Course, Task
 from pinav.navigation.trials.closed_loop import episode, last_observation
 from pinav.navigation.trials.metrics import (
     Interval,
@@ -68,7 +68,6 @@ class Flight:
     Attributes:
         path: true positions at the frames [L].
         arrival_time: [T]; infinite if it was not.
-        consistency: mean of the squared error of the position over its variance.
         changed: commands that the safety filter changed.
         stalls: frames at which no progress was noticed.
         learn_times: computing time of each frame [s].
@@ -132,56 +131,47 @@ class FlightOutcome:
     memory: float
 
 
-def judge_flights(
-    flights: Sequence[Flight], own_limit: float, oracle: Sequence[Flight] = ()
-) -> FlightOutcome:
-    """The outcome of some flights.
-
-    Args:
-        own_limit: time limit of the task itself [T].
-        oracle: flights with the truth, of the same keys; none for the oracle itself.
-            A pair whose oracle did not arrive has no regret.
-    """
-    times = np.array([flight.arrival_time for flight in flights])
-    arrived = times[np.isfinite(times)]
-    count, ratio = len(flights), None
-    if oracle:
-        best = np.array([flight.arrival_time for flight in oracle])
-        pairs = np.isfinite(best)
-        ratio = median(times[pairs] / best[pairs]) if pairs.any() else None
-    frames = np.concatenate([flight.learn_times for flight in flights])
-    commands = np.concatenate([flight.command_times[1:] for flight in flights])
-    plans = np.concatenate([flight.replan_times[1:] for flight in flights])
-    return FlightOutcome(
-        runs=count,
-        success=proportion(sum(flight.reached for flight in flights), count),
-        in_time=proportion(int(np.sum(times <= own_limit)), count),
-        violation=proportion(sum(flight.violated for flight in flights), count),
-        arrival=quantiles(arrived),
-        regret=ratio,
-        clearance=min(flight.clearance for flight in flights),
-        force_error=float(np.median([f.force_error for f in flights]))
-        if oracle
-        else None,
-        cover=float(np.mean([f.cover for f in flights])) if oracle else None,
-        consistency=float(np.mean([flight.consistency for flight in flights])),
-        changed=float(np.mean([flight.changed for flight in flights])),
-        frame_time=float(np.quantile(frames, 0.99)) if len(frames) else np.nan,
-        command_time=float(np.median(commands)) if len(commands) else np.nan,
-        replan_time=float(np.median(plans)) if len(plans) else np.nan,
-        memory=float(max(flight.memory for flight in flights)),
-    )
-
-
 def judge_controllers(
     flights: Mapping[str, Sequence[Flight]], own_limit: float
 ) -> dict[str, FlightOutcome]:
-    """The outcome of each controller, in pairs with the oracle."""
-    oracle = flights[ORACLE]
-    return {
-        name: judge_flights(some, own_limit, oracle if name != ORACLE else ())
-        for name, some in flights.items()
-    }
+    """The outcome of each controller, in pairs with the oracle of the same keys.
+
+    A pair whose oracle did not arrive has no regret.
+
+    Args:
+        own_limit: time limit of the task itself [T].
+    """
+    best = np.array([flight.arrival_time for flight in flights[ORACLE]])
+    pairs = np.isfinite(best)
+
+    def judge(name: str, some: Sequence[Flight]) -> FlightOutcome:
+        times = np.array([flight.arrival_time for flight in some])
+        frames = np.concatenate([flight.learn_times for flight in some])
+        commands = np.concatenate([flight.command_times[1:] for flight in some])
+        plans = np.concatenate([flight.replan_times[1:] for flight in some])
+        count, learned, ratio = len(some), name != ORACLE, None
+        if learned and pairs.any():
+            ratio = median(times[pairs] / best[pairs])
+        errors, covers = zip(*((f.force_error, f.cover) for f in some), strict=True)
+        return FlightOutcome(
+            runs=count,
+            success=proportion(sum(flight.reached for flight in some), count),
+            in_time=proportion(int(np.sum(times <= own_limit)), count),
+            violation=proportion(sum(flight.violated for flight in some), count),
+            arrival=quantiles(times[np.isfinite(times)]),
+            regret=ratio,
+            clearance=min(flight.clearance for flight in some),
+            force_error=float(np.median(errors)) if learned else None,
+            cover=float(np.mean(covers)) if learned else None,
+            consistency=float(np.mean([flight.consistency for flight in some])),
+            changed=float(np.mean([flight.changed for flight in some])),
+            frame_time=float(np.quantile(frames, 0.99)) if len(frames) else np.nan,
+            command_time=float(np.median(commands)) if len(commands) else np.nan,
+            replan_time=float(np.median(plans)) if len(plans) else np.nan,
+            memory=float(max(flight.memory for flight in some)),
+        )
+
+    return {name: judge(name, some) for name, some in flights.items()}
 
 
 class Visit(NamedTuple):
@@ -203,12 +193,19 @@ def fly(
     Args:
         every: time between the beliefs that are kept, to be shown [T].
     """
-    task, notes, moments, now, memory = adaptive.task, [], [], None, None
+    task, now, memory = adaptive.task, None, None
+    places, notes, moments = [], [], []
 
     def note(now: Situation, memory: ControllerState) -> None:
-        notes.append(_Note.of(now, memory))
-        if memory.belief.time >= len(moments) * every - 1e-9:
-            moments.append(memory.belief)
+        belief, place = memory.belief, np.asarray(now.state, float)[:2]
+        error = place - belief.state.mean[:2]
+        surprise = error @ np.linalg.solve(belief.state.covariance[:2, :2], error) / 2
+        changed = memory.verdict is not None and memory.verdict.changed
+        times = memory.learn_time, memory.plan_time, memory.command_time
+        places.append(place)
+        notes.append((surprise, memory.progress.stalled, changed, *times))
+        if belief.time >= len(moments) * every - 1e-9:
+            moments.append(belief)
 
     for step in episode(task, adaptive, key=key):
         now, memory = step.after, step.memory
@@ -217,58 +214,27 @@ def fly(
     assert memory is not None
     memory = adaptive.learn(memory, last_observation(task, now, key))
     note(now, memory)
-    all_notes = _Note(*(np.array(values) for values in zip(*notes, strict=True)))
-    error, cover = score_force(all_notes.place, memory.belief, task)
+    path = np.array(places)
+    surprise, stalled, changed, *times = np.array(notes, float).T
+    learn_times, replan_times, command_times = times
+    error, cover = score_force(path, memory.belief, task)
     flight = Flight(
-        path=all_notes.place,
+        path=path,
         reached=bool(now.reached),
         violated=bool(now.violated),
         arrival_time=float(now.arrival_time),
         clearance=float(now.clearance),
-        consistency=float(np.mean(all_notes.surprise[1:])),
-        changed=int(np.sum(all_notes.changed[:-1])),  # the last frame has no command
-        stalls=int(np.sum(all_notes.stalled)),
-        learn_times=all_notes.learn_time[np.isfinite(all_notes.learn_time)],
-        command_times=all_notes.command_time[:-1],
-        replan_times=all_notes.plan_time[np.isfinite(all_notes.plan_time)],
+        consistency=float(np.mean(surprise[1:])),
+        changed=int(np.sum(changed[:-1])),  # the last frame has no command
+        stalls=int(np.sum(stalled)),
+        learn_times=learn_times[np.isfinite(learn_times)],
+        command_times=command_times[:-1],
+        replan_times=replan_times[np.isfinite(replan_times)],
         memory=memory.belief.nbytes,
         force_error=error,
         cover=cover,
     )
     return Visit(flight, memory.belief, tuple(moments))
-
-
-class _Note(NamedTuple):
-    """A frame of a flight, or all of them, with the controller's memory then.
-
-    Attributes:
-        surprise: squared error of the believed position over its variance, a component.
-        changed: True where the safety filter gave another command than the controller.
-    """
-
-    place: np.ndarray
-    surprise: Any
-    stalled: Any
-    changed: Any
-    learn_time: Any
-    plan_time: Any
-    command_time: Any
-
-    @classmethod
-    def of(cls, now: Situation, memory: ControllerState) -> "_Note":
-        """The note on a situation, and on what is believed of it."""
-        place, believed = np.asarray(now.state, float)[:2], memory.belief.state
-        error, spread = place - believed.mean[:2], believed.covariance[:2, :2]
-        verdict = memory.verdict
-        return cls(
-            place,
-            float(error @ np.linalg.solve(spread, error)) / 2,
-            memory.progress.stalled,
-            verdict is not None and verdict.changed,
-            memory.learn_time,
-            memory.plan_time,
-            memory.command_time,
-        )
 
 
 MAP_POINTS = 41
@@ -294,11 +260,9 @@ class ShownFlight:
 
     Attributes:
         maps: true force, and learned one at the end.
-        truth: true force along the path.
         mean: learned force along the path, at the end.
         sd: standard deviation of its components.
         means: learned force on the arena at these moments.
-        sds: standard deviation of its components.
     """
 
     maps: ForceMaps
@@ -335,7 +299,6 @@ class SwimmerFlights:
     """The flights of one swimmer.
 
     Attributes:
-        flights: by the controller: the oracle, and each visit.
         shown: first visit of the first swimmer; none of others.
     """
 

@@ -76,8 +76,6 @@ def check_command(
 
     Args:
         observation: the state when it comes into force.
-        prediction: of sequences of controls; the force is taken from the belief.
-        physics: tables without the environment.
         thrust: greatest thrust [L T⁻²], or velocity [L T⁻¹] without inertia.
         horizon: how far the tube goes [T].
     """

@@ -82,9 +82,7 @@ class ControllerState:
     """The memory of the controller between two frames.
 
     Attributes:
-        lattice: on which the plan stands.
-        planned: time at which it was made [T].
-        controls: sequence of thrusts that is improved from step to step.
+        planned: time at which the plan was made [T].
         pending: commands that waited at the last decision, as in `Observation`.
         verdict: of the safety filter on the last command; none before the first.
         learn_time: computing time of the last frame [s]; NaN for the first one.
@@ -114,11 +112,8 @@ class AdaptiveController(AbstractController[ControllerState]):
 
     Attributes:
         strategy: treatment of what is not known in the plan.
-        physics: tables of what is known.
-        motion: the same for the belief.
         thrust: greatest rate of the thrust [L T⁻²], or [L T⁻¹] without inertia.
         crossing: time to cross the arena, from top speed to rest included [T].
-        replanner: lattice over the arena.
         window: lattice about the goal, with finer cells.
         detailed: lattice over the arena with finer cells, for a swimmer that stalled.
         known: belief whose map is kept, such as that of an earlier visit or of a fit;
@@ -146,11 +141,6 @@ class AdaptiveController(AbstractController[ControllerState]):
         speeds: int = SPEEDS,
     ) -> "AdaptiveController":
         """The controller of a task.
-
-        Args:
-            strategy: `ExplorationBonus` unless given.
-            points: number of points of the lattice along the arena.
-            speeds: the same along a velocity.
 
         Raises:
             InputError: the task is to follow a path; start or goal are forbidden.

@@ -1,12 +1,13 @@
 """The known motion of a belief, its plans under uncertainty, and progress."""
 
 import dataclasses
+import operator
 from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.kernel_filter import KernelFilter
@@ -110,9 +111,7 @@ def with_force(
     values = np.array(physics.table.values)
     values[..., :2] += force
     table = FieldTable(physics.table.grid, jnp.asarray(values))
-    return eqx.tree_at(
-        lambda model: (model.table, model.predictor.table), physics, (table, table)
-    )
+    return eqx.tree_at(lambda model: model.predictor.table, physics, table)
 
 
 def motion_of(task: Task, physics: TabulatedModel) -> AbstractMotion:
@@ -145,16 +144,14 @@ def known_rate(
     inertial = isinstance(motion, InertialMotion)
     velocity = state[dim:] if inertial else np.zeros(dim)
     middle = state[:dim] + velocity * elapsed / 2
-    values = np.asarray(_at(physics.table, jnp.asarray(middle)), float)
+    values = np.asarray(_call(physics.table, 0.0, jnp.asarray(middle)), float)
     rate, matrix = values[:dim], values[dim:].reshape(dim, dim)
     if inertial:
         return rate + thrust - (matrix - motion.damping * np.eye(dim)) @ velocity
     return rate + matrix @ thrust
 
 
-@eqx.filter_jit
-def _at(table: FieldTable, x: Float[Array, " dim"]) -> Float[Array, " channel"]:
-    return table(jnp.zeros(()), x)
+_call = eqx.filter_jit(operator.call)
 
 
 CLOCK = 1e-6
@@ -171,9 +168,7 @@ class Progress:
 
     Attributes:
         length: distance from old places that makes a place new [L].
-        places: old ones, that far apart.
-        since: when it came to the last of them, nearer, or became bolder [T].
-        state: in which it was then.
+        since: when it came to the last of the places, nearer, or became bolder [T].
         patience: stalled is who came nowhere new in so long [T], and not nearer by half
             of it.
         boldness: how often the patience ended so far.

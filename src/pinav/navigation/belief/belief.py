@@ -66,11 +66,7 @@ class Frame:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class StateEstimate:
-    """Mean and covariance of the state: position and, with inertia, velocity.
-
-    Attributes:
-        mean: (x, v) or x.
-    """
+    """Mean and covariance of the state: position and, with inertia, velocity."""
 
     mean: Float[np.ndarray, " state"]
     covariance: Square
@@ -85,7 +81,6 @@ class Belief:
     leader is the most probable one, but for a nat.
 
     Attributes:
-        count: frames so far.
         longest: longest step of a prediction [T].
     """
 

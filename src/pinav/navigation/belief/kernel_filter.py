@@ -38,7 +38,6 @@ class WeightPosterior:
         prior_sd: a, of every weight.
         members: which weights they are, in the order of their coming.
         slots: the place of each weight of the grid among them; -1 for none.
-        mean: means of the members.
         base: P_0, of the first members.
         factors: G.
         cross: $P_{yw}$.
@@ -150,9 +149,7 @@ class KernelFilter:
     """State and force for one kind of kernels and one length scale.
 
     Attributes:
-        state: mean.
         spread: covariance $P_{yy}$ of the state.
-        log_evidence: logarithm of the density of all positions so far.
     """
 
     kernels: AbstractKernels

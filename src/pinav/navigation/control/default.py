@@ -38,7 +38,6 @@ def controller(
     compensation of the delay if there is one.
 
     Args:
-        task: what is to be done, and within which limits.
         model: what is believed: a fitted model, physics alone, or the truth.
         samples: of the model's posterior, none or at least two: where they disagree,
             time costs more.
@@ -133,7 +132,6 @@ class FilterState(eqx.Module, Generic[Inner]):
     """Memory of a filter.
 
     Attributes:
-        mean: mean of the state after the last observation.
         command: the one in force when it was observed.
         time: time of the last observation [T].
     """

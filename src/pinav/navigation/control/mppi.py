@@ -145,15 +145,14 @@ _Descent = tuple[Controls, optax.OptState, Controls, Float[Array, ""]]
 
 
 class GradientMPC(AbstractController[Controls]):
-    r"""Improves sequences of thrusts by steps along the gradient of their cost.
+    r"""Improves a sequence of thrusts by steps along the gradient of its cost.
 
-    Each sequence that is kept, and that of the guide, takes Adam's steps whose length
-    falls to nothing, is brought back to the allowed thrust after each, and the best one
-    met is the answer. Kept sequences are moved on by one from step to step.
+    The sequence takes Adam's steps whose length falls to nothing, is brought back to
+    the allowed thrust after each, and the best one met is the answer. It is kept, and
+    moved on by one, from step to step.
 
     Attributes:
         cost: of a course; differentiable almost everywhere.
-        guide: proposes a further sequence in each step, or None.
         iterations: steps of descent, positive.
         rate: length of the first step, where 1 is the greatest thrust, positive.
 
@@ -163,7 +162,6 @@ class GradientMPC(AbstractController[Controls]):
 
     prediction: TrajectoryPrediction
     cost: AbstractCost
-    guide: GradientGuide | None = None
     iterations: int = eqx.field(static=True, default=20)
     rate: float = 0.15
 
@@ -180,20 +178,11 @@ class GradientMPC(AbstractController[Controls]):
         self, observation: Observation, memory: Controls, *, key: PRNGKeyArray
     ) -> tuple[Command, Controls]:
         del key
-        guesses = jnp.concatenate([memory[1:], memory[-1:]])[None]
-        if self.guide is not None:
-            guided = self.guide(observation, self.prediction)
-            guesses = jnp.concatenate([guesses, guided[None]])
-        solutions, costs = jax.vmap(lambda one: self._descend(observation, one))(
-            guesses
-        )
-        best = solutions[jnp.argmin(costs)]
+        best = self._descend(observation, jnp.concatenate([memory[1:], memory[-1:]]))
         return self.prediction.command(observation, best[0]), best
 
-    def _descend(
-        self, observation: Observation, controls: Controls
-    ) -> tuple[Controls, Float[Array, ""]]:
-        """The best sequence met on the way down, and its cost."""
+    def _descend(self, observation: Observation, controls: Controls) -> Controls:
+        """The best sequence met on the way down."""
 
         def cost(controls: Controls) -> Float[Array, ""]:
             value = self.cost(*self.prediction(observation, controls), controls)
@@ -216,16 +205,11 @@ class GradientMPC(AbstractController[Controls]):
 
         least = jnp.asarray(jnp.inf, controls.dtype)
         begin = (controls, method.init(controls), controls, least)
-        (last, _, best, least), _ = jax.lax.scan(
-            descend, begin, self._lengths(controls)
-        )
-        final = cost(last)
-        return jnp.where(final < least, last, best), jnp.minimum(final, least)
-
-    def _lengths(self, controls: Controls) -> Float[Array, " iteration"]:
-        """Lengths of the steps of descent: half a cosine, from the rate to zero."""
+        # Lengths of the steps are half a cosine, from the rate to zero.
         done = jnp.arange(self.iterations, dtype=controls.dtype) / self.iterations
-        return self.rate * (1 + jnp.cos(jnp.pi * done)) / 2
+        lengths = self.rate * (1 + jnp.cos(jnp.pi * done)) / 2
+        (last, _, best, least), _ = jax.lax.scan(descend, begin, lengths)
+        return jnp.where(cost(last) < least, last, best)
 
 
 SMALL = 0.1

@@ -14,15 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from pinav.dynamics import AbstractSwimmer, drive_by_commands
+from pinav.dynamics import AbstractSwimmer, drive_by_arrays
 from pinav.errors import InputError
+from pinav.learning.findings import ForceMaps
 from pinav.navigation.adaptive.flight import true_force
 from pinav.navigation.adaptive.steering import TO_THE_END, AdaptiveController
 from pinav.navigation.adaptive.strategies import MEAN_FORCE, with_known
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.design import candidates
-from pinav.navigation.maps import Course, ForceMaps
-from pinav.navigation.task.task import ReachGoal
+from pinav.navigation.task.task import Course, ReachGoal
 from pinav.navigation.trials.metrics import quantiles
 from pinav.navigation.trials.situation import advance_compiled, begin, mean_thrust
 from pinav.trajectories import Trajectories, Trajectory
@@ -65,7 +65,6 @@ class Campaign:
     """Recorded trajectories, and the knowledge after each of them.
 
     Attributes:
-        accuracy: relative error of the force that was asked for.
         paths: true positions of each trajectory [L].
         decisions: before the first trajectory and after each.
     """
@@ -101,7 +100,6 @@ def run_campaign(
     """A campaign in the task's true environment.
 
     Args:
-        adaptive: the task, what is known of it, and its planner.
         accuracy: relative error of the force along the way that is small enough.
         most: trajectories after which the campaign is given up.
 
@@ -242,7 +240,6 @@ def believe_data(
     Args:
         swimmer: whose propulsion drove the trajectories, by their commands where it
             takes any.
-        data: the trajectories; their positions alone are used.
         position_noise: standard deviation of each coordinate [L].
 
     Raises:
@@ -271,7 +268,7 @@ def frames_of(
     swimmer: AbstractSwimmer, piece: Trajectory, position_noise: float
 ) -> Iterator[Frame]:
     """The observed positions of a trajectory, with the thrust before each."""
-    driven = drive_by_commands(swimmer, piece)
+    driven = drive_by_arrays(swimmer, piece.times, piece.commands)
     seen = np.flatnonzero(piece.observed[:, :2].all(axis=1))
     last = None
     for k in seen:
@@ -293,8 +290,7 @@ class CampaignSummary:
         finished: campaigns in which the way became known by the belief.
         trajectories: median number of trajectories until then; infinite where more than
             half did not finish.
-        fewest: least number of trajectories of a campaign.
-        largest: greatest number; campaigns that were given up count with theirs.
+        largest: greatest number of a campaign; those that were given up count, too.
         reached: median number of trajectories until the true error was below the
             accuracy for the first time; infinite where more than half did not get
             there.
@@ -338,7 +334,6 @@ class DesignResult:
     Attributes:
         accuracy: relative error of the force along the way that is small enough.
         maps: learned force after the first campaign, or the recordings.
-        decision: knowledge of the way then.
         paths: trajectories of the first campaign of each design, or the recordings [L].
         designs: simulated campaigns by the name of their design.
         bounds: bound of the error after each trajectory, by design and campaign.

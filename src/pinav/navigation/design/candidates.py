@@ -10,9 +10,7 @@ References:
 
 import abc
 import dataclasses
-import functools
 import math
-from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -69,7 +67,6 @@ class Experiment(eqx.Module):
 
     Attributes:
         task: the swimmer, the limits of its commands, and the error of the sensor.
-        region: region in which swimmers are released.
         duration: of a trajectory [T], positive.
     """
 
@@ -146,43 +143,6 @@ class Experiment(eqx.Module):
         """Changes of heading that the coils can follow, less than half a turn."""
         most = min(self.task.limits.max_turning_rate * self.knot, 0.99 * np.pi)
         return jnp.clip(turns, -most, most)
-
-
-ExpectedSd = Callable[[CandidateTrajectories], float]
-"""Standard deviation of the force along a way that is expected after a single
-candidate; infinite where it should enter something forbidden."""
-
-
-def best_candidate(
-    expected_sd: ExpectedSd,
-    experiment: Experiment,
-    first: CandidateTrajectories,
-    *,
-    variations: int,
-    keys: Sequence[PRNGKeyArray],
-) -> tuple[CandidateTrajectories, float]:
-    """The candidate after which the force should be known best, and how well.
-
-    Args:
-        variations: variations of the best one in each later round.
-    """
-    best, least = _best(expected_sd, first)
-    for key in keys:
-        varied = experiment.vary(best, variations, key=key)
-        other, sd = _best(expected_sd, varied)
-        if sd < least:
-            best, least = other, sd
-    return best, least
-
-
-def _best(
-    expected_sd: ExpectedSd, candidates: CandidateTrajectories
-) -> tuple[CandidateTrajectories, float]:
-    """The candidate of the smallest expected standard deviation, and that."""
-    count = len(candidates.starts)
-    sds = [expected_sd(candidates[k]) for k in range(count)]
-    best = int(np.argmin(sds))
-    return candidates[best], sds[best]
 
 
 COARSE = 2
@@ -264,22 +224,38 @@ class InformedDesign(AbstractDesign):
     rounds: int = eqx.field(static=True, default=2)
 
     def choose(self, stage: Stage, *, key: PRNGKeyArray) -> CandidateTrajectories:
+        return self.best(stage, key=key)[0]
+
+    def best(
+        self, stage: Stage, *, key: PRNGKeyArray
+    ) -> tuple[CandidateTrajectories, float]:
+        """The choice, and the standard deviation that is expected after it."""
         experiment = stage.experiment
         keys = jax.random.split(key, self.rounds + 2)
         drawn = experiment.draw(4 * self.candidates, key=keys[0])
         along = _along(stage.way, drawn, experiment, keys[1])
         half = self.candidates // 2
         others = _keep_allowed(stage.adaptive.task, drawn)
-        best, _ = best_candidate(
-            functools.partial(expected_sd, stage),
-            experiment,
-            jax.tree.map(
-                lambda *leaves: jnp.concatenate(leaves), along[:half], others[:half]
-            ),
-            variations=self.variations,
-            keys=list(keys[2:]),
+        tried = jax.tree.map(
+            lambda *leaves: jnp.concatenate(leaves), along[:half], others[:half]
         )
-        return best
+        best, least = _best(stage, tried)
+        for round_key in keys[2:]:
+            varied = experiment.vary(best, self.variations, key=round_key)
+            other, sd = _best(stage, varied)
+            if sd < least:
+                best, least = other, sd
+        return best, least
+
+
+def _best(
+    stage: Stage, candidates: CandidateTrajectories
+) -> tuple[CandidateTrajectories, float]:
+    """The candidate of the smallest expected standard deviation, and that."""
+    every = [candidates[k] for k in range(len(candidates.starts))]
+    sds = [expected_sd(stage, candidate) for candidate in every]
+    best = int(np.argmin(sds))
+    return every[best], sds[best]
 
 
 def expected_sd(stage: Stage, candidate: CandidateTrajectories) -> float:
@@ -368,8 +344,7 @@ RANDOM = 12
 
 def suggest_next(stage: Stage, *, key: PRNGKeyArray) -> Suggestion | None:
     """The choice of the informed design; none where all leave the arena."""
-    chosen, experiment = InformedDesign().choose(stage, key=key), stage.experiment
-    after = expected_sd(stage, chosen)
+    chosen, after = InformedDesign().best(stage, key=key)
     if not np.isfinite(after):
         return None
     keys = jax.random.split(jax.random.fold_in(key, 1), RANDOM)
@@ -377,7 +352,7 @@ def suggest_next(stage: Stage, *, key: PRNGKeyArray) -> Suggestion | None:
     sds = np.array([expected_sd(stage, one) for one in random])
     inside = np.isfinite(sds)
     x, y = np.asarray(chosen.starts[:2], float).tolist()
-    series = experiment.knots, chosen.frequency, chosen.heading
+    series = stage.experiment.knots, chosen.frequency, chosen.heading
     return Suggestion(
         _spread(stage.belief.force(stage.way)[1]),
         after,

@@ -1,7 +1,6 @@
-r"""Lattices of states: what is swept over them, how far a step goes, and values."""
+r"""Lattices of states: how far a step goes, and the values over them."""
 
 import math
-from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -13,7 +12,6 @@ from pinav.navigation.planning.value_iteration import (
     CELLS,
     ArrivalTest,
     Corners,
-    Legs,
     Sweep,
     iterate_policies,
     iterate_sweeps,
@@ -24,36 +22,7 @@ from pinav.navigation.planning.value_iteration import (
 )
 from pinav.navigation.predictors import TabulatedModel, split_rates
 from pinav.navigation.tables import FieldTable, Grid
-from pinav.navigation.task.task import ReachGoal, Rectangle, Task
-
-Start = Float[Array, "moment ..."] | None
-"""Values of a plan before, from which a steady model is swept on; zeros for None."""
-
-
-def arrival_test(
-    objective: ReachGoal,
-    time_limit: float,
-    tables: TabulatedModel,
-    grid: Grid,
-    headings: int,
-) -> ArrivalTest:
-    """The purpose of a plan; its goal is not smaller than the grid can show.
-
-    Args:
-        objective: the place to reach.
-        time_limit: horizon of the plan [T].
-        tables: of the model.
-        grid: of positions.
-        headings: directions of the thrust that are tried.
-    """
-    tolerance = max(float(objective.tolerance), float(jnp.max(grid.spacing)) / 4)
-    return ArrivalTest(
-        objective.goal,
-        jnp.asarray(tolerance),
-        tables.time_cost,
-        tables.control_map.thrusts(headings),
-        jnp.asarray(time_limit / 2),
-    )
+from pinav.navigation.task.task import Rectangle, Task
 
 
 @eqx.filter_jit
@@ -71,44 +40,64 @@ def position_step(
     return CELLS * jnp.min(grid.spacing) / speed
 
 
+def phase_step(
+    arrival: ArrivalTest, velocities: Float[Array, " velocity"]
+) -> Float[Array, ""]:
+    """Time of a step in which the thrust crosses less than a cell [T]."""
+    width = velocities[1] - velocities[0]
+    return 0.7 * width / jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1))
+
+
 @eqx.filter_jit
-def position_values(
+def lattice_values(
     table: FieldTable,
     arrival: ArrivalTest,
     grid: Grid,
+    velocities: Float[Array, " velocity"] | None,
     step: Float[Array, ""],
-    times: Float[Array, " moment"] | None,
-    begin: Start = None,
-    sweeps: Int[Array, ""] | None = None,
+    *,
+    times: Float[Array, " moment"] | None = None,
+    begin: Float[Array, "moment ..."] | None = None,
+    most: Int[Array, ""] | None = None,
 ) -> Float[Array, "moment ..."]:
-    """Values over positions, for a swimmer without inertia.
+    """Values over positions or, with inertia, over velocities and positions.
 
     Args:
-        table: of the model.
-        arrival: what the plan is about.
-        grid: the positions.
-        step: as `position_step` says; slower steps of a steady model are longer [T].
+        velocities: the lattice along either axis [L T⁻¹]; None without inertia.
+        step: length of a step [T]; without inertia, slower steps of a steady model are
+            longer.
         times: of a model that changes [T]; None for a steady one.
-        begin: values from which a steady model is swept.
-        sweeps: of a steady model, at most; until its values have settled unless given.
+        begin: values from which a steady model is swept; zeros for None.
+        most: sweeps of a steady model, at most; None, which needs a swimmer without
+            inertia, until its values have settled.
     """
+    shape = grid.shape
+    if velocities is not None:
+        shape = (velocities.shape[0], velocities.shape[0], *shape)
+    first = jnp.zeros(shape, jnp.float32) if begin is None else begin[0]
     fastest = CELLS * jnp.min(grid.spacing) / step
-    slowest = fastest if times is not None else SLOWEST * fastest
+    speeds = (fastest if times is not None else SLOWEST * fastest, fastest)
+    if velocities is None and times is None and most is None:
+        legs = position_legs(table, arrival, grid, 0.0, speeds)
+        return iterate_policies(legs, first, 20 * max(shape), SETTLED)[None]
 
-    def legs_at(t: Scalar) -> Legs:
-        return position_legs(table, arrival, grid, t, (slowest, fastest))
+    def sweep_at(t: Scalar) -> Sweep:
+        if velocities is None:
+            legs = position_legs(table, arrival, grid, t, speeds)
+            return position_sweep(legs, shape)
+        return phase_sweep(table, arrival, grid, t, velocities, step)
 
-    if times is not None or sweeps is not None:
-        return _settle(
-            lambda t: position_sweep(legs_at(t), grid.shape),
-            grid.shape,
-            0 if sweeps is None else sweeps,
-            times,
-            begin,
-        )
-    first = jnp.zeros(grid.shape, jnp.float32) if begin is None else begin[0]
-    most = 20 * max(grid.shape)
-    return iterate_policies(legs_at(0.0), first, most, SETTLED)[None]
+    if times is not None:
+        return sweep_back(sweep_at, times, shape)
+    assert most is not None
+    return iterate_sweeps(sweep_at(0.0), first, most, SETTLED)[None]
+
+
+SETTLED = 1e-5
+"""Change of U by a sweep, below which the values of a plan have settled."""
+
+SLOWEST = 0.2
+"""Least speed for which a step of the plan is made longer, of the greatest one."""
 
 
 def settled_values(
@@ -126,7 +115,7 @@ def settled_values(
         rough = settled_values(table, arrival, coarse, region)
         begin = _refined(rough, coarse, grid)
     step = position_step(table, arrival, grid)
-    return position_values(table, arrival, grid, step, None, begin)
+    return lattice_values(table, arrival, grid, None, step, begin=begin)
 
 
 FEW = 3000
@@ -143,78 +132,12 @@ def _refined(
     return corners.interpolate(values[0]).reshape(1, *grid.shape)
 
 
-def sweep_times(
-    task: Task, table: FieldTable, step: Float[Array, ""]
-) -> Float[Array, " moment"] | None:
-    """Times at which a plan is swept, a step apart; None for a steady model."""
-    steady = table.values.shape[0] == 1
-    return None if steady else jnp.arange(0.0, task.time_limit, float(step))
-
-
-def _settle(
-    sweep_at: Callable[[Scalar], Sweep],
-    shape: tuple[int, ...],
-    most: int | Int[Array, ""],
-    times: Float[Array, " moment"] | None,
-    begin: Start,
-) -> Float[Array, "moment ..."]:
-    """Values at each time; at one time, after `most` sweeps, for a steady model."""
-    if times is None:
-        first = jnp.zeros(shape, jnp.float32) if begin is None else begin[0]
-        return iterate_sweeps(sweep_at(0.0), first, most, SETTLED)[None]
-    return sweep_back(sweep_at, times, shape)
-
-
-SETTLED = 1e-5
-"""Change of U by a sweep, below which the values of a plan have settled."""
-
-
-SLOWEST = 0.2
-"""Least speed for which a step of the plan is made longer, of the greatest one."""
-
-
-def phase_step(
-    arrival: ArrivalTest, velocities: Float[Array, " velocity"]
-) -> Float[Array, ""]:
-    """Time of a step in which the thrust crosses less than a cell [T]."""
-    width = velocities[1] - velocities[0]
-    return 0.7 * width / jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1))
-
-
-@eqx.filter_jit
-def phase_values(
-    table: FieldTable,
-    arrival: ArrivalTest,
-    grid: Grid,
-    velocities: Float[Array, " velocity"],
-    steps: tuple[Float[Array, ""], Int[Array, ""]],
-    times: Float[Array, " moment"] | None,
-    begin: Start = None,
-) -> Float[Array, "moment velocity velocity x y"]:
-    """Values over velocities and positions, for a swimmer with inertia.
-
-    Args:
-        table: of the model.
-        arrival: what the plan is about.
-        grid: the positions.
-        velocities: the lattice along either axis [L T⁻¹].
-        steps: how long a step is [T], and how many sweeps there may be.
-        times: of a model that changes [T]; None for a steady one.
-        begin: values from which a steady model is swept.
-    """
-    step, most = steps
-    shape = (velocities.shape[0], velocities.shape[0], *grid.shape)
-
-    def sweep_at(t: Scalar) -> Sweep:
-        return phase_sweep(table, arrival, grid, t, velocities, step)
-
-    return _settle(sweep_at, shape, most, times, begin)
-
-
-def top_speed(task: Task, tables: TabulatedModel, arrival: ArrivalTest) -> float:
+def top_speed(
+    task: Task, tables: TabulatedModel, thrusts: Float[Array, "heading dim"]
+) -> float:
     """Speed that the plan has to know: where thrust and mean force meet the drag."""
     forces, drags = split_rates(tables.table.values)
-    thrust = float(jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1)))
+    thrust = float(jnp.max(jnp.linalg.norm(thrusts, axis=1)))
     force = float(jnp.mean(jnp.linalg.norm(forces, axis=-1)))
     drag = float(jnp.mean(jnp.trace(drags, axis1=-2, axis2=-1))) / task.dim
     extent = float(jnp.linalg.norm(task.arena.upper - task.arena.lower))

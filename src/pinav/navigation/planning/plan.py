@@ -15,13 +15,10 @@ from jaxtyping import Array, Bool, Float
 from pinav.arguments import Scalar, State, Vector
 from pinav.errors import InputError
 from pinav.navigation.planning.lattice import (
-    arrival_test,
+    lattice_values,
     phase_step,
-    phase_values,
     position_step,
-    position_values,
     settled_values,
-    sweep_times,
     top_speed,
 )
 from pinav.navigation.planning.value_iteration import ArrivalTest
@@ -212,20 +209,17 @@ class Planner(eqx.Module):
         """The lattice of a task.
 
         Args:
-            task: what is to be done.
-            objective: its place to reach.
             tables: of a model, by which the velocities are chosen.
             points: along the longer side of the region.
             speeds: points along either axis of the velocity.
-            region: the arena unless given.
             headroom: greatest speed over that of the thrust against the drag.
         """
         region = task.arena if region is None else region
         planner = cls(task, objective, region, Grid.over(region, points))
         if not isinstance(tables.predictor, InertialTable):
             return planner
-        arrival = planner._arrival(tables, PHASE_HEADINGS)
-        top = headroom * top_speed(task, tables, arrival)
+        thrusts = tables.control_map.thrusts(PHASE_HEADINGS)
+        top = headroom * top_speed(task, tables, thrusts)
         velocities = jnp.linspace(-top, top, speeds)
         return dataclasses.replace(planner, velocities=velocities)
 
@@ -248,73 +242,68 @@ class Planner(eqx.Module):
             begin: values of the last plan; zeros unless given.
             sweeps: at most; until the values have settled unless given.
         """
-        if self.velocities is None:
-            return self._over_positions(tables, begin, sweeps)
-        velocities, width = self.velocities, self.velocities[1] - self.velocities[0]
-        arrival = self._arrival(tables, PHASE_HEADINGS)
-        step = phase_step(arrival, velocities)
-        if sweeps is None:
-            most = math.ceil(self.task.time_limit / float(step))
-        else:
-            most, shape = sweeps, (len(velocities), len(velocities), *self.grid.shape)
-            begin = jnp.zeros((1, *shape), jnp.float32) if begin is None else begin
-        values = phase_values(
+        task, grid, velocities = self.task, self.grid, self.velocities
+        table, shape, lower, spacing = (
             tables.table,
-            arrival,
-            self.grid,
-            velocities,
-            (step, jnp.asarray(most)),
-            sweep_times(self.task, tables.table, step),
-            begin,
+            grid.shape,
+            grid.lower,
+            grid.spacing,
         )
-        lower = jnp.concatenate([jnp.full(2, velocities[0]), self.grid.lower])
-        spacing = jnp.concatenate([jnp.full(2, width), self.grid.spacing])
-        return self._assemble(tables, arrival, values, (lower, spacing), step)
-
-    def _over_positions(
-        self,
-        tables: TabulatedModel,
-        begin: Float[Array, "moment ..."] | None,
-        sweeps: int | None,
-    ) -> TimeToGo:
-        task, grid = self.task, self.grid
-        arrival = self._arrival(tables, HEADINGS[task.dim])
-        # Times would be a fourth axis in space: there the plan is that of the mean.
-        table = tables.table if task.dim == 2 else tables.table.mean
-        step = position_step(table, arrival, grid)
-        times = sweep_times(task, table, step)
-        if times is None and sweeps is None and begin is None:
+        arrival = self._arrival(tables)
+        most = None if sweeps is None else jnp.asarray(sweeps)
+        if velocities is None:
+            # Times would be a fourth axis in space: there the plan is that of the mean.
+            table = table if task.dim == 2 else table.mean
+            step = position_step(table, arrival, grid)
+        else:
+            step = phase_step(arrival, velocities)
+            if most is None:
+                most = jnp.asarray(math.ceil(task.time_limit / float(step)))
+            shape = (len(velocities), len(velocities), *shape)
+            width = velocities[1] - velocities[0]
+            lower = jnp.concatenate([jnp.full(2, velocities[0]), lower])
+            spacing = jnp.concatenate([jnp.full(2, width), spacing])
+        if sweeps is not None and begin is None:
+            begin = jnp.zeros((1, *shape), jnp.float32)
+        steady = table.values.shape[0] == 1
+        if steady and begin is None and most is None:
             values = settled_values(table, arrival, grid, self.region)
         else:
-            most = None if sweeps is None else jnp.asarray(sweeps)
-            if begin is None and times is None:
-                begin = jnp.zeros((1, *grid.shape), jnp.float32)
-            values = position_values(table, arrival, grid, step, times, begin, most)
-        return self._assemble(tables, arrival, values, (grid.lower, grid.spacing), step)
-
-    def _arrival(self, tables: TabulatedModel, headings: int) -> ArrivalTest:
-        return arrival_test(
-            self.objective, self.task.time_limit, tables, self.grid, headings
-        )
-
-    def _assemble(
-        self,
-        tables: TabulatedModel,
-        arrival: ArrivalTest,
-        values: Float[Array, "moment ..."],
-        lattice: tuple[State, State],
-        step: Float[Array, ""],
-    ) -> TimeToGo:
-        """The plan whose values stand on a lattice."""
+            times = None if steady else jnp.arange(0.0, task.time_limit, float(step))
+            values = lattice_values(
+                table,
+                arrival,
+                grid,
+                velocities,
+                step,
+                times=times,
+                begin=begin,
+                most=most,
+            )
         return TimeToGo(
             values,
-            *lattice,
+            lower,
+            spacing,
             scale=arrival.scale,
             step=step,
-            horizon=float(self.task.time_limit),
+            horizon=float(task.time_limit),
             tables=tables,
             goal=arrival.goal,
             tolerance=arrival.tolerance,
+        )
+
+    def _arrival(self, tables: TabulatedModel) -> ArrivalTest:
+        """The purpose of a plan; its goal is not smaller than the grid can show."""
+        headings = HEADINGS[self.task.dim]
+        if self.velocities is not None:
+            headings = PHASE_HEADINGS
+        tolerance = max(float(self.objective.tolerance), self.cell / 4)
+        return ArrivalTest(
+            self.objective.goal,
+            jnp.asarray(tolerance),
+            tables.time_cost,
+            tables.control_map.thrusts(headings),
+            jnp.asarray(self.task.time_limit / 2),
         )
 
 
@@ -330,7 +319,6 @@ def time_to_go(
 
     Args:
         task: whose objective is to reach a place; its truth is not used.
-        model: what is believed.
         tables: tables of the model; `tabulate_model(task, model)` unless given.
         points: of the plan, along the longer side of the arena; 101 for positions in
             the plane, 41 for positions in space and for positions and velocities in

@@ -116,7 +116,6 @@ class Legs(eqx.Module):
 
     Attributes:
         discount: of what follows; zero through a wall.
-        arrives: whether they end in the goal.
     """
 
     discount: Float[Array, "*heading point"]
@@ -145,8 +144,6 @@ def position_legs(
 
     Args:
         table: velocity without thrust and mobility.
-        arrival: the goal, the walls, the thrust.
-        grid: the positions.
         t: when the steps begin [T].
         speeds: a step is as long as crossing `CELLS` takes at its speed, or at the
             first of these where it is slower; not longer than at the second [L T⁻¹].

@@ -236,7 +236,10 @@ class Way:
             )
         actuator, limits, lag = self._actuation(model)
         rest = [0.0] * len(self.start) if isinstance(truth, Swimmer) else []
-        discs = (Disc(list(middle), radius) for *middle, radius in self.keep_out)
+        zones = [Disc(list(middle), radius) for *middle, radius in self.keep_out]
+        mobility = getattr(model, "mobility", None)
+        if isinstance(mobility, WallMobility):
+            zones = [*zones, Behind(mobility.wall, mobility.radius)]
         return Task(
             name=name,
             truth=SteeredSwimmer(truth, actuator),
@@ -244,7 +247,7 @@ class Way:
             objective=ReachGoal(list(self.goal), self.tolerance),
             limits=limits,
             arena=self._arena(places),
-            keep_out=(*discs, *_walls(model)),
+            keep_out=tuple(zones),
             step=self.step,
             time_limit=self.time_limit,
             noise=self.noise,
@@ -274,14 +277,6 @@ class Way:
         if places is not None:
             inside = np.concatenate([inside, places])
         return Rectangle(inside.min(axis=0), inside.max(axis=0))
-
-
-def _walls(model: AbstractSwimmer) -> tuple[Behind, ...]:
-    """The wall that the mobility knows, which the swimmer's surface must not touch."""
-    mobility = getattr(model, "mobility", None)
-    if not isinstance(mobility, WallMobility):
-        return ()
-    return (Behind(mobility.wall, mobility.radius),)
 
 
 TASKS: dict[str, tuple[Callable[[str], Task], str]] = {

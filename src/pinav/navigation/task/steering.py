@@ -85,12 +85,13 @@ class SteeredSwimmer(eqx.Module):
 
     def under(self, command: Command) -> AbstractSwimmer:
         """The dynamics while a command holds."""
-        return self.with_propulsion(HeldThrust(self.actuator(command)))
+        return with_thrust(self.dynamics, self.actuator(command))
 
-    def with_propulsion(self, thrust: AbstractForce) -> AbstractSwimmer:
-        """The dynamics with another propulsion."""
-        # Not tree_at: the replaced propulsion may hold leaves under several names.
-        return dataclasses.replace(self.dynamics, propulsion=thrust)
+
+def with_thrust(dynamics: AbstractSwimmer, thrust: Vector) -> AbstractSwimmer:
+    """The dynamics with a thrust that holds as their propulsion."""
+    # Not tree_at: the replaced propulsion may hold leaves under several names.
+    return dataclasses.replace(dynamics, propulsion=HeldThrust(thrust))
 
 
 @eqx.filter_jit

@@ -1,6 +1,7 @@
 """A navigation task: its objective, and the places where a swimmer must not be."""
 
 import abc
+import dataclasses
 import math
 
 import equinox as eqx
@@ -12,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 from pinav.arguments import Scalar, State, Vector, check_positive, point, real_array
 from pinav.dynamics import AbstractSwimmer
 from pinav.errors import InputError
+from pinav.evaluation import FieldMap
 from pinav.forces import AbstractSurface
 from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
 
@@ -222,7 +224,6 @@ class Behind(AbstractZone):
     """The region behind a surface, or nearer to it than a distance.
 
     Attributes:
-        surface: such as a wall of the system.
         nearest: distance that is kept from it, such as the swimmer's radius [L].
     """
 
@@ -283,8 +284,6 @@ class Task(eqx.Module):
     The controller knows all of this but `truth`, of which it has a model.
 
     Attributes:
-        arena: what must not be left.
-        keep_out: what must not be entered.
         step: how long a command holds [T].
         time_limit: when the task is over [T].
         noise: strength of the white noise: of the acceleration [L T^-3/2] where the
@@ -346,3 +345,40 @@ class Task(eqx.Module):
 def steered_swimmer(task: Task, dynamics: AbstractSwimmer) -> SteeredSwimmer:
     """Fitted dynamics under the commands of a task."""
     return SteeredSwimmer(dynamics, task.truth.actuator)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Course:
+    """The places of a task of reaching a goal.
+
+    Attributes:
+        arena: lower and upper corner [L].
+        discs: centre and radius of each disc, or ball, that must not be entered [L].
+    """
+
+    arena: Float[np.ndarray, "2 dim"]
+    start: Float[np.ndarray, " dim"]
+    goal: Float[np.ndarray, " dim"]
+    tolerance: float
+    discs: Float[np.ndarray, "disc number"]
+
+    @classmethod
+    def of(cls, task: Task) -> "Course":
+        """The places of a task whose objective is a place to reach."""
+        goal, dim = task.objective, task.dim
+        assert isinstance(goal, ReachGoal)
+        discs = [[*z.center, z.radius] for z in task.keep_out if isinstance(z, Disc)]
+        return cls(
+            arena=np.array([task.arena.lower, task.arena.upper], float),
+            start=np.asarray(task.start[:dim], float),
+            goal=np.asarray(goal.goal, float),
+            tolerance=float(goal.tolerance),
+            discs=np.array(discs, float).reshape(-1, dim + 1),
+        )
+
+    def grid(self, points: int) -> FieldMap:
+        """A map of no force, with so many points along each side of the arena."""
+        lower, upper = self.arena
+        x, y = np.linspace(lower, upper, points).T
+        shape = len(y), len(x)
+        return FieldMap(x, y, np.zeros((*shape, 2)), np.zeros(shape))

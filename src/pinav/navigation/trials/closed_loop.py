@@ -5,6 +5,7 @@ and gives a command; see `pinav.navigation.trials.situation` for what becomes of
 """
 
 import dataclasses
+import operator
 import time
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -41,7 +42,6 @@ class Episodes(eqx.Module):
     After the end of a run its last state stays.
 
     Attributes:
-        states: true states then.
         commands: what was commanded from each of them on, within the limits.
         steps: control steps until it ended.
         reached: whether the task was done, without a violation before.
@@ -108,7 +108,6 @@ class Step(Generic[Memory]):
     """A control step of an episode.
 
     Attributes:
-        memory: of the controller after its decision.
         seconds: computing time of the decision [s].
     """
 
@@ -132,7 +131,7 @@ def episode(
     Args:
         truth: the true swimmer; that of the task unless given.
     """
-    decide = partial(_decide, controller) if is_compiled else controller
+    decide = partial(_call, controller) if is_compiled else controller
     truth = task.truth if truth is None else truth
     now, memory = begin(task), None
     while not _ended(now, task):
@@ -191,17 +190,7 @@ def run_many(
     return Episodes.of(task, last, states, commands)
 
 
-@eqx.filter_jit
-def _decide(
-    controller: AbstractController[Memory],
-    observation: Observation,
-    memory: Memory,
-    *,
-    key: PRNGKeyArray,
-) -> tuple[Command, Memory]:
-    return controller(observation, memory, key=key)
-
-
+_call = eqx.filter_jit(operator.call)
 _ended = eqx.filter_jit(Situation.ended)
 
 

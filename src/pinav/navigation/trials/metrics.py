@@ -72,11 +72,13 @@ def summary(episodes: Episodes, task: Task) -> Summary:
     follows = isinstance(task.objective, FollowPath)
     done = ~episodes.violated if follows else episodes.reached
     arrived = episodes.arrival_time[episodes.reached]
+    during = _within_episode(episodes, episodes.commands.shape[1])
+    power = np.where(during, episodes.commands[..., 0] ** 2, 0.0)
     efficiencies = _efficiencies(episodes, task)[episodes.reached]
     nothing = np.full(count, np.nan)
     tracking, squares = (
-        tracking_errors(episodes, task, power=power) if follows else nothing
-        for power in (1, 2)
+        tracking_errors(episodes, task, power=exponent) if follows else nothing
+        for exponent in (1, 2)
     )
     return Summary(
         runs=count,
@@ -87,7 +89,7 @@ def summary(episodes: Episodes, task: Task) -> Summary:
         tracking=float(np.mean(tracking)),
         tracking_rms=float(np.sqrt(np.mean(squares))),
         clearance=float(np.min(episodes.clearance)),
-        effort=float(np.mean(_efforts(episodes, task))),
+        effort=float(np.mean(task.step * np.sum(power, axis=1))),
         turning=float(np.mean(_turnings(episodes))),
     )
 
@@ -172,12 +174,6 @@ def _efficiencies(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode
         axis=1,
     )
     return straight / np.maximum(lengths, np.finfo(float).tiny)
-
-
-def _efforts(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode"]:
-    during = _within_episode(episodes, episodes.commands.shape[1])
-    squares = np.where(during, episodes.commands[..., 0] ** 2, 0.0)
-    return task.step * np.sum(squares, axis=1)
 
 
 def _turnings(episodes: Episodes) -> Float[np.ndarray, " episode"]:

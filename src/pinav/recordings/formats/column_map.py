@@ -9,7 +9,7 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.recordings import units
 from pinav.recordings.conventions import TURNS
-from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
+from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks, read_commands
 from pinav.recordings.source import AbstractFormat, Source
 from pinav.recordings.table import Table
 
@@ -57,7 +57,7 @@ class MappedTable(AbstractFormat):
         check_one_unit(units_of)
         factor, length_unit = units.length(units_of.get("x"))
         time, time_unit = _times(table, columns, units_of.get("t", ""))
-        commands = _commands(table, columns, units_of)
+        commands = read_commands(table, columns, units_of)
         return Tracks.of_table(
             table,
             columns,
@@ -105,17 +105,6 @@ def _times(
         rows = np.flatnonzero(names == name)
         times[rows] = np.cumsum(steps[rows]) - steps[rows[0]]
     return factor * times, known
-
-
-def _commands(
-    table: Table, columns: Mapping[str, str], stated: Mapping[str, str]
-) -> dict[str, np.ndarray]:
-    return {
-        name: table.numbers(columns[name], lost=True)
-        * units.command(name, unit, stated.get(name, unit))
-        for name, unit in COMMAND_UNITS.items()
-        if name in columns
-    }
 
 
 def long_table(

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from pinav.errors import InputError
 from pinav.recordings import units
 from pinav.recordings.layout import read_sheets, table_of
-from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
+from pinav.recordings.rows import Reading, Tracks, read_commands
 from pinav.recordings.source import AbstractFormat, Source
 from pinav.recordings.table import Table
 
@@ -215,15 +215,13 @@ def _commands(
     index = np.searchsorted(logged[order], frame, "right") - 1
     row = order[np.maximum(index, 0)]
     known = (index >= 0) & (logged[row] == frame)
-    commands = {}
-    for column in table.columns:
-        name = _COMMANDS.get(_UNIT.sub("", column))
-        if name is not None:
-            target = COMMAND_UNITS[name]
-            stated = _UNIT.search(column)
-            factor = units.command(name, target, stated[1] if stated else target)
-            values = factor * table.numbers(column, lost=True)
-            commands[name] = np.where(known, values[row], np.nan)
+    columns = {_UNIT.sub("", column): column for column in table.columns}
+    named = {name: columns[word] for word, name in _COMMANDS.items() if word in columns}
+    stated = {n: match[1] for n, c in named.items() if (match := _UNIT.search(c))}
+    commands = {
+        name: np.where(known, values[row], np.nan)
+        for name, values in read_commands(table, named, stated).items()
+    }
     missing = int((~known).sum())
     if missing == len(frame):
         raise InputError(

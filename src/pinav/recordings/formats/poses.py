@@ -73,9 +73,11 @@ def _from_csv(source: Source) -> tuple[np.ndarray, dict[str, Table]]:
     levels = {row[0].strip(): row[1:] for row in head if row and row[0] in _LEVELS}
     for level in ("scorer", "bodyparts", "coords"):
         if level not in levels:
+            place = _LEVELS.index(level) - (level != "scorer")
+            got = head[place][0] if place < len(head) and head[place] else ""
             raise InputError(
-                f"line {1 + _LEVELS.index(level) - (level != 'scorer')}: expected the "
-                f"header row {level!r}, got {_first(head, level)!r}; export it again"
+                f"line {1 + place}: expected the header row {level!r}, got {got!r}; "
+                "export it again"
             )
     names = _names(levels)
     width = len(levels["coords"])
@@ -89,11 +91,6 @@ def _from_csv(source: Source) -> tuple[np.ndarray, dict[str, Table]]:
     table = source.read_text_table(skip=len(levels) - 1, names=["frame", *unique])
     columns = [table.columns[name] for name in unique]
     return table.whole_numbers("frame", least=0), _parts(names, columns, table)
-
-
-def _first(head: list[list[str]], level: str) -> str:
-    index = _LEVELS.index(level) - (level != "scorer")
-    return head[index][0] if index < len(head) and head[index] else ""
 
 
 def _names(levels: dict[str, list[str]]) -> list[tuple[str, str]]:

@@ -1,6 +1,7 @@
 """Tables and lines of text that are known by the names of their columns."""
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import final
@@ -10,7 +11,7 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.recordings import units
 from pinav.recordings.formats.column_map import long_table
-from pinav.recordings.rows import COMMAND_UNITS, Tracks, varying
+from pinav.recordings.rows import Tracks, read_commands, varying
 from pinav.recordings.source import AbstractFormat, Source
 from pinav.recordings.table import Table
 
@@ -178,16 +179,16 @@ Those without a column `Track` are of one particle.
 
 
 TIDY_COMMANDS: Mapping[str, str] = {
-    "freq_hz": "frequency",
-    "alpha_rad": "heading",
-    "gamma_rad": "gamma",
-    "psi_rad": "psi",
-    "bx": "field_x",
-    "by": "field_y",
-    "bz": "field_z",
-    "acoustic_hz": "acoustic_frequency",
+    "frequency": "freq_hz",
+    "heading": "alpha_rad",
+    "gamma": "gamma_rad",
+    "psi": "psi_rad",
+    "field_x": "bx",
+    "field_y": "by",
+    "field_z": "bz",
+    "acoustic_frequency": "acoustic_hz",
 }
-"""Commands by the names of their columns."""
+"""Column of each command."""
 
 
 @final
@@ -219,11 +220,9 @@ class Tidy(AbstractFormat):
         return Tracks.of_table(
             table,
             columns | {name: name for name in others if name in has},
-            commands={
-                name: table.numbers(column, lost=True)
-                for column, name in TIDY_COMMANDS.items()
-                if column in has
-            },
+            commands=read_commands(
+                table, {n: c for n, c in TIDY_COMMANDS.items() if c in has}, {}
+            ),
             length_unit=unit,
             y_down=not in_um,
         )
@@ -251,49 +250,30 @@ class SFI(AbstractFormat):
         return {"particle_id", "frame"} <= set(next(lines, "").split(","))
 
     def tracks(self, source: Source) -> Tracks:
-        comments = _comments(source.text)
+        lines = source.text.splitlines()
+        comments = [*itertools.takewhile(lambda line: line.startswith("#"), lines)]
         table = source.read_text_table(skip=len(comments))
         facts = dict(_entry(line) for line in comments if ":" in line)
-        frame = table.whole_numbers("frame", least=0)
+        frame, time = table.whole_numbers("frame", least=0), None
+        if "dt" in facts:
+            time = frame * units.interval("comment 'dt'", facts["dt"])
         extras = {_PREFIX.sub("", name): name for name in table.columns}
         return Tracks.of_table(
             table,
             {"x": "x", "y": "y", "particle": "particle_id", "frame": "frame"},
             frame=frame,
-            time=frame * _interval(facts["dt"]) if "dt" in facts else None,
+            time=time,
             time_unit="?",
             length_unit="?",
             y_down=False,
-            commands={
-                name: table.numbers(extras[name], lost=True)
-                for name in COMMAND_UNITS
-                if name in extras
-            },
+            commands=read_commands(table, extras, {}),
             facts={"comments": facts},
         )
-
-
-def _comments(text: str) -> list[str]:
-    lines = text.splitlines()
-    rest = (i for i, line in enumerate(lines) if not line.startswith("#"))
-    return lines[: next(rest, len(lines))]
 
 
 def _entry(line: str) -> tuple[str, str]:
     key, _, value = line.lstrip("# ").partition(":")
     return key.strip(), value.strip()
-
-
-def _interval(word: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < float("inf"):
-        raise InputError(
-            f"comment 'dt': expected a number > 0, got {word!r}; correct the comment"
-        )
-    return value
 
 
 @final

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 
@@ -46,7 +46,8 @@ class TrackMateCSV(AbstractFormat):
     def tracks(self, source: Source) -> Tracks:
         table = source.read_text_table()
         stated: dict[str, str] = {}
-        if "POSITION_X" in table.columns and _is_raw(table):
+        first = [str(cell).strip() for cell in table.columns.get("POSITION_X", ())[:1]]
+        if first in (["X"], ["Position X"]):
             stated = _units(table)
             table = source.read_text_table(below=_ABOVE)
         for name in ("particle", "x", "y", "frame"):
@@ -75,10 +76,6 @@ class TrackMateCSV(AbstractFormat):
             notes=notes,
             facts={"header rows": 1 + _ABOVE if stated else 1},
         )
-
-
-def _is_raw(table: Table) -> bool:
-    return str(table.columns["POSITION_X"][0]).strip() in ("X", "Position X")
 
 
 def _units(table: Table) -> dict[str, str]:
@@ -140,48 +137,35 @@ def _root_tag(content: bytes) -> str:
     return match[1].decode() if match else ""
 
 
-def _number(element: Any, name: str, where: str) -> float:
-    text = element.get(name)
-    try:
-        value = float(text) if text is not None and "_" not in text else float("nan")
-    except ValueError:
-        value = float("nan")
-    if value - value != 0:  # neither NaN nor infinite
-        got = "nothing" if text is None else repr(text)
-        raise InputError(
-            f"{where}, attribute {name!r}: expected a finite number, got {got}; "
-            "export the tracks again"
-        )
-    return value
+Spot = tuple[str, str, Any]
+"""Name of the particle of a position, its place for messages, and its element."""
 
 
-class _Spot(NamedTuple):
-    """A position among the elements of a document, and the name of its particle."""
+def _detections(parents: Iterable[Spot]) -> list[Spot]:
+    """The detections within elements, one element after the other."""
+    return [
+        (name, f"{place}, detection {count}", one)
+        for name, place, parent in parents
+        for count, one in enumerate(parent.iterfind("detection"), start=1)
+    ]
 
-    particle: str
-    place: str
-    element: Any
 
-
-def _numbers(spots: Sequence[_Spot], names: Iterable[str]) -> np.ndarray:
-    return np.array(
-        [[_number(spot.element, name, spot.place) for spot in spots] for name in names]
-    )
+def _table(spots: Sequence[Spot], names: Iterable[str], source: Source) -> Table:
+    """The attributes of spots as columns of text."""
+    particles, places, elements = zip(*spots, strict=True)
+    columns = {name: [one.get(name) for one in elements] for name in names}
+    rows = np.array(places, object)
+    return Table({"particle": particles, **columns}, rows, "", faults=source.faults)
 
 
 def _tracks(
-    spots: Sequence[_Spot], positions: np.ndarray, frame: np.ndarray, **others: Any
+    table: Table, axes: Sequence[str], frame: str, scale: float = 1.0, **others: Any
 ) -> Tracks:
-    x, y, *heights = positions
-    return Tracks(
-        x=x,
-        y=y,
-        z=varying(heights[0]) if heights else None,
-        place=lambda row: spots[row].place,
-        particle=[spot.particle for spot in spots],
-        frame=frame,
-        **others,
-    )
+    """The rows of a table in which every spot has a place; z is kept if it varies."""
+    x, y, *heights = (scale * table.numbers(name) for name in axes)
+    headings = {"x": axes[0], "y": axes[1], "particle": "particle", "frame": frame}
+    z = varying(heights[0]) if heights else None
+    return Tracks.of_table(table, headings, x=x, y=y, z=z, **others)
 
 
 @final
@@ -198,28 +182,25 @@ class TrackMateXML(AbstractFormat):
         particles = root.findall("particle")
         if not particles:
             raise InputError("element <Tracks>: no <particle> in it; export again")
-        spots = []
         for index, particle in enumerate(particles, start=1):
-            detections = particle.findall("detection")
-            _check_count(particle, index, len(detections))
-            spots += [
-                _Spot(str(index - 1), f"particle {index}, detection {count}", one)
-                for count, one in enumerate(detections, start=1)
-            ]
+            _check_count(particle, index)
+        spots = _detections(
+            (str(i), f"particle {i + 1}", one) for i, one in enumerate(particles)
+        )
         if not spots:
             raise InputError("element <particle>: no <detection>; export again")
         factor, unit = units.length(root.get("spaceUnits"))
-        values = _numbers(spots, "txy")
-        frame = _frames(values[0], spots)
+        table = _table(spots, "txy", source)
+        frame = table.whole_numbers("t", least=0)
         time, time_unit, notes = _calibrated_times(root, frame, source.reading)
         return _tracks(
-            spots,
-            factor * values[1:],
-            frame,
+            table,
+            "xy",
+            "t",
+            factor,
             time=time,
             length_unit=unit,
             time_unit=time_unit,
-            columns={"frame": "t"},
             notes=notes,
         )
 
@@ -234,8 +215,8 @@ def _root(content: bytes) -> Any:
     return root
 
 
-def _check_count(particle: Any, index: int, count: int) -> None:
-    stated = particle.get("nSpots")
+def _check_count(particle: Any, index: int) -> None:
+    stated, count = particle.get("nSpots"), len(particle.findall("detection"))
     if stated is not None and stated.strip() != str(count):
         raise InputError(
             f"particle {index}, attribute 'nSpots': expected {stated} detections, got "
@@ -243,31 +224,12 @@ def _check_count(particle: Any, index: int, count: int) -> None:
         )
 
 
-def _frames(values: np.ndarray, spots: Sequence[_Spot]) -> np.ndarray:
-    wrong = (values != np.round(values)) | (values < 0)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise InputError(
-            f"{spots[row].place}, attribute 't': expected a frame, a whole number "
-            f">= 0, got {values[row]:g}; export the tracks again"
-        )
-    return values.astype(np.int64)
-
-
 def _calibrated_times(
     root: Any, frame: np.ndarray, reading: Reading
 ) -> tuple[np.ndarray | None, str, tuple[str, ...]]:
     """Times from the frame interval, unless it is the 1 of a film never calibrated."""
-    text = root.get("frameInterval") or "1"
-    try:
-        interval = float(text)
-    except ValueError:
-        interval = np.nan
-    if not 0 < interval < np.inf:
-        raise InputError(
-            f"element <Tracks>, attribute 'frameInterval': expected > 0, got {text!r}; "
-            "correct it, or export again"
-        )
+    where = "element <Tracks>, attribute 'frameInterval'"
+    interval = units.interval(where, root.get("frameInterval") or "1")
     factor, unit = units.duration(root.get("timeUnits"))
     if unit == "frame":
         return None, unit, ()
@@ -298,7 +260,7 @@ class TrackMateProject(AbstractFormat):
             raise InputError("element <TrackMate>: no <Model> in it; save it again")
         owner = _owners(model)
         spots = [
-            _Spot(owner[spot.get("ID")], f"spot {spot.get('ID')}", spot)
+            (owner[spot.get("ID")], f"spot {spot.get('ID')}", spot)
             for spot in model.iterfind("AllSpots/SpotsInFrame/Spot")
             if spot.get("ID") in owner
         ]
@@ -307,20 +269,20 @@ class TrackMateProject(AbstractFormat):
                 "element <AllTracks>: no spot belongs to a track; track them, then "
                 "save the project again"
             )
-        names = ("POSITION_X", "POSITION_Y", "POSITION_Z", "FRAME")
-        *positions, frame = _numbers(spots, names)
+        axes = [f"POSITION_{axis}" for axis in "XYZ"]
+        table = _table(spots, [*axes, "FRAME"], source)
         factor, unit = units.length(model.get("spatialunits"))
         rate, time_unit = units.duration(model.get("timeunits"))
-        interval = None if time_unit == "frame" else _interval(root)
-        frames = np.round(frame).astype(np.int64)
+        interval = None if time_unit == "frame" else _interval(root, source)
+        frame = table.whole_numbers("FRAME", least=0)
         return _tracks(
-            spots,
-            factor * np.array(positions),
-            frames,
-            time=None if interval is None else rate * interval * frames,
+            table,
+            axes,
+            "FRAME",
+            factor,
+            time=None if interval is None else rate * interval * frame,
             length_unit=unit,
             time_unit="frame" if interval is None else time_unit,
-            columns={"frame": "FRAME"},
         )
 
 
@@ -338,12 +300,13 @@ def _owners(model: Any) -> dict[str, str]:
     return owners
 
 
-def _interval(root: Any) -> float | None:
+def _interval(root: Any, source: Source) -> float | None:
     """Time from frame to frame; None where the film was never calibrated."""
     image = root.find("Settings/ImageData")
     if image is None or image.get("timeinterval") is None:
         return None
-    value = _number(image, "timeinterval", "element <ImageData>")
+    table = _table([("", "element <ImageData>", image)], ["timeinterval"], source)
+    value = float(table.numbers("timeinterval")[0])
     return None if value in (0.0, 1.0) else value
 
 
@@ -361,19 +324,14 @@ class Icy(AbstractFormat):
         return is_root and b"<trackgroup" in source.content
 
     def tracks(self, source: Source) -> Tracks:
-        names: list[str] = []
-        spots = []
-        for track in _parse(source.content).iterfind("trackgroup/track"):
-            name = track.get("id") or str(len(set(names)))
-            names.append(name)
-            spots += [
-                _Spot(name, f"track {name}, detection {count}", one)
-                for count, one in enumerate(track.iterfind("detection"), start=1)
-            ]
+        tracks = _parse(source.content).findall("trackgroup/track")
+        names = [one.get("id") or str(place) for place, one in enumerate(tracks)]
+        spots = _detections(
+            (name, f"track {name}", one)
+            for name, one in zip(names, tracks, strict=True)
+        )
         if not spots:
             raise InputError(
                 "element <trackgroup>: no <detection>; save the tracks again"
             )
-        frame, *positions = _numbers(spots, "txyz")
-        frames = np.round(frame).astype(np.int64)
-        return _tracks(spots, np.array(positions), frames, columns={"frame": "t"})
+        return _tracks(_table(spots, "txyz", source), "xyz", "t")
