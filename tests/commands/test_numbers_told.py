@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from tests.samples import stand_in
+from tests.samples import sample, stand_in
 
 from pinav.analysis.analysis import Analysis
 from pinav.analysis.discovery.force_sample import CentralTest
@@ -87,7 +87,7 @@ def test_a_navigation_tells_its_plan_and_its_runs():
         Navigation,
         plan=plan,
         computing=ComputingTimes(1.5, 0.002),
-        units=UNITS,
+        units=UNITS | {"order": "1"},
         truth=None,
         delay=0.3,
         refused={"straight": "no way"},
@@ -101,13 +101,18 @@ def test_a_navigation_tells_its_plan_and_its_runs():
         "Commands act after 0.300 s",
         "straight: no way",
         "drawn from the posterior",
-        "from 0.40",
-        "to 0.10",
-        "a random one to 0.30",
+        "from 0.40 um s⁻¹ to 0.10 um s⁻¹, a random one to 0.30 um s⁻¹",
     ):
         assert words in text, words
+    whole = stand_in(PlannedWay, time=7.5, unreachable=0.0)
+    known = dataclasses.replace(
+        sample(Navigation), plan=whole, truth="barrier-crossings"
+    )
+    text = " ".join(navigate.sentences(known))
+    assert "from everywhere in the arena the goal can be reached in time." in text
+    assert "the true environment of barrier-crossings (synthetic)" in text
     table = navigate.controller_table(
-        {"learned": SUMMARY}, {"learned": Interval(1.1, 1.0, 1.3)}
+        {"learned": SUMMARY}, {"learned": Interval(1.1, 1.0, math.inf)}
     )
     (row,) = table.rows
     assert list(row) == [
@@ -115,7 +120,7 @@ def test_a_navigation_tells_its_plan_and_its_runs():
         "50 % (20–80)",
         "10 % (0–30)",
         2.0,
-        "1.100 (1.000–1.300)",
+        "1.100 (1.000–∞)",
         0.9,
         0.4,
     ]
@@ -279,10 +284,7 @@ def test_models_are_compared_by_nats():
     assert column(table, "Δ log evidence [nats]") == ["0.0", "1.0", "5.0"]
 
 
-def test_constants_are_told_with_their_interval():
-    row = fit.constants_table({"gain": Estimate(2.0, 0.5, "um")}).rows[0]
-    assert list(row)[:4] == ["gain", "um", "2.00000", 0.5]
-    assert np.allclose([float(row[4]), float(row[5])], [2 - 0.98, 2 + 0.98], atol=1e-3)
+def test_a_force_is_central_up_to_each_limit_alone():
     test = CentralTest((1.0, 2.0), (0.1, 0.2), 0.05, 0.04, 0.5, 3.0)
     assert "centre (1 ± 0.1, 2 ± 0.2)" in discover.central_sentence(test)
     for change, verdict in (
@@ -330,9 +332,12 @@ def test_a_design_tells_what_was_saved_and_what_comes_next():
         (line,) = design.sentences(known)
         assert words in line
         assert "After 2 trajectories" in line
+        assert ("nothing further" in line) == (error == 0.1)
         if error != 0.1:
             assert "(1, 2)" in line
             assert "now 0.5, should then be 0.2" in line
+            none = stand_in(DesignResult, **vars(known) | {"next": None})
+            assert "no candidate trajectory" in design.sentences(none)[0]
 
 
 def test_heat_is_told_in_minutes():

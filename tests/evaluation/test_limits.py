@@ -7,7 +7,6 @@ from tests.samples import stand_in
 from pinav.dynamics import Outcome, OverdampedSwimmer
 from pinav.evaluation.coverage import inside_band, normal_interval, wandering_variance
 from pinav.evaluation.evaluation import Evaluation
-from pinav.evaluation.judgement import ParameterRecovery
 from pinav.evaluation.rollouts import (
     RolloutErrors,
     RolloutSummary,
@@ -58,11 +57,6 @@ def test_a_model_is_worse_than_physics_beyond_a_tenth(median, worse):
         Evaluation, rollouts={"ude": summary(median), "physics-only": summary(1.0)}
     )
     assert found.worse_than_physics == worse
-
-
-def test_a_constant_has_an_error_with_its_sign():
-    one = ParameterRecovery("gain", true=2.0, value=1.5, sd=0.25)
-    assert (one.relative_error, one.z) == (-0.25, -2.0)
 
 
 def rollout_errors():

@@ -243,6 +243,9 @@ def test_a_summary_adds_evidence_and_takes_medians():
     assert summary["chosen"].over(10.0).relative == 0.2
     assert summary["chosen"].over(10.0).rollouts == 9
     assert np.isclose(pooled_coverage(several), 0.625)
+    assert np.isnan(pooled_coverage(several[2:3]))
+    assert several[0].row("a + b").over(10.0).relative == 0.1
+    assert several[0].row("other") is None
 
 
 def test_jitter_is_told_along_and_across_the_heading():

@@ -2,18 +2,15 @@
 
 import math
 
-import msgspec
 import numpy as np
 import pytest
 from tests.identification.running.test_running_fit import run, small_grid
-from tests.live.sessions import HELLO, Follow, LastPosition, begun, feed, frame_line
+from tests.live.sessions import HELLO
 from tests.rig import Robot
 
 from pinav.identification.running import RunningFit
 from pinav.identification.running.forecast import estimate, gain_at
-from pinav.live import messages
 from pinav.live.estimators import DriveEstimator, Intent
-from pinav.live.messages import EventKind
 from pinav.live.roller_pilot import (
     KNOWN,
     LEAST_PROBES,
@@ -21,8 +18,7 @@ from pinav.live.roller_pilot import (
     RollerPilot,
 )
 from pinav.live.safety import Outlook, Reserve
-from pinav.live.session import BLIND_STEPS, LONGEST_STEP
-from pinav.live.sources import LineBuffer, address_of
+from pinav.live.sources import LineBuffer
 
 
 @pytest.fixture(scope="module")
@@ -117,57 +113,6 @@ def test_the_only_way_out_of_a_ring_is_found(driven, gap):
         apart = math.remainder(verdict.order[1] - opening, math.tau)
         assert abs(apart) < math.tau / 8 + 1e-9
     assert verdict.changed or gap in (0, 1, 7)
-
-
-def kinds(answers):
-    return [one.kind for one in answers if isinstance(one, messages.Event)]
-
-
-def modes(answers):
-    return [one.mode for one in answers if isinstance(one, messages.State)]
-
-
-LOST = BLIND_STEPS + 2
-"""Steps that are waited for a robot with a delay of two steps."""
-
-
-def test_a_robot_that_is_not_seen_is_held_after_a_few_steps():
-    session = begun(pilot=Follow())
-    session, _ = feed(session, [frame_line(0)])
-    lost = [frame_line(1 + i, x=None) for i in range(LOST + 1)]
-    session, answers = feed(session, lost)
-    *before, after = modes(answers)
-    assert messages.Mode.HOLDING not in before
-    assert after is messages.Mode.HOLDING
-    assert session.counts.lost == session.blind == LOST + 1
-
-
-def test_a_clock_may_leap_by_a_few_steps():
-    step = HELLO.step
-    line = frame_line(0)
-    first = messages.decode(line)
-    for leap, jumps in ((LONGEST_STEP * step, 0), (LONGEST_STEP * step * 1.01, 1)):
-        session = begun()
-        later = msgspec.structs.replace(first, seq=1, t=first.t + leap)
-        session, answers = feed(session, [line, messages.encode(later).rstrip()])
-        assert session.counts.jumps == jumps
-        assert (EventKind.JUMP in kinds(answers)) == bool(jumps)
-    assert isinstance(session.estimator, LastPosition)
-
-
-def test_addresses_have_a_port_and_other_machines_a_token():
-    assert address_of("tcp://localhost:65535", "") == ("localhost", 65535)
-    assert address_of("tcp://[::1]:80", "") == ("::1", 80)
-    assert address_of("tcp://rig:80", "secret") == ("rig", 80)
-    assert address_of("log.txt", "") is None
-    for text in (
-        "tcp://localhost:65536",
-        "tcp://:80",
-        "tcp://rig:80",
-        "udp://localhost:1",
-    ):
-        with pytest.raises(ValueError, match=r"."):
-            address_of(text, "")
 
 
 def test_lines_end_with_either_kind_of_break():

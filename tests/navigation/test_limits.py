@@ -299,4 +299,5 @@ def test_campaigns_are_counted_until_they_know():
     assert (summary.campaigns, summary.finished, summary.right) == (3, 2, 1)
     assert (summary.trajectories, summary.fewest, summary.largest) == (2.0, 1, 2)
     assert summary.reached == 1.0
+    assert CampaignSummary.of([stuck]).reached == math.inf
     assert summary.error == 0.1

@@ -135,17 +135,13 @@ def test_commands_are_held_late_and_turned():
     assert np.allclose(piece.commands["heading"], np.radians(heading[late]) + 0.25)
 
 
-def test_rates_and_places_that_are_odd_are_noted():
+def test_a_rate_that_is_not_that_of_the_times_is_noted():
     columns = table(t=np.tile(FRAMES * 0.1, 2))
     assert any(
         "fps 5 was given" in n for n in read(columns, fps=5.0).provenance["notes"]
     )
     near = read(columns, fps=10.05).provenance["notes"]
     assert not any("was given" in note for note in near)
-    columns = table()
-    columns["x"][2:6] = columns["y"][2:6] = -1.0
-    lost = read(columns, fps=1.0).provenance["notes"]
-    assert any("4 rows stand at exactly (-1, -1)" in note for note in lost)
 
 
 def rolling(headings, frequency, step=0.125, speed=2.0):
