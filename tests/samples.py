@@ -44,6 +44,14 @@ def sample(cls: type, *, whole: bool = False, **fields: Any) -> Any:
     return cls(**(parts | fields))
 
 
+def stand_in(cls: type, **fields: Any) -> Any:
+    """An instance that has but the fields that a function asks for."""
+    made = object.__new__(cls)
+    for name, value in fields.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
 def sample_of(hint: Any, *, whole: bool = False) -> Any:
     """A value of an annotation; two for each axis of an array."""
     if type(None) in typing.get_args(hint) and not whole:

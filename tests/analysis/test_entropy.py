@@ -62,6 +62,11 @@ def test_the_doubt_of_the_force_is_taken_off_and_widens_the_interval():
     assert doubtful.noise > 0
     assert doubtful.rate.value == pytest.approx(certain.rate.value - doubtful.noise)
     assert doubtful.rate.sd > certain.rate.sd
+    places = samples()
+    livelier = entropy_production(
+        posterior(1.0, sd=0.02), places, np.full(places.shape, 4 * DIFFUSION)
+    )
+    assert livelier.noise == pytest.approx(doubtful.noise / 4)
 
 
 def test_a_learned_mobility_is_the_same_as_a_number():

@@ -22,21 +22,6 @@ def row(value, outcome="converged"):
     return job.ComparedModel(outcome, evidence, reason="no")
 
 
-def test_a_verdict_names_the_model_of_higher_evidence_and_by_how_much():
-    rows = {"kernel-potential": row(100.0), "kernel-force": row(112.3)}
-    (verdict,) = job.verdicts(rows)
-    assert verdict.difference == pytest.approx(12.3)
-    assert verdict.text == (
-        "The evidence prefers a free force to a potential by 12.3 nats: decisive."
-    )
-    rows["kernel-force"] = row(98.0, "diverged")
-    (verdict,) = job.verdicts(rows)
-    assert (
-        "prefers a potential to a free force by 2.0 nats: not decisive" in verdict.text
-    )
-    assert "Caution: the fit of kernel-force diverged" in verdict.text
-
-
 def test_a_model_without_evidence_gets_no_verdict_but_a_row():
     rows = {"isotropic-drag": row(None, "failed"), "anisotropic-drag": row(5.0)}
     (verdict,) = job.verdicts(rows)

@@ -12,14 +12,13 @@ from pinav.commands.evaluate.job import sections
 from pinav.commands.results import sections_of
 from pinav.errors import InputError
 from pinav.evaluation import Evaluation, evaluate, held_out
+from pinav.evaluation.rollouts import ErrorCurve
 from pinav.evaluation.setting import true_system
 from pinav.learning.learned import Learned
 from pinav.report import Table, as_text, sections_text
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings, scenario
 from pinav.trajectories import load, save, simulate
-
-pytestmark = pytest.mark.slow
 
 KEY = jax.random.key(0)
 
@@ -52,6 +51,7 @@ def metrics(judged):
     return RunFolder.open(judged).read_json("evaluation.json")["value"]
 
 
+@pytest.mark.slow
 def test_rollouts_begin_at_estimated_starts_and_are_told_apart_at_the_horizon(metrics):
     assert metrics["has_estimated_starts"]
     row = metrics["rmse"]["model"]
@@ -68,6 +68,7 @@ def test_rollouts_begin_at_estimated_starts_and_are_told_apart_at_the_horizon(me
     assert inside["median"] <= inside["high"]
 
 
+@pytest.mark.slow
 def test_the_force_is_judged_by_region(metrics):
     force = metrics["force"]["model"]
     assert force.keys() == {"visited", "near", "unvisited", "everywhere"}
@@ -78,6 +79,7 @@ def test_the_force_is_judged_by_region(metrics):
     assert metrics["regions"] == {"visited": 0.35, "near": 1.0}
 
 
+@pytest.mark.slow
 def test_bands_residuals_and_constants_are_judged(metrics):
     coverage = metrics["coverage"]
     judged = ("observations of the data", "rollouts from clean starts", "force")
@@ -99,6 +101,7 @@ def test_bands_residuals_and_constants_are_judged(metrics):
     assert found["data"] == "calibration.npz"
 
 
+@pytest.mark.slow
 def test_the_report_and_the_table_hold_the_evaluation(judged, metrics):
     page = (judged / "report.html").read_text()
     for words in ("Evaluation", "Ljung-Box Q", "nominal 95 % ban", "training horizon"):
@@ -115,6 +118,7 @@ def test_the_report_and_the_table_hold_the_evaluation(judged, metrics):
     assert "within 0.35 of an observed position" in said
 
 
+@pytest.mark.slow
 def test_a_fit_from_its_own_starts_says_so(tiny_fit, printed):
     run, data = tiny_fit
     out = printed("evaluate", run, data, "--regions", "1", "3")
@@ -126,6 +130,7 @@ def test_a_fit_from_its_own_starts_says_so(tiny_fit, printed):
     assert "coverage" not in stored
 
 
+@pytest.mark.slow
 def test_data_of_other_channels_are_refused(judged, tmp_path):
     path = tmp_path / "other.csv"
     path.write_text("t,x\n0,0\n1,1\n")
@@ -134,6 +139,7 @@ def test_data_of_other_channels_are_refused(judged, tmp_path):
         evaluate(fit, load(path))
 
 
+@pytest.mark.slow
 def test_data_of_a_system_with_another_state_are_(refused):
     bead = scenario("brownian")
     data = simulate(eqx.tree_at(lambda s: s.times, bead, bead.times[:3]), key=KEY)
@@ -141,6 +147,7 @@ def test_data_of_a_system_with_another_state_are_(refused):
         true_system(barrier_crossings(), data, data)
 
 
+@pytest.mark.slow
 def test_held_out_starts_are_clean_and_their_own():
     held = held_out(barrier_crossings(), until=1.0, count=3)
     assert held.times[0, -1] == pytest.approx(1.0)
@@ -171,7 +178,7 @@ def evaluation_of(seen):
         trajectories=4,
         rmse={"model": {"x": 0.1}},
         rollouts={"model": {"data": {}}},
-        curves={"model": {"data": {}}},
+        curves={"model": {"data": sample(ErrorCurve)}},
         num_training=seen,
     )
 
@@ -190,6 +197,7 @@ def test_training_data_are_called_so(seen, name, words):
     assert words in said
 
 
+@pytest.mark.slow
 def test_evaluating_the_file_that_was_fitted_is_a_training_error(
     tiny_fit, printed, refused
 ):

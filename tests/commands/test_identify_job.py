@@ -1,6 +1,5 @@
 """`pinav fit RECORDING`: from a file to a table, a verdict and a page."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +9,9 @@ from tests.fitted_runs import circling, standard_promotion
 from pinav import cli, identification
 from pinav.commands import IDENTIFY
 from pinav.commands.identify import IdentifyOptions
-from pinav.commands.identify.job import estimate_row, gain_text, sections
+from pinav.commands.identify.job import estimate_row, sections
 from pinav.commands.results import start_run
 from pinav.fitting import Estimate
-from pinav.identification.identify import pooled_coverage
 from pinav.identification.parameters import ESTIMATED
 from pinav.identification.selection import RESIDUALS
 from pinav.recordings import Reading
@@ -115,32 +113,6 @@ def test_a_track_that_was_not_fitted_and_files_of_pinav_are_told(tmp_path):
     assert is_trajectories(table)
     assert is_trajectories("missing.npz")
     assert not is_trajectories("book.xlsx")
-
-
-def test_a_summary_holds_gain_errors_and_pooled_bands():
-    def track(inside, rollouts):
-        errors = {
-            "10": identification.Errors(relative=0.04, median=1.0, rollouts=rollouts)
-        }
-        row = identification.Row("model", 0.0, 0.0, errors, 0.9)
-        return identification.IdentifiedTrack(
-            "a",
-            9.0,
-            chosen="model",
-            gain=np.array([[1.0, -2.0], [2.0, 1.5]]),
-            rows=(row,),
-            coverage=identification.Coverage(inside, inside, rollouts),
-        )
-
-    several = {"a": track(0.9, 30), "b": track(0.7, 10), "c": track(np.nan, 0)}
-    assert pooled_coverage(several.values()) == pytest.approx(0.85)
-    assert np.isnan(pooled_coverage([several["c"]]))
-    assert gain_text(several["a"]) == "1 -2; 2 1.5"
-    assert several["a"].row("model").over(10.0).relative == 0.04
-    assert several["a"].row("other") is None
-    assert several["a"].rows[0].label == "model"
-    long = dataclasses.replace(several["a"].rows[0], name="drift + slipping + delay")
-    assert long.label == "+ delay"
 
 
 def test_quantities_are_named_in_words_and_units_of_the_recording():

@@ -1,18 +1,15 @@
 """`pinav navigate`: its settings, its words, and a run from end to end."""
 
-import dataclasses
 import json
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.samples import sample
 
 from pinav import actuation, forces, navigation
 from pinav.commands import NAVIGATE
 from pinav.commands.navigate import NavigateSettings
 from pinav.commands.navigate.job import navigation_problem
-from pinav.commands.navigate.sections import controller_table, sentences
 from pinav.commands.results import keep, sections_of
 from pinav.commands.settings import numbers
 from pinav.commands.steering import system_task
@@ -21,8 +18,6 @@ from pinav.errors import InputError
 from pinav.figures.images import save_pictures
 from pinav.fitting.environments.summary import ModelChoice
 from pinav.learning.learned import Learned
-from pinav.navigation.comparison import PlannedWay
-from pinav.report import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories
@@ -39,47 +34,6 @@ def test_places_are_numbers_with_commas():
     for bad in ("1", "1,2,3,4", "1,x", "nan,1", ""):
         with pytest.raises(InputError, match="--from: expected 2 or 3 numbers with co"):
             NavigateSettings(start=bad, goal="1,2").check()
-
-
-def share(value):
-    return navigation.Interval(value, max(value - 0.1, 0.0), min(value + 0.1, 1.0))
-
-
-ROW = sample(
-    navigation.Summary, success=share(0.95), violation=share(0.05), efficiency=0.9
-)
-FOUND = sample(
-    navigation.Navigation,
-    truth="barrier-crossings",
-    plan=sample(PlannedWay, time=5.5, unreachable=0.25),
-    controllers={"learned": ROW, "physics only": ROW},
-    regret={"learned": navigation.Interval(1.02, 1.0, np.inf)},
-    refused={"oracle": "goal: expected a place that can be reached"},
-    delay=0.0,
-    suggestion=sample(navigation.Suggestion, sd=0.3, sd_after=0.1, sd_after_random=0.2),
-)
-
-
-def words(**changes):
-    return " ".join(sentences(dataclasses.replace(FOUND, **changes)))
-
-
-def test_the_words_name_truth_regret_and_suggestion():
-    found = words()
-    assert "from 25 % of the arena the goal cannot be reached in time." in found
-    whole = words(plan=dataclasses.replace(FOUND.plan, unreachable=0.0))
-    assert "from everywhere in the arena the goal can be reached in time." in whole
-    assert "the true environment of barrier-crossings (synthetic)" in found
-    assert "from 0.30 to 0.10, a random one to 0.20." in found
-    assert "No run with the model oracle: goal: expected a place" in found
-    stated = words(units={"x": "um", "t": "s", "order": "1"}, delay=0.1)
-    assert "The plan takes 5.50 s from rest" in stated
-    assert "Commands act after 0.100 s." in stated
-    assert "from 0.30 um s⁻¹ to 0.10 um s⁻¹, a random one to 0.20 um s⁻¹." in stated
-    assert "the true one is not known" in words(truth=None)
-    table = as_text(controller_table(FOUND.controllers, FOUND.regret))
-    assert "95 % (85–100)" in table
-    assert "1.020 (1.000–∞)" in table
 
 
 @pytest.mark.slow

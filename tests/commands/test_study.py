@@ -1,3 +1,5 @@
+import dataclasses
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -10,6 +12,7 @@ from pinav.commands.study import StudySettings, job
 from pinav.commands.study.job import (
     Study,
     StudyCell,
+    StudyFit,
     cells,
     clean_data,
     fit_model,
@@ -17,12 +20,11 @@ from pinav.commands.study.job import (
 )
 from pinav.commands.sweep import Sweep
 from pinav.errors import FitError
+from pinav.evaluation import Agreement, RolloutSummary
 from pinav.figures.errors import scaling_figure
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import load
-
-pytestmark = pytest.mark.slow
 
 TINY = ("--models", "physics-only", "kernel-potential", "--held-out", "3")
 
@@ -32,6 +34,7 @@ def clean():
     return clean_data("barrier-crossings", 3, 2)
 
 
+@pytest.mark.slow
 def test_more_noise_is_the_same_noise_on_the_starts_of_simulate(clean, tmp_path):
     quiet, loud = (with_noise(clean, sigma, 3).states for sigma in (0.01, 0.05))
     assert_allclose((loud - clean.states) / 5, quiet - clean.states, atol=1e-14)
@@ -53,6 +56,38 @@ def test_a_study_has_a_cell_for_every_model_seed_and_size():
     found = [c.read(StudyCell) for c in cells("noise", "paper", settings)]
     assert {c.count for c in found} == {8}
     assert {c.sigma for c in found} == set(settings.sigmas)
+
+
+def test_scores_are_told_in_their_units_and_gaps_as_gaps():
+    force = {
+        region: Agreement(0.01 * i, 0.9 + 0.01 * i, 7)
+        for i, region in enumerate(("visited", "near", "unvisited"), 1)
+    }
+    scores = RolloutSummary(0.2, 0.5, 0.03, 0.04, 0.25, 64)
+    good = StudyFit("ude", 3, 4, 0.02, "converged", force, scores)
+    bad = StudyFit("nn-only", 3, 4, 0.02, "failed: stiff")
+    lost = dataclasses.replace(scores, median=0.1, high=np.inf)
+    wild = StudyFit("nn-only", 3, 8, 0.05, "stalled", {}, lost)
+    found = Study("noise", "swirl", (good, bad, wild))
+    known = ["ude", 3, 4, 0.02, "converged", 0.01, 0.02, 0.03, 0.91, 0.2, 0.5, 0.25]
+    first, second, third = job.csv_rows(found)
+    assert first == known
+    assert second == ["nn-only", 3, 4, 0.02, "failed: stiff", *[""] * 7]
+    assert third[-3:] == [0.1, "diverged", 0.25]
+    table = job.table(found)
+    assert [name for name in table.header if "%)" in name] == [
+        f"force {region} (%)" for region in force
+    ]
+    assert table.rows[0][5:8] == pytest.approx([1.0, 2.0, 3.0])
+    (section,) = job.sections(found)
+    picture = section.blocks[0].draw()
+    by_force, by_rollout = (ax.get_lines()[0].get_xydata() for ax in picture.axes)
+    assert_allclose(by_force, [(0.02, 1.0)])
+    assert_allclose(by_rollout, [(0.02, 0.2)])
+    few = job.sections(dataclasses.replace(found, name="data-efficiency"))[0]
+    left, right = few.blocks[0].draw().axes
+    assert_allclose(left.get_lines()[0].get_xydata(), [(4.0, 1.0)])
+    assert_allclose(right.get_lines()[2].get_xydata(), [(8.0, 0.1)])
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +133,7 @@ def test_workers_make_the_same_table_as_one_does(noise_study, tmp_path, capsys):
     assert text.count("done") == 4
 
 
+@pytest.mark.slow
 def test_a_model_that_fails_is_a_row_that_says_so(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise FitError("the fit is singular")
@@ -112,6 +148,7 @@ def test_a_model_that_fails_is_a_row_that_says_so(tmp_path, monkeypatch):
     assert np.isnan(row.force_error("visited"))
 
 
+@pytest.mark.slow
 def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
     nan = jax.numpy.asarray(np.nan)
     broken = eqx.tree_at(lambda s: s.swimmer.drag.damping, barrier_crossings(), nan)

@@ -113,8 +113,8 @@ def test_noise_of_the_first_samples_widens_the_band(shots):
 
 
 def test_a_recovered_constant_has_a_z_score():
-    found = evaluation.ParameterRecovery("damping", true=0.36, value=0.37, sd=0.005)
-    assert found.z == pytest.approx(2.0)
-    assert found.relative_error == pytest.approx(0.01 / 0.36)
+    found = evaluation.ParameterRecovery("damping", true=0.36, value=0.35, sd=0.005)
+    assert found.z == pytest.approx(-2.0)
+    assert found.relative_error == pytest.approx(-0.01 / 0.36)
     assert evaluation.ParameterRecovery("gain", 0.0, 0.1, None).z is None
     assert np.isnan(evaluation.ParameterRecovery("gain", 0.0, 0.1, None).relative_error)

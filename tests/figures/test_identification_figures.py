@@ -3,7 +3,7 @@
 import numpy as np
 
 from pinav.figures import identification
-from pinav.identification import ErrorGrowth, Paths, SpeedLaw
+from pinav.identification import ErrorGrowth, Paths
 from pinav.identification.rollouts import ShownRollout
 
 UNITS = {"x": "um", "y": "um", "t": "s"}
@@ -59,17 +59,10 @@ def test_the_growth_of_errors_has_its_band_and_least_squares():
     np.testing.assert_allclose((low, high), (0.1, 1.2))
 
 
-def test_bands_and_lines_of_each_model_are_drawn():
+def test_the_error_of_each_model_is_drawn():
     ax = identification.horizon_errors(
         (1.0, 10.0), {"chosen": [0.1, 0.05], "other": [0.2, 0.3]}
     )
     assert len(ax.lines) == 2
     assert ax.get_xlabel() == "rollout [s]"
     assert ax.get_yscale() == "log"
-    places = np.linspace(0, 5, 9)
-    law = SpeedLaw(places, 2 * places, places, 2 * places, np.full(9, 0.5))
-    ax = identification.speed_law(law)
-    assert ax.get_ylabel() == "speed along the command [µm/s]"
-    (band,) = ax.collections
-    low, high = band.get_datalim(ax.transData).intervaly
-    assert low < 0 < high

@@ -10,7 +10,6 @@ from pinav.dynamics import Adaptive, drive_by_arrays, rollout
 from pinav.errors import InputError
 from pinav.identification import (
     Blocks,
-    ErrorGrowth,
     Predictor,
     Rollouts,
     coverage,
@@ -30,7 +29,6 @@ from pinav.identification.findings import extrapolation
 from pinav.identification.fit import CandidateSearch
 from pinav.identification.likelihood import Design, evidence_and_coefficients
 from pinav.identification.parameters import DELAY, Prior, fitted_coordinates
-from pinav.identification.rollouts import LENGTHS
 from pinav.identification.tracks import (
     COMPILATION,
     PER_BLOCK,
@@ -95,20 +93,6 @@ def test_open_loop_errors_are_those_of_the_disturbance(track, fit):
     assert found.rollouts == 16
     assert found.median < 2.5  # um; 0.3 um/s over 10 s with a memory of 1 s
     assert found.relative < 0.05
-
-
-def test_growth_of_errors_agrees_with_rollouts_of_each_length(track, fit):
-    growth = ErrorGrowth.of(track, Predictor.of(track, fit), path_of(fit.model))
-    np.testing.assert_allclose(growth.lengths, LENGTHS)
-    for length in (1.0, 10.0, 30.0):
-        place = list(LENGTHS).index(length)
-        alone = errors(track, Rollouts.of(track, length), path_of(fit.model))
-        assert growth.rollouts[place] == alone.rollouts
-        np.testing.assert_allclose(growth.errors[1, place], alone.median)
-    np.testing.assert_allclose(growth.reference, growth.errors[1])
-    # The promise is that of the bands: about 90 % of all ends lie within.
-    assert (growth.promised[2:] > growth.errors[1, 2:]).all()
-    assert np.mean(growth.promised > 0.7 * growth.errors[2]) > 0.8
 
 
 def search_of(track, system):

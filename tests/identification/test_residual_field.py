@@ -11,8 +11,6 @@ from pinav.identification.findings import interval, positive_interval
 from pinav.identification.residual_field import positions_of, residual_errors
 from pinav.trajectories import Trajectories
 
-pytestmark = pytest.mark.slow
-
 SEED = 4
 
 
@@ -40,6 +38,7 @@ def drifting(passive):
     return identification.fit_track(passive, identification.drift_only())
 
 
+@pytest.mark.slow
 def test_a_kernel_residual_finds_a_field_that_is_there(passive, drifting):
     grid = KernelGrid(across=5, margin=2.0)
     environment = kernel_environment(KernelForce, positions_of(passive), grid, dim=2)
@@ -56,6 +55,7 @@ def test_a_kernel_residual_finds_a_field_that_is_there(passive, drifting):
     assert residual_errors(passive, rollouts, found).median < 0.6 * plain.median
 
 
+@pytest.mark.slow
 def test_least_squares_returns_gain_and_drift(recording, synthetic):
     track = identification.tracks(recording)[0]
     found = identification.least_squares(track)

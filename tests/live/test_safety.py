@@ -60,6 +60,22 @@ def test_a_command_into_a_disc_becomes_one_that_is_clear(known):
     assert margin(view, verdict.order) >= 0
 
 
+@pytest.mark.parametrize("side", [0.5, 1.0, 1.5])
+def test_ways_out_lead_in_every_direction(known, monkeypatch, side):
+    wanted = towards(0.0)
+    away = wanted[1] + side * math.pi
+
+    def clear_ahead(self, firsts, escapes, ahead):
+        headings = np.broadcast_arrays(firsts, escapes)[1][..., 1]
+        return np.cos(headings - away)[..., None] - 0.9
+
+    monkeypatch.setattr(Outlook, "clearances", clear_ahead)
+    verdict = outlook(known, (500.0, 0.0, 10.0)).judge(wanted, Reserve())
+    assert verdict.changed
+    assert math.cos(verdict.order[1] - away) > 0.9
+    assert math.cos(verdict.reserve.order[1] - away) > 0.9
+
+
 def test_to_stand_still_is_no_refuge_in_a_drift(known):
     view = outlook(known, (4.0 + DRIFT, 0.0, 5.0))
     still = np.array([0.0, 0.0])

@@ -99,6 +99,7 @@ def test_a_lost_robot_is_predicted_and_then_stopped():
     assert frequencies == [1.0] * blind + [0.0] * (len(lost) - blind)
     assert len(events(answers, messages.EventKind.LOST)) == 1
     assert session.mode is messages.Mode.HOLDING
+    assert session.counts.lost == session.blind == len(lost)
     session, answers = feed(session, [frame_line(12, x=1.0)])
     assert commands(answers)[0].frequency == 1.0
     assert session.estimator.restarts == ()

@@ -147,7 +147,9 @@ def test_commands_go_to_a_file_or_another_connection(tmp_path):
         other.write(b"into the void\n")  # dropped, not raised
 
 
-@pytest.mark.parametrize("text", ["tcp://", "tcp://host", "udp://a:1", "tcp://a:99999"])
+@pytest.mark.parametrize(
+    "text", ["tcp://", "tcp://host", "udp://a:1", "tcp://a:65536", "tcp://:80"]
+)
 def test_a_damaged_address_is_refused(text):
     with pytest.raises(InputError, match="expected tcp://HOST:PORT"):
         sources.address_of(text, "")
@@ -161,4 +163,5 @@ def test_another_machine_needs_a_secret():
         5000,
     )
     assert sources.address_of("tcp://[::1]:5000", "") == ("::1", 5000)
+    assert sources.address_of("tcp://localhost:65535", "") == ("localhost", 65535)
     assert sources.address_of("frames.jsonl", "") is None

@@ -151,7 +151,11 @@ WRONG = {
     **{name: (text, NO_FRAME, said) for name, (text, said) in WRONG_PLAIN.items()},
     **{name: (text, Reading(), said) for name, (text, said) in WRONG_UNKNOWN.items()},
     **{n: (text, settings(**UP), said) for n, (text, said) in WRONG_DRIVEN.items()},
-    "y flipped by default": (driven(), settings(**UM), r"mirrors.*give --y up"),
+    "y flipped by default": (
+        driven(),
+        settings(**UM),
+        r"mirrors.*give --y up, or --y down where y is",
+    ),
     "one particle without commands": (
         TWO,
         settings("t=t", "x=x", "y=y", "frequency=f", "particle=p"),

@@ -51,17 +51,6 @@ def test_diffusion_alone_is_hardly_taken_for_error():
     np.testing.assert_allclose(found.diffusion, 0.5, rtol=0.1)
 
 
-def test_standard_error_is_the_scatter_over_repetitions():
-    found = [
-        localisation([t], [p])
-        for seed in range(16)
-        for t, p in [observed(deviation=0.3, count=600, seed=seed)]
-    ]
-    scatter = np.std([one.deviation for one in found], ddof=1)
-    stated = np.mean([one.error for one in found])
-    assert 0.5 < stated / scatter < 2.0
-
-
 def test_steps_of_the_command_are_no_error():
     """A robot that turns back sharply every 2 s has kinks, which are left out."""
     times, path = observed(deviation=0.1, count=3000)

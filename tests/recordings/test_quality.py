@@ -68,17 +68,6 @@ def test_delay_is_confounded_exactly_where_turning_is_constant():
     assert free.delay > 0.5
 
 
-def test_condition_number_is_that_of_gain_and_drift():
-    """Full circles are orthogonal to each other and to a drift."""
-    times = np.arange(0, 20 * np.pi, 0.05 * np.pi)
-    circles = drive(list(recorded(3.0, times, times=times)))
-    np.testing.assert_allclose(circles.condition, 1.0, atol=1e-9)
-    assert circles.sectors == 12
-    straight = drive(list(recorded(3.0, 0.0)))
-    assert straight.condition == np.inf
-    assert straight.sectors == 1
-
-
 @pytest.mark.parametrize(
     ("frequency", "count", "rtol"),
     [(2.0 + np.floor(TIMES / 15), 4, 1e-3), (np.linspace(0.1, 5, len(TIMES)), 12, 0.1)],

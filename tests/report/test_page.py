@@ -14,8 +14,13 @@ from pinav.report.page import (
     Section,
     Table,
     capitalise,
+    heading,
+    measured,
     number,
+    percent,
+    quantity,
     render,
+    sections_text,
 )
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg"><circle r="1"/></svg>'
@@ -176,3 +181,21 @@ def test_what_is_no_table_or_image_is_refused(tmp_path):
         Image(tmp_path / "figure.png", alt="", width=0.0)
     with pytest.raises(InputError, match="row 1: expected 2 cells.*got 1"):
         Table(["a", "b"], [[1, 2], [3]])
+
+
+@pytest.mark.parametrize(("count", "left_out"), [(25, 0), (26, 1)])
+def test_a_terminal_shows_the_first_rows_and_counts_the_others(count, left_out):
+    table = Table(("name", "value"), [(f"row {i}.", i) for i in range(count)], "All.")
+    text = sections_text([Section("Rows", [table])])
+    assert "row 24." in text
+    assert "row 25." not in text
+    assert (f"{left_out} more rows stand in the report. All." in text) == bool(left_out)
+
+
+def test_a_number_has_the_digits_that_its_deviation_allows():
+    assert measured(12.3456, 0.05) == "12.346 ± 0.050 (sd)"
+    assert measured(12.3456, None) == "12.3456"
+    assert quantity(2.0, "um") == "2.00 um"
+    assert quantity(2.0, "1") == "2.00"
+    assert heading("error", "um") == "error [um]"
+    assert percent(0.25) == 25.0

@@ -157,3 +157,14 @@ def test_a_count_is_positive_and_that_of_the_paper_one():
         scenario("paper", count=8)
     with pytest.raises(InputError, match="'papper' is unknown; choose one of: .*paper"):
         scenario("papper")
+
+
+def test_the_moving_barrier_comes_round_once_in_twenty():
+    force, v = scenario("moving-barrier").truth.environment, jnp.zeros(2)
+    middle, place = jnp.array([5.0, 5.0]), jnp.array([1.3, 0.4])
+    at = force(0.0, middle + place, v)
+    np.testing.assert_allclose(force(20.0, middle + place, v), at, atol=1e-12)
+    np.testing.assert_allclose(force(10.0, middle - place, v), -at, atol=1e-12)
+    quarter = force(5.0, middle + jnp.array([-0.4, 1.3]), v)
+    np.testing.assert_allclose(quarter, [-at[1], at[0]], atol=1e-12)
+    assert np.hypot(*at) > 0.01

@@ -174,6 +174,10 @@ BAD = [
         "thermal.temperature: expected the units um, s and pN",
     ),
     (
+        warm('"pN"', '"nN"').replace("energy", "temperature"),
+        "thermal.temperature: expected the units um, s and pN, got um, s and nN",
+    ),
+    (
         warm("mobility = 2.0\n", "") + "radius = 1.0\n",
         "thermal.viscosity: expected > 0",
     ),

@@ -94,6 +94,8 @@ def test_frames_are_lost_whole_and_at_the_rate_asked_for():
         assert piece.observed[[0, -1]].all()
         lost = 1 - piece.observed[:, 0].mean()
         assert_allclose(lost, 0.3, atol=4 * np.sqrt(0.21 / 4000))
+    for piece in degrade(smooth(samples=40), [FrameLoss(0.99)], key=KEY):
+        assert piece.observed[[0, -1]].all()
 
 
 def test_blur_of_a_parabola_a_wave_and_a_line():

@@ -17,7 +17,7 @@ from pinav.commands.explore import printing
 from pinav.commands.explore.document import script_json
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.primitives import RULES
-from pinav.commands.explore.programs import TableBox, tabulate
+from pinav.commands.explore.programs import MARGIN, TableBox, tabulate
 from pinav.dynamics import FixedStep, drive_by_arrays, rollout
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.learning.learned import Learned
@@ -241,6 +241,11 @@ def test_a_table_follows_a_force_in_time():
     )
     assert table.table.values.shape[0] > 1
     assert error < 0.02
+    away = TableBox((20.0, -5.0), (30.0, 5.0), (0.0, 1.0))
+    lattice = tabulate(FORCES["barrier"](), away)[0].table.grid
+    upper = lattice.lower + lattice.spacing * (np.array(lattice.shape) - 1)
+    np.testing.assert_allclose(lattice.lower, [20 - 10 * MARGIN, -5 - 10 * MARGIN])
+    np.testing.assert_allclose(upper, [30 + 10 * MARGIN, 5 + 10 * MARGIN])
 
 
 RUNS = ("kernel", "positions", "langevin", "identified", "network", "reproduced")

@@ -19,8 +19,6 @@ from pinav.fitting.least_squares import Regression
 from pinav.forces import KernelPotential
 from pinav.systems.priors import FreeNumber, LogNormal, Normal
 
-pytestmark = pytest.mark.slow
-
 PRIORS = {"normal": Normal(0.7, 0.2), "log-normal": LogNormal(0.7, 0.3)}
 NOISE = 0.5
 
@@ -62,6 +60,7 @@ def test_a_normal_prior_of_a_constant_gives_the_exact_evidence_and_posterior():
     assert NOISE**2 * block.covariance[0, 0] == pytest.approx(1 / precision)
 
 
+@pytest.mark.slow
 def test_the_evidence_of_a_first_step_does_not_depend_on_the_noise_before_it():
     column, data = linear_problem()
     values = []
@@ -79,6 +78,7 @@ def test_the_evidence_of_a_first_step_does_not_depend_on_the_noise_before_it():
     assert values[0] == pytest.approx(values[1], abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_tight_prior_holds_a_constant_and_a_wide_one_leaves_it():
     truth, data = crossing_system(3, 41).truth, crossings(41, count=3, key=1)
     true = float(truth.drag.damping)

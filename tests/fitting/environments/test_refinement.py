@@ -30,8 +30,6 @@ from pinav.forces import (
 )
 from pinav.trajectories import Trajectories
 
-pytestmark = pytest.mark.slow
-
 NOISE = 0.003
 LINE, PLANE = ("x",), ("x", "y")
 STARTS = (0.0, 0.2)
@@ -79,6 +77,7 @@ def refined(rough):
     return fit_bayes(untrained(*rough), rough[1], refine=at_once)
 
 
+@pytest.mark.slow
 def test_narrow_bumps_get_finer_kernels(rough, refined):
     truth, data = rough
     coarse = fit_bayes(untrained(*rough), data, refine=None, throw=False)
@@ -92,6 +91,7 @@ def test_narrow_bumps_get_finer_kernels(rough, refined):
     assert better > 10
 
 
+@pytest.mark.slow
 def test_the_result_is_that_of_a_fit_on_the_finer_grid(rough, refined):
     environment = refined.model.environment
     across = round(float(np.ptp(rough[1].states)) / environment.width)
@@ -100,6 +100,7 @@ def test_the_result_is_that_of_a_fit_on_the_finer_grid(rough, refined):
     assert direct.iterations == refined.iterations
 
 
+@pytest.mark.slow
 def test_a_network_is_taught_by_kernels_as_fine_as_asked(rough, refined):
     truth, data = rough
     network = neural_environment(
@@ -119,6 +120,7 @@ def test_a_network_is_taught_by_kernels_as_fine_as_asked(rough, refined):
     assert process.chosen.noise == pytest.approx(noise, rel=0.05)
 
 
+@pytest.mark.slow
 def test_wide_bumps_keep_their_kernels():
     truth, data = drifts(bumps(1.0))
     model = untrained(truth, data)
@@ -127,6 +129,7 @@ def test_wide_bumps_keep_their_kernels():
     np.testing.assert_array_equal(found.posterior.mean, kept.posterior.mean)
 
 
+@pytest.mark.slow
 def test_without_room_the_outcome_says_so(rough):
     model = untrained(*rough)
     count = model.environment.weights.size
@@ -171,6 +174,7 @@ def test_a_change_in_time_stays_as_it_is(walk):
     assert finer.static.width < made.static.width
 
 
+@pytest.mark.slow
 def test_in_space_a_finer_grid_has_at_most_so_many_kernels():
     """Where half of the spacing has no room, what has room, unless it is no finer."""
     places = np.random.default_rng(2).uniform(0.0, 3.0, (1, 400, 3))

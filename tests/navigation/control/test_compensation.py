@@ -12,7 +12,6 @@ from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import (
-    DelayCompensation,
     StateEstimation,
     predict_onset,
 )
@@ -70,16 +69,6 @@ def test_the_predicted_state_is_that_in_which_the_command_comes_into_force(
         held = whole * task.step - delay
         reached = SwimmerPredictor(model).step(one.time, one.state, command, held)
         assert jnp.allclose(reached, later, atol=2e-5)
-
-
-def test_the_controller_inside_is_told_what_will_be():
-    task, key = task_of(MODELS["overdamped"], delay=0.2), jax.random.key(0)
-    predictor = SwimmerPredictor(task.truth)
-    controller = DelayCompensation(Wanderer(2), predictor, task.timing)
-    seen = observe(task, begin(task), key)
-    _, (time, state) = controller(seen, controller.start(seen), key=key)
-    assert float(time) == pytest.approx(0.2)
-    assert jnp.allclose(state, predict_onset(predictor, task.timing, seen).state)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.25])

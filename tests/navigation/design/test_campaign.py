@@ -16,7 +16,6 @@ from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.belief.belief import Frame
 from pinav.navigation.design.campaign import (
-    Decision,
     decide,
     learn,
     record,
@@ -76,16 +75,6 @@ def test_nothing_recorded_is_nothing_known(adaptive, belief):
     np.testing.assert_allclose(ends[0], adaptive.task.start, atol=0.3)
     steps = np.linalg.norm(np.diff(decision.way, axis=0), axis=1)
     np.testing.assert_allclose(steps, steps.mean(), rtol=0.05)
-
-
-def test_a_way_is_certain_if_it_arrives_and_the_bound_is_small():
-    for arrives, error, certain in (
-        (True, 0.09, True),
-        (True, 0.11, False),
-        (False, 0.09, False),
-    ):
-        decision = Decision(np.zeros((2, 2)), arrives=arrives, error=error)
-        assert decision.certain(0.1) == certain
 
 
 def test_a_record_is_the_true_path_with_the_error_of_the_sensor():
