@@ -1,7 +1,7 @@
 """Values of any class that files can hold, made from its annotations."""
 
-import dataclasses
 import enum
+import inspect
 import typing
 from collections.abc import Mapping
 from typing import Any
@@ -39,7 +39,7 @@ def sample(cls: type, *, whole: bool = False, **fields: Any) -> Any:
     parts = {
         name: sample_of(hint, whole=whole)
         for name, hint in hints.items()
-        if name not in fields and (whole or defaults[name] is dataclasses.MISSING)
+        if name not in fields and (whole or defaults[name] is inspect.Parameter.empty)
     }
     return cls(**(parts | fields))
 
