@@ -121,10 +121,10 @@ def test_a_system_file_states_the_same_words():
     [
         ('diffusion = "wavy"', "unknown.diffusion: expected one of constant, field"),
         ('observation = "no"', "unknown.observation: expected one of exact, learn, kn"),
-        ("reference = 2", "unknown.reference: expected a word, got 2"),
+        ("reference = 2", "unknown.reference: expected text in quotes, got 2"),
         ("period = 3.0", "unknown.period: expected numbers by coordinate"),
         ("period = { x = -1 }", "--period: expected a coordinate and a number > 0"),
-        ('warp = "z"', r"unknown.warp: expected names of coordinates, such as \["),
+        ('warp = "z"', r"unknown.warp: expected a list \[...\], got 'z'"),
         ('difusion = "field"', "unknown.difusion: this key is unknown"),
     ],
 )

@@ -78,7 +78,7 @@ def test_a_model_of_another_run_is_not_taken_for_ones_own(command, fitted_run, r
 )
 def test_a_run_that_was_not_fitted_is_refused(words, tmp_path, monkeypatch, refused):
     (tmp_path / "data.csv").write_text("t,x,y\n0,0,0\n1,1,1\n")
-    RunFolder.create(tmp_path / "run", {"run": {"command": "heat"}}, overwrite=False)
+    RunFolder.create(tmp_path / "run", {"run": {"command": "study"}}, overwrite=False)
     monkeypatch.chdir(tmp_path)
     refused(words.format("run").split(), "holds no fitted")
 

@@ -33,6 +33,9 @@ from pinav.thermal.protocols import Piecewise
 Z95 = normal_quantile(0.95)
 UNITS = {"x": "um", "y": "um", "t": "s"}
 
+HALF = normal_quantile()
+"""Half width of a band of 95 %, in standard deviations."""
+
 
 def panel(**options):
     return new_figure(4.0, 3.0).add_subplot(**options)
@@ -123,12 +126,12 @@ def test_a_forecast_has_bands_of_ninety_five_percent():
     for index in range(count):
         assert drawn(above, [1, 2], values[:, index])
         assert drawn(above, [1, 2], values[:, index] + 0.3)
-        assert drawn(below, [1, 2], 1.96 * sd[:, index])
-        assert drawn(below, [1, 2], -1.96 * sd[:, index])
+        assert drawn(below, [1, 2], HALF * sd[:, index])
+        assert drawn(below, [1, 2], -HALF * sd[:, index])
     assert drawn(below, [1, 2], 0.3)
     assert drawn(above, [1, 1], [0, 1])
     ends = ends_of_bands(below)
-    assert np.allclose(ends, [(-1.96 * s, 1.96 * s) for s in sd[0]])
+    assert np.allclose(ends, [(-HALF * s, HALF * s) for s in sd[0]])
     kelvin, flow = np.array([37.0, 40.0, 43.0]), np.array([1.0, 2.0, 3.0])
     law = PerfusionCurve(kelvin, flow, np.full(3, 0.1), (37.0, 40.0), flow + 0.5)
     ax = learned_tissue.perfusion_law(law)

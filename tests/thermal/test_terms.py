@@ -8,6 +8,7 @@ from tests import heat_cases
 from tests.heat_cases import small
 from tests.samples import stand_in
 
+from pinav.evaluation import normal_quantile
 from pinav.thermal import design, quantities
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Insulated, Periodic, Robin, Sides
@@ -270,7 +271,9 @@ def test_a_forecast_is_judged_after_the_fit_alone():
         np.array([37.0, 40.0, 43.0]), np.full(3, 2.0), sd, (37.0, 43.0), true
     )
     assert np.isclose(curve.covered, 2 / 3)
-    assert np.allclose(np.log(curve.band / 2), np.outer([-1.96, 1.96], sd))
+    assert np.allclose(
+        np.log(curve.band / 2), np.outer([-1, 1], normal_quantile() * sd)
+    )
     shorter = PerfusionCurve(curve.temperatures, curve.values, sd, (37.0, 40.0), true)
     assert shorter.covered == 1.0
 
