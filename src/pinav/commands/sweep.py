@@ -73,7 +73,7 @@ class Sweep:
         )
 
     def result(self, cell: Cell, wanted: type[Result]) -> Result:
-        """What a cell stored as its `FILE`.
+        """The result that a cell stored as its `FILE`.
 
         Raises:
             InputError: it failed, was not done, or is damaged.

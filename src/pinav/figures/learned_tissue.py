@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from pinav.evaluation import normal_quantile
 from pinav.figures.heat import (
     ISOTHERMS,
     duration,
@@ -31,7 +32,6 @@ from pinav.figures.style import (
     new_figure,
     prepare_axes,
 )
-from pinav.fitting.engine.posterior import TWO_SIDED
 from pinav.thermal.heated_run import FOLLOWED
 from pinav.thermal.learned_tissue import FittedFrame, Forecast, LearnedTissue
 from pinav.thermal.learning import PerfusionCurve
@@ -109,7 +109,7 @@ def _forecast(found: Forecast) -> Figure:
         name = "" if index else "truth"
         above.plot(minutes, curve, color=BLACK, lw=WIDE, alpha=0.5, label=name)
     for index, name in enumerate(FOLLOWED):
-        color, half = SPARE[index % len(SPARE)], TWO_SIDED * found.sd[:, index]
+        color, half = SPARE[index % len(SPARE)], normal_quantile() * found.sd[:, index]
         curve = found.values[:, index]
         above.plot(minutes, curve, color=color, lw=THIN, label=name)
         drawn = {"color": color, "alpha": 0.12, "width": 0.0}

@@ -275,7 +275,7 @@ def bounds_figure(result: DesignResult) -> Figure:
 
 
 def recordings_figure(result: DesignResult, design: str) -> Figure:
-    """What a design recorded, over what is not known of the force, and the way."""
+    """Paths that a design recorded and its way, over the deviation of the force."""
     maps, known = result.maps, {"thrust": result.thrust, "route": result.decision.way}
     assert maps.sd is not None
     figure = new_figure(4.8, 4.8)

@@ -22,17 +22,12 @@ from pinav.errors import FitError
 from pinav.fitting.bayes.fit_bayes import fit_bayes
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.parameters import Learn
-from pinav.fitting.bayes.pieces import fit_pieces
 from pinav.fitting.confirmed import best_fit
 from pinav.fitting.engine.evidence_fit import EvidenceProgress
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.policy import POLICY
-from pinav.fitting.rugged.free import (
-    AS_FINE_AS_HILLS_NEED,
-    fit_free,
-    fit_rough,
-    has_many_hills,
-)
+from pinav.fitting.rugged.free import fit_free, fit_rough, has_many_hills
+from pinav.fitting.rugged.pieces import fit_pieces
 from pinav.fitting.structure.fits import Fits, StructuredFit
 from pinav.fitting.structure.rotation import (
     SurveyedRotation,
@@ -102,9 +97,7 @@ def fit_structured(
             fit = _weigh_few(fits) if weigh_rotation else fit_free(fits)
         if fit.fit.outcome is Outcome.DIVERGED:
             alone = fits.turning() if weigh_rotation else fits
-            refine = None if trace.is_over else AS_FINE_AS_HILLS_NEED
-            options = refine, max_iterations, fits.report
-            pieces = fit_pieces(alone.specification, fit.fit, *options)
+            pieces = fit_pieces(alone, fit.fit)
             trace.note((), f"free kernels of pieces of trajectories {pieces.outcome}")
             fit = StructuredFit(pieces)
         return dataclasses.replace(fit, trace=tuple(trace.hypotheses))
@@ -164,9 +157,9 @@ def kernels_of_teacher(
 def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
     """The best fit of free kernels and of terms that data show."""
     fits, survey = survey_first_steps(fits)
-    places, asked = fits.kernels.kernels, SurveyedRotation(np.nan)
-    if weigh_rotation:
-        asked = survey_rotation(survey.response, survey.noise, (), places)
+    asked = (
+        _weigh_in_survey(fits, survey) if weigh_rotation else SurveyedRotation(np.nan)
+    )
     turns = asked.is_plain or not fits.kernels.is_conservative
     rough, proposals = None, []
     if not (survey.is_begun or turns):
@@ -180,8 +173,7 @@ def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
             rough = fit_rough(fits)
     if rough and rough.hyperparameters.noise <= POLICY.explained * survey.noise:
         fits, survey = fits.about(rough), Survey.of(fits, rough)
-        if weigh_rotation:
-            asked = survey_rotation(survey.response, survey.noise, (), places)
+        asked = _weigh_in_survey(fits, survey) if weigh_rotation else asked
         turns = asked.is_plain
     proposals = proposals or survey.propose(rotational=turns)
     if weigh_rotation and asked.is_needed and not (turns or proposals):
@@ -232,6 +224,10 @@ def survey_first_steps(fits: Fits) -> tuple[Fits, Survey]:
     if begun is None or begun.hyperparameters.noise > POLICY.explained * survey.noise:
         return fits, survey
     return fits.about(begun), Survey.of(fits, begun)
+
+
+def _weigh_in_survey(fits: Fits, survey: Survey) -> SurveyedRotation:
+    return survey_rotation(survey.response, survey.noise, (), fits.kernels.kernels)
 
 
 def _fit_turning(fits: Fits, proposals: Sequence[Proposal]) -> StructuredFit | None:

@@ -153,8 +153,8 @@ class SwitchedResponse(actuation.AbstractResponse):
         }
         branches = []
         for made in RESPONSES.values():
-            own = {name: numbers[name] for name in numbers if hasattr(made, name)}
-            response = dataclasses.replace(made, **own)
+            has = {name: numbers[name] for name in numbers if hasattr(made, name)}
+            response = dataclasses.replace(made, **has)
             branches.append(lambda f, response=response: response(f))
         return jax.lax.switch(self.index, branches, frequency)
 

@@ -129,8 +129,8 @@ REMARKS = {
         "not at the level of the noise, raise --max-steps or choose another --model."
     ),
     str(Outcome.MISFIT): (
-        "The fit has found its best parameters, and yet they do not explain the data "
-        "up to noise; kernels were fitted to pieces of trajectories, since no force "
+        "The fit has found its best parameters, and yet the residuals are no noise, "
+        "or kernels had to be fitted to pieces of the trajectories, since no force "
         "followed them whole. The model is too small for these data (--width, or "
         "another --model, such as kernel-mixture for a force that rotates), or the "
         "known physics (--system) are wrong."

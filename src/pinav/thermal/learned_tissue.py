@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from pinav.evaluation import normal_quantile
 from pinav.fitting import EvidenceFit, Outcome
 from pinav.fitting.bayes.parameters import derive
-from pinav.fitting.engine.posterior import TWO_SIDED, Estimate, Posterior
+from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.thermal import learning
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.heated_run import FOLLOWED, AbstractHeatResult, Watched
@@ -61,7 +62,7 @@ class Forecast(eqx.Module):
         """Fraction of later temperatures with the truth in the band of 95 %."""
         if self.true is None:
             return None
-        return float((self._errors <= TWO_SIDED * self.sd[self._later]).mean())
+        return float((self._errors <= normal_quantile() * self.sd[self._later]).mean())
 
     @property
     def _later(self) -> np.ndarray:

@@ -15,9 +15,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
 from pinav.errors import InputError
+from pinav.evaluation import normal_quantile
 from pinav.fitting import EvidenceFit
 from pinav.fitting.bayes.parameters import derive
-from pinav.fitting.engine.posterior import TWO_SIDED, Posterior
+from pinav.fitting.engine.posterior import Posterior
 from pinav.fitting.engine.problem import ShortenedStep
 from pinav.fitting.least_squares import fit_regression
 from pinav.forces import IsotropicPrior
@@ -302,7 +303,8 @@ class PerfusionCurve(eqx.Module):
     @property
     def band(self) -> Float[np.ndarray, "2 temperature"]:
         """Bounds between which the law lies with a nominal probability of 95 %."""
-        return self.values * np.exp(TWO_SIDED * np.array([[-1.0], [1.0]]) * self.sd)
+        half = normal_quantile() * self.sd
+        return self.values * np.exp(np.stack([-half, half]))
 
     @property
     def inside(self) -> np.ndarray:

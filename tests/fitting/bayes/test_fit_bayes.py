@@ -13,7 +13,9 @@ from pinav.errors import FitError, InputError
 from pinav.evaluation.force_fields import exact_forces, force_error_at_samples
 from pinav.fitting import Outcome, fit_bayes, kernel_environment
 from pinav.fitting.bayes.neural import FitSpecification
-from pinav.fitting.bayes.pieces import fit_pieces
+from pinav.fitting.rugged.pieces import fit_pieces
+from pinav.fitting.structure.fits import Fits
+from pinav.fitting.structure.trace import Trace
 from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
 from pinav.forces.priors import WeightPrior
 from pinav.systems import Observation
@@ -186,7 +188,8 @@ def test_pieces_of_trajectories_tell_the_force_of_a_fit_that_diverged(
     specification = FitSpecification(untrained, data, lambda _: (), None, FixedStep())
     diverged = dataclasses.replace(fitted, outcome=Outcome.DIVERGED)
     with jax.enable_x64():
-        pieces = fit_pieces(specification, diverged, None, 20)
+        fits = Fits(specification, 20, None, throw=False, trace=Trace())
+        pieces = fit_pieces(fits, diverged)
     assert pieces.outcome is Outcome.MISFIT
     assert pieces.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
     assert error(pieces, scenario, data) < 0.1

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from pinav.arguments import Scalar, State, Vector
 from pinav.dynamics import FixedStep, Swimmer, with_dtype
 from pinav.errors import InputError
+from pinav.evaluation.coverage import NOMINAL
 from pinav.forces import AbstractForce, LinearDrag, MagneticPropulsion
 
 Samples = Float[np.ndarray, "sample factor"]
@@ -35,9 +36,6 @@ Indices = Float[np.ndarray, "outcome factor"]
 
 RESAMPLES = 200
 """Samples of the bootstrap."""
-
-CONFIDENCE = 0.95
-"""Probability of its intervals."""
 
 
 class Factor(eqx.Module):
@@ -120,7 +118,7 @@ def sobol_indices(
         _indices(stacked[:, generator.integers(0, samples, samples)])
         for _ in range(RESAMPLES)
     ]
-    ends = [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2]
+    ends = [0.5 - NOMINAL / 2, 0.5 + NOMINAL / 2]
     intervals = np.quantile(np.array(draws), ends, axis=0)
     first_order, total = (blank + index for index in _indices(stacked))
     return SobolIndices(
@@ -130,7 +128,7 @@ def sobol_indices(
         first_interval=blank[..., None] + np.moveaxis(intervals[:, 0], 0, -1),
         total=total,
         total_interval=blank[..., None] + np.moveaxis(intervals[:, 1], 0, -1),
-        confidence=CONFIDENCE,
+        confidence=NOMINAL,
         variance=values[: 2 * samples].var(axis=0),
     )
 

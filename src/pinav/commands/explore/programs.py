@@ -56,7 +56,7 @@ CHECKED = 400
 
 
 class TableBox(NamedTuple):
-    """Where and when a force is tabulated.
+    """Box and times in which a force is tabulated.
 
     Attributes:
         lower: least x and y [L].

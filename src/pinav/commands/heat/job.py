@@ -118,26 +118,26 @@ CAUTION = Paragraph(
 
 
 def sections(found: AbstractHeatResult) -> list[Section]:
-    """What a run reached, what was learned, or what was planned."""
+    """Sections on a run, on a learned tissue or on a plan."""
     if isinstance(found, LearnedTissue):
-        return _learned(found)
+        return _fit_sections(found)
     if isinstance(found, PlannedRun):
-        result, *others = _heated(found.result, found.max_temperature)
+        result, *others = _run_sections(found.result, found.max_temperature)
         return [result, _constraints(found), *others]
     assert isinstance(found, HeatedRun)
-    return _heated(found)
+    return _run_sections(found)
 
 
-def _heated(run: HeatedRun, bound: float | None = None) -> list[Section]:
+def _run_sections(run: HeatedRun, bound: float | None = None) -> list[Section]:
     warnings = [Paragraph(f"Warning: {line}.") for line in run.warnings]
-    found = [
+    parts = [
         Section("Result", [CAUTION, run_table(run), *warnings]),
         Section("Field", [protocol_figure(run, bound)]),
         Section("Temperature and dose", [fields_figure(run)]),
     ]
     if run.probes is not None:
-        found.append(Section("Probes", [probes_figure(run)]))
-    return found
+        parts.append(Section("Probes", [probes_figure(run)]))
+    return parts
 
 
 def _constraints(found: PlannedRun) -> Section:
@@ -150,7 +150,7 @@ def _constraints(found: PlannedRun) -> Section:
     return Section("Constraints", blocks)
 
 
-def _learned(found: LearnedTissue) -> list[Section]:
+def _fit_sections(found: LearnedTissue) -> list[Section]:
     parts = [Section("The fit", [CAUTION, fit_table(found)])]
     if found.laws:
         parts.append(Section("Learned perfusion", [laws_figure(found)]))
@@ -216,7 +216,7 @@ def judgement_table(judged: Judgement) -> Table:
 
 
 def fit_table(found: LearnedTissue) -> Table:
-    """How well a fit explains the readings."""
+    """Table of the residuals and the numbers of a fit."""
     unit = "of its map" if found.relative else "[K]"
     rows: Rows = [
         (f"residual, root mean square {unit}", found.residual),

@@ -101,7 +101,7 @@ WIDER = 1.5
 has longer tails than a normal distribution."""
 
 LATER_WIDER = 1.2
-"""That factor of the later stages."""
+"""Factor in the standard deviations of what later stages draw from."""
 
 FEW = 10.0
 """Effective number of draws below which the next stage trusts their weights less."""

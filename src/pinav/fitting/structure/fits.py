@@ -31,6 +31,7 @@ from pinav.fitting.structure.rotation import mixture_on
 from pinav.fitting.structure.trace import Hypothesis, Trace
 from pinav.fitting.structure.trials import Terms
 from pinav.forces import AbstractForce, StructuredForce, split_structure
+from pinav.trajectories import Trajectories
 
 
 class StructuredFit(eqx.Module):
@@ -122,6 +123,11 @@ class Fits(eqx.Module):
         """The same from the states of a fit."""
         states = None if fit.states is None else on_device(fit.states)
         return dataclasses.replace(self, states=states)
+
+    def to(self, data: Trajectories) -> "Fits":
+        """Fits of other data, from their smoothed states."""
+        specification = dataclasses.replace(self.specification, trajectories=data)
+        return dataclasses.replace(self, specification=specification, states=None)
 
     def problem(self) -> BayesProblem:
         """The problem of the environment from the states."""

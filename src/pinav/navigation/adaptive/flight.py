@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from pinav.fitting.engine.posterior import TWO_SIDED
+from pinav.evaluation import normal_quantile
 from pinav.learning.findings import ForceMaps
 from pinav.navigation.adaptive.prior import with_truth
 from pinav.navigation.adaptive.steering import AdaptiveController, ControllerState
@@ -56,7 +56,7 @@ def score_force(
     truth = true_force(task, path)
     mean, sd = belief.force(path)
     error = float(np.linalg.norm(mean - truth) / np.linalg.norm(truth))
-    return error, float(np.mean(np.abs(mean - truth) <= TWO_SIDED * sd))
+    return error, float(np.mean(np.abs(mean - truth) <= normal_quantile() * sd))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
