@@ -20,7 +20,7 @@ from pinav.fitting.structure.fits import Fits, StructuredFit
 from pinav.fitting.structure.kinds import signature
 from pinav.fitting.structure.laws import follow_laws
 from pinav.fitting.structure.search import preferred, refine
-from pinav.fitting.structure.survey import Survey
+from pinav.fitting.structure.survey import Survey, survey_about
 from pinav.fitting.structure.trials import Proposal, polish
 
 
@@ -56,10 +56,10 @@ def _best_about_free(
     if rough is not None or not failed or fits.trace.is_over:
         return fit_free(fits, rough)
     rough = fit_rough(fits)
-    survey, turns = Survey.of(fits, rough), not fits.kernels.is_conservative
-    explains = rough.hyperparameters.noise <= POLICY.explained * survey.noise
-    proposals = survey.propose(rotational=turns) if explains else []
-    return best_fit(fits.about(rough) if explains else fits, proposals, rough)
+    about, survey = survey_about(fits, rough, Survey.of(fits))
+    turns = not fits.kernels.is_conservative
+    proposals = survey.propose(rotational=turns) if survey.is_begun else []
+    return best_fit(about, proposals, rough)
 
 
 def _fit_until_kinds_stay(

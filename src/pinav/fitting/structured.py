@@ -39,6 +39,7 @@ from pinav.fitting.structure.survey import (
     is_network,
     is_worth_a_search,
     may_turn,
+    survey_about,
 )
 from pinav.fitting.structure.trace import Trace
 from pinav.fitting.structure.trials import Proposal
@@ -160,32 +161,23 @@ def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
     asked = (
         _weigh_in_survey(fits, survey) if weigh_rotation else SurveyedRotation(np.nan)
     )
-    turns = asked.is_plain or not fits.kernels.is_conservative
-    rough, proposals = None, []
-    if not (survey.is_begun or turns):
-        proposals = survey.propose(rotational=False, singles_only=True)
-        if asked.is_needed and not proposals:
-            proposals = survey.propose(rotational=True, singles_only=True)
-            turns = len(proposals) > 0
-    if not (survey.is_begun or turns or proposals):
-        # Terms are sought about states that explain the data, which finer kernels do.
-        with contextlib.suppress(FitError):
-            rough = fit_rough(fits)
-    if rough and rough.hyperparameters.noise <= POLICY.explained * survey.noise:
-        fits, survey = fits.about(rough), Survey.of(fits, rough)
-        asked = _weigh_in_survey(fits, survey) if weigh_rotation else asked
-        turns = asked.is_plain
+    is_plain = asked.is_plain or not fits.kernels.is_conservative
+    turns, rough, proposals = is_plain or asked.is_needed, None, []
+    if not (survey.is_begun or is_plain):
+        proposals = survey.propose(rotational=turns, singles_only=True)
+        if not proposals:
+            # Terms are sought about states that explain the data, as finer kernels do.
+            with contextlib.suppress(FitError):
+                rough = fit_rough(fits)
+                fits, survey = survey_about(fits, rough, survey)
+            # what a potential explains needs no rotation
+            turns &= not survey.is_begun
     proposals = proposals or survey.propose(rotational=turns)
-    if weigh_rotation and asked.is_needed and not (turns or proposals):
-        proposals = survey.propose(rotational=True)
-        turns = len(proposals) > 0
-    if turns and weigh_rotation:
+    if weigh_rotation and (asked.is_plain or _turns(proposals[:1])):
         turning = _fit_turning(fits, proposals)
         if turning is not None and turning.rotation > POLICY.decisive:
             return turning
-        proposals = [
-            one for one in proposals if not any(t.rotational for t in one.terms)
-        ]
+        proposals = [one for one in proposals if not _turns([one])]
     best = functools.partial(best_fit, fits, proposals, rough)
     if not weigh_rotation:
         return best()
@@ -195,6 +187,10 @@ def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
     if not asked.gain > POLICY.decisive:  # which may be NaN
         return StructuredFit(still.fit, still.gain, asked.gain)
     return _weigh_beside(fits, still)
+
+
+def _turns(proposals: Sequence[Proposal]) -> bool:
+    return any(term.rotational for one in proposals for term in one.terms)
 
 
 def _potential(
@@ -220,10 +216,7 @@ def survey_first_steps(fits: Fits) -> tuple[Fits, Survey]:
     suggest spurious forces. They are kept where free kernels do not explain the data,
     as a potential cannot those of a swirl.
     """
-    survey, begun = Survey.of(fits), fits.begin()
-    if begun is None or begun.hyperparameters.noise > POLICY.explained * survey.noise:
-        return fits, survey
-    return fits.about(begun), Survey.of(fits, begun)
+    return survey_about(fits, fits.begin(), Survey.of(fits))
 
 
 def _weigh_in_survey(fits: Fits, survey: Survey) -> SurveyedRotation:

@@ -46,7 +46,7 @@ def test_terms_beside_others_have_the_evidence_of_all_their_columns(scanned):
     held, walls = scanned.held, scanned.walls
     values = held.beside(walls)
     for index in (0, 4, 11):
-        part = walls.columns[index]
+        part = walls.columns[:, index]
         tried = [log_evidence(held, [part], ratio) for ratio in POLICY.ratios]
         assert values[index] == pytest.approx(max(tried) - walls.price, abs=1e-4)
 
@@ -54,7 +54,7 @@ def test_terms_beside_others_have_the_evidence_of_all_their_columns(scanned):
 def test_pairs_have_the_evidence_of_all_their_columns(scanned):
     held, walls, centres = scanned.held, scanned.walls, scanned.centres
     values = held.pairs(walls, centres)
-    part = [walls.columns[4], centres.columns[20]]
+    part = [walls.columns[:, 4], centres.columns[:, 20]]
     whole = log_evidence(held, part, POLICY.ratios[1])
     assert values[4, 20] == pytest.approx(whole - walls.price - centres.price, abs=1e-4)
 

@@ -13,6 +13,7 @@ that pairs of terms, and sets of centres with one profile, cost a small factoris
 each.
 """
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 
 import equinox as eqx
@@ -38,26 +39,48 @@ class Atoms(eqx.Module):
     """Terms of one kind at different places, and their columns.
 
     Attributes:
-        sizes: root of the trace of the columns of each before they were scaled to one:
-            each term is as likely as any other to explain a share of the data.
+        columns: of each term, scaled to unit trace: each is as likely as any other to
+            explain a share of the data.
+        products: of the columns of a term with each other.
+        sizes: root of the trace of the columns of each before.
         price: cost of the geometry of one of them [nats].
-        flat: the columns of all terms in a row.
     """
 
     terms: Sequence[AbstractTerm]
-    columns: Float[np.ndarray, "atom datum direction"]
-    sizes: Float[np.ndarray, "atom 1 1"]
+    columns: Float[np.ndarray, "datum atom direction"]
+    products: Float[np.ndarray, "atom direction direction"]
+    sizes: Float[np.ndarray, " atom"]
     price: float
-    flat: Float[np.ndarray, "datum column"]
 
     @classmethod
     def of(cls, terms: Sequence[AbstractTerm], response: ForceResponse) -> "Atoms":
         """The columns of terms that differ in their geometry alone."""
-        columns = np.stack(list(_seen_columns(terms, response)))
-        sizes = np.sqrt((columns**2).sum(axis=(1, 2), keepdims=True))
-        columns /= np.maximum(sizes, np.finfo(float).tiny)
-        flat = np.moveaxis(columns, 0, 1).reshape(columns.shape[1], -1)
-        return cls(terms, columns, sizes, cost((terms[0],), response), flat)
+        made, products, sizes = [], [], []
+        for columns in _seen_columns(terms, response):
+            size = max(float(np.linalg.norm(columns)), np.finfo(float).tiny)
+            made.append(columns / size)
+            products.append(made[-1].T @ made[-1])
+            sizes.append(size)
+        price = cost((terms[0],), response)
+        stacked = np.stack(made, axis=1)
+        return cls(terms, stacked, np.stack(products), np.array(sizes), price)
+
+    def __getitem__(self, chosen: slice) -> "Atoms":
+        """Some of the terms."""
+        return dataclasses.replace(
+            self,
+            terms=self.terms[chosen],
+            columns=self.columns[:, chosen],
+            products=self.products[chosen],
+            sizes=self.sizes[chosen],
+        )
+
+    def times(
+        self, columns: Float[np.ndarray, "datum *some"]
+    ) -> Float[np.ndarray, "*some atom direction"]:
+        """Products of the columns with others."""
+        flat = self.columns.reshape(len(self.columns), -1)
+        return (columns.T @ flat).reshape(*columns.shape[1:], *self.columns.shape[1:])
 
 
 def _seen_columns(
@@ -101,49 +124,42 @@ class Held(eqx.Module):
     def of(cls, terms: Sequence[AbstractTerm], response: ForceResponse) -> "Held":
         """The columns of terms in the data of a response."""
         offset = response.residuals_of_none
-        parts = [Atoms.of([term], response).columns[0] for term in terms]
+        parts = [Atoms.of([term], response).columns[:, 0] for term in terms]
         columns = np.concatenate([np.zeros((len(offset), 0)), *parts], axis=1)
         squares = float(offset @ offset) + response.squares
         return cls(columns, offset, squares, response.num_free)
 
     def beside(self, atoms: Atoms) -> Float[np.ndarray, " atom"]:
         """Log evidence of each of several terms beside what is held [nats]."""
-        x = atoms.columns
-        return (
-            self._log_evidence(
-                self.columns.T @ self.columns,
-                self.columns.T @ self.offset,
-                (self.columns.T @ atoms.flat).reshape(-1, len(x), x.shape[2]),
-                np.matmul(np.swapaxes(x, 1, 2), x),
-                (self.offset @ atoms.flat).reshape(len(x), -1),
-            )
-            - atoms.price
+        columns = self.columns
+        values = self._log_evidence(
+            columns.T @ columns,
+            columns.T @ self.offset,
+            atoms.times(columns),
+            atoms.products,
+            atoms.times(self.offset),
         )
+        return values - atoms.price
 
     def pairs(self, first: Atoms, second: Atoms) -> Float[np.ndarray, "first second"]:
         """Log evidence of each pair of two kinds beside what is held [nats].
 
         Of pairs of one kind, each once; none of a term and itself.
         """
-        held, (count, _, size) = self.columns, second.columns.shape
-        across = (held.T @ second.flat).reshape(-1, count, size)
-        own = np.matmul(np.swapaxes(second.columns, 1, 2), second.columns)
-        along = (self.offset @ second.flat).reshape(count, size)
-        made = np.full((len(first.columns), count), -np.inf)
-        for index, columns in enumerate(first.columns):
-            kept = slice(index + 1 if first is second else 0, None)
-            if len(own[kept]) == 0:
+        made = np.full((len(first.terms), len(second.terms)), -np.inf)
+        across, along = second.times(self.columns), second.times(self.offset)
+        for index in range(len(first.terms)):
+            rest = slice(index + 1 if first is second else 0, None)
+            others, columns = second[rest], first.columns[:, index]
+            if not others.terms:
                 break
-            inner = np.concatenate([held, columns], axis=1)
-            between = columns.T @ second.flat[:, kept.start * size :]
-            made[index, kept] = self._log_evidence(
+            inner = np.concatenate([self.columns, columns], axis=1)
+            made[index, rest] = self._log_evidence(
                 inner.T @ inner,
                 inner.T @ self.offset,
-                np.concatenate(
-                    [across[:, kept], between.reshape(columns.shape[1], -1, size)]
-                ),
-                own[kept],
-                along[kept],
+                np.concatenate([across[:, rest], others.times(columns)]),
+                others.products,
+                along[rest],
                 POLICY.ratios[1:2],
             )
         return made - first.price - second.price
@@ -211,10 +227,8 @@ class _SharedProfile(eqx.Module):
 
     @classmethod
     def of(cls, atoms: Atoms, held: Held) -> "_SharedProfile":
-        scaled = atoms.columns * (atoms.sizes / np.median(atoms.sizes))
-        count, _, size = scaled.shape
-        flat = np.moveaxis(scaled, 0, 1).reshape(scaled.shape[1], -1)
-        shape = count, size
+        scaled = atoms.columns * (atoms.sizes / np.median(atoms.sizes))[:, None]
+        flat, shape = scaled.reshape(len(scaled), -1), scaled.shape[1:]
         dim = np.size(atoms.terms[0].geometry[0])
         return cls(
             held=held,

@@ -152,7 +152,8 @@ class _Dictionary(eqx.Module):
         if self.region.is_planar:
             yield from self._planar(linear, held)
         if len(self.summits):
-            kinds.append(self._ellipses(self.summits))
+            last = POLICY.turns * len(self.summits)
+            kinds.append(self.scanned[-len(POLICY.shears)][-last:])
         for index, first in enumerate(kinds):
             for second in kinds[index:]:
                 yield from _best_pair(first, second, linear, held)
@@ -181,8 +182,10 @@ class _Dictionary(eqx.Module):
             return shaped
         dense = self.region.dense_places(POLICY.dense)
         places = np.concatenate([dense, self.summits])
-        waves = Atoms.of(lattices(self.region), self.response)
-        return [*shaped, waves, *(self._ellipses(places, s) for s in POLICY.shears)]
+        kinds = [lattices(self.region)]
+        for size in POLICY.shears:
+            kinds.append(ellipses(self.region, places, turned_shears(size)))
+        return shaped + [Atoms.of(terms, self.response) for terms in kinds]
 
     def _planar(self, linear: Any, held: Held) -> Iterator[Trial]:
         """Lattices and ellipses, which are tried everywhere, also beside walls."""
@@ -193,12 +196,6 @@ class _Dictionary(eqx.Module):
             for walls in self.simple:
                 if isinstance(walls.terms[0], WallTerm):
                     yield from _best_pair(walls, atoms, linear, held)
-
-    def _ellipses(
-        self, places: Float[np.ndarray, "place 2"], size: float = POLICY.shears[0]
-    ) -> Atoms:
-        scanned = ellipses(self.region, places, turned_shears(size))
-        return Atoms.of(scanned, self.response)
 
     def _best_few(self, atoms: Atoms, linear: Any, held: Held) -> Iterator[Trial]:
         """The most likely term of a kind, and the most likely one elsewhere."""

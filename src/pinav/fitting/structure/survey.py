@@ -147,6 +147,20 @@ class Survey(eqx.Module):
         )
 
 
+def survey_about(
+    fits: Fits, free: EvidenceFit | None, survey: Survey
+) -> tuple[Fits, Survey]:
+    """A survey about free kernels, and fits from there, where they explain the data.
+
+    Args:
+        free: their fit, if there is one.
+        survey: about smoothed states, which stays where they do not.
+    """
+    if free is None or free.hyperparameters.noise > POLICY.explained * survey.noise:
+        return fits, survey
+    return fits.about(free), Survey.of(fits, free)
+
+
 def _evidence_of(fit: EvidenceFit, response: ForceResponse) -> float:
     """Log evidence of the free kernels of a fit in the data linearised about it."""
     kernels = fit.model.environment
