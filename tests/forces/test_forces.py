@@ -85,14 +85,6 @@ def test_a_hill_has_the_semi_axes_that_its_shape_says():
         np.testing.assert_allclose(height, 2.0 * np.exp(-0.5), rtol=1e-6)
 
 
-def test_gaps_between_hills_are_in_their_own_sizes():
-    """A long hill along x, whose end is nearer to the other than its side would be."""
-    shapes = jnp.array([[0.0, -np.log(2.0), 0.0], [np.log(3.0), 0.0, 0.0]])
-    places = jnp.array([[0.0, 0.0], [6.0, 0.0]])
-    hills = forces.HillsTerm(weights=jnp.zeros(6), centers=places, shapes=shapes)
-    np.testing.assert_allclose(hills.gaps, [3.0, 2.0], rtol=1e-6)
-
-
 def test_a_rotational_term_is_turned_by_a_right_angle():
     plain = TERMS["central"]()
     swirl = dataclasses.replace(plain, rotational=True)

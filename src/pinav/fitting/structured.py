@@ -26,7 +26,7 @@ from pinav.fitting.confirmed import best_fit
 from pinav.fitting.engine.evidence_fit import EvidenceProgress
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.policy import POLICY
-from pinav.fitting.rugged.free import fit_free, fit_rough, has_many_hills
+from pinav.fitting.rugged.free import fit_free, fit_rough
 from pinav.fitting.rugged.pieces import fit_pieces
 from pinav.fitting.structure.fits import Fits, StructuredFit
 from pinav.fitting.structure.rotation import (
@@ -240,14 +240,7 @@ def _weigh_beside(fits: Fits, still: StructuredFit) -> StructuredFit:
     terms, _ = split_structure(force)
     about = Survey.of(fits, still.fit)
     asked = survey_rotation(about.response, about.noise, terms, force.kernels)
-    turning, rotation = None, asked.gain
-    if rotation > POLICY.decisive and not fits.trace.is_over:
-        turning = _fit_turning(fits, ())
-        rotation = np.nan if turning is None else turning.rotation
-    if turning is None or not rotation > POLICY.decisive:
-        return StructuredFit(still.fit, still.gain, rotation)
-    is_better = turning.log_evidence > still.log_evidence
-    return turning if is_better or not has_many_hills(still.force) else still
+    return _weigh_mixture(fits, still, asked.gain)
 
 
 def _weigh_few(fits: Fits) -> StructuredFit:
@@ -262,8 +255,20 @@ def _weigh_few(fits: Fits) -> StructuredFit:
     coarse = fits.turning().try_terms(()) if is_potential else None
     if coarse is None:
         return still
-    rotation = coarse.log_evidence - still.log_evidence
-    turning = _fit_turning(fits, ()) if rotation > POLICY.decisive else None
+    return _weigh_mixture(fits, still, coarse.log_evidence - still.log_evidence)
+
+
+def _weigh_mixture(fits: Fits, still: StructuredFit, rotation: float) -> StructuredFit:
+    """The fit of a potential, or that of a mixture where its evidence is higher.
+
+    Args:
+        rotation: evidence of a rotational part that is known before it is fitted
+            [nats]; unless it is decisive none is.
+    """
+    turning = None
+    if rotation > POLICY.decisive and not fits.trace.is_over:
+        turning = _fit_turning(fits, ())
+        rotation = np.nan
     if turning is None:
         return StructuredFit(still.fit, still.gain, rotation)
     rotation = turning.log_evidence - still.log_evidence

@@ -202,17 +202,6 @@ class HillsTerm(AbstractTerm):
         return numbers // 5
 
     @property
-    def gaps(self) -> Float[np.ndarray, " hill"]:
-        """Distance of the nearest other place from each hill, in its own sizes."""
-        from_each = jax.vmap(_squared_distance, (None, 0, 0))
-        squares = jax.vmap(from_each, (0, None, None))(
-            self.centers, self.centers, self.shapes
-        )
-        distances = np.sqrt(np.asarray(squares))
-        np.fill_diagonal(distances, np.inf)
-        return distances.min(axis=0)
-
-    @property
     def size(self) -> float:
         """Size of a typical hill [L]."""
         return float(np.exp(np.median(np.asarray(self.shapes)[:, 0])))

@@ -6,16 +6,13 @@ from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.evidence.evidence import LinearisedObservations, at_shape
-from pinav.fitting.rugged.free import has_many_hills
 from pinav.fitting.rugged.hills import propose_hills
 from pinav.fitting.structure.potential_map import free_potential
 from pinav.fitting.structure.response import force_quadratic
 from pinav.forces import (
     GaussianBarrier,
-    HillsTerm,
     KernelPotential,
     LinearForce,
-    StructuredForce,
     SumForce,
     gaussian_ridge,
 )
@@ -95,12 +92,3 @@ def test_a_field_that_is_rough_everywhere_has_no_hills(across):
     centers, width = surround_with_kernels(POINTS[0], KernelGrid(across=across))
     weights = jnp.asarray(np.random.default_rng(3).normal(size=len(centers)))
     assert hills_of(KernelPotential(weights, jnp.asarray(centers), width)) is None
-
-
-@pytest.mark.parametrize(("apart", "are_many"), [(4.0, True), (1.0, False)])
-def test_hills_that_overlap_are_no_reason_to_seek_nothing_else(apart, are_many):
-    places = apart * jnp.arange(9.0)[:, None] * jnp.array([[1.0, 0.0]])
-    hills = HillsTerm(weights=jnp.zeros(27), centers=places, shapes=jnp.zeros((9, 3)))
-    free = KernelPotential.with_zero_weights(POINTS[0, :3], 1.0)
-    assert has_many_hills(StructuredForce((hills,), free)) == are_many
-    assert not has_many_hills(free)

@@ -7,20 +7,18 @@ their evidence is not charged for places that the data chose.
 
 import dataclasses
 
-import numpy as np
-
 from pinav.errors import FitError
 from pinav.fitting.bayes.fit_bayes import ADVICE
 from pinav.fitting.engine.evidence_fit import EvidenceFit
+from pinav.fitting.environments.kernels import MOST_WEIGHTS, OFTEN
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.policy import POLICY
 from pinav.fitting.rugged.hills import propose_hills
 from pinav.fitting.structure.fits import Fits, StructuredFit
 from pinav.fitting.structure.survey import Survey, is_worth_a_search
-from pinav.forces import AbstractForce, HillsTerm, split_structure
 
-AS_FINE_AS_HILLS_NEED = Refinement(max_weights=1000)
+AS_FINE_AS_OFTEN = Refinement(max_weights=int(OFTEN * MOST_WEIGHTS))
 """Kernels on which the places of hills are seen, if there are hills."""
 
 
@@ -30,7 +28,7 @@ def fit_rough(fits: Fits) -> EvidenceFit:
     Raises:
         FitError: it fails.
     """
-    return dataclasses.replace(fits, throw=False).fit(AS_FINE_AS_HILLS_NEED)
+    return dataclasses.replace(fits, throw=False).fit(AS_FINE_AS_OFTEN)
 
 
 def fit_free(fits: Fits, rough: EvidenceFit | None = None) -> StructuredFit:
@@ -79,21 +77,3 @@ def _fit_hills(fits: Fits, rough: EvidenceFit) -> StructuredFit | None:
         return None
     gain = fit.log_evidence - StructuredFit(rough).log_evidence
     return dataclasses.replace(fit, gain=gain)
-
-
-def has_many_hills(force: AbstractForce) -> bool:
-    """True if a rugged force is so well known that no other structure is sought.
-
-    A few hills may be a sum of other terms, and overlapping ones parts of a ring or of
-    a wall.
-    """
-    terms, _ = split_structure(force)
-    return any(
-        isinstance(term, HillsTerm) and np.sum(term.gaps > SEPARATE) >= MANY
-        for term in terms
-    )
-
-
-MANY, SEPARATE = 9, 1.5
-"""Hills of a rugged field, of which fewer may be a sum or obstacles of one kind; and
-the distance of each from the others, in its own sizes."""

@@ -76,7 +76,7 @@ class Atoms(eqx.Module):
         )
 
     def times(
-        self, columns: Float[np.ndarray, "datum *some"]
+        self, columns: Float[np.ndarray, " datum *some"]
     ) -> Float[np.ndarray, "*some atom direction"]:
         """Products of the columns with others."""
         flat = self.columns.reshape(len(self.columns), -1)
