@@ -40,7 +40,8 @@ class Atoms(eqx.Module):
 
     Attributes:
         columns: of each term, scaled to unit trace: each is as likely as any other to
-            explain a share of the data.
+            explain a share of the data. They are held in single precision, and
+            multiplied in double: products of rounded columns stay positive definite.
         products: of the columns of a term with each other.
         sizes: root of the trace of the columns of each before.
         price: cost of the geometry of one of them [nats].
@@ -58,8 +59,8 @@ class Atoms(eqx.Module):
         made, products, sizes = [], [], []
         for columns in _seen_columns(terms, response):
             size = max(float(np.linalg.norm(columns)), np.finfo(float).tiny)
-            made.append(columns / size)
-            products.append(made[-1].T @ made[-1])
+            made.append((columns / size).astype(np.float32))
+            products.append(made[-1].T.astype(float) @ made[-1])
             sizes.append(size)
         price = cost((terms[0],), response)
         stacked = np.stack(made, axis=1)
@@ -75,12 +76,17 @@ class Atoms(eqx.Module):
             sizes=self.sizes[chosen],
         )
 
+    @property
+    def flat(self) -> Float[np.ndarray, "datum column"]:
+        """The columns of all terms in a row, in double precision."""
+        return self.columns.reshape(len(self.columns), -1).astype(float)
+
     def times(
         self, columns: Float[np.ndarray, " datum *some"]
     ) -> Float[np.ndarray, "*some atom direction"]:
         """Products of the columns with others."""
-        flat = self.columns.reshape(len(self.columns), -1)
-        return (columns.T @ flat).reshape(*columns.shape[1:], *self.columns.shape[1:])
+        made = columns.T @ self.flat
+        return made.reshape(*columns.shape[1:], *self.columns.shape[1:])
 
 
 def _seen_columns(
@@ -148,18 +154,22 @@ class Held(eqx.Module):
         """
         made = np.full((len(first.terms), len(second.terms)), -np.inf)
         across, along = second.times(self.columns), second.times(self.offset)
+        size, flat = along.shape[1], second.flat
         for index in range(len(first.terms)):
-            rest = slice(index + 1 if first is second else 0, None)
-            others, columns = second[rest], first.columns[:, index]
-            if not others.terms:
+            start = index + 1 if first is second else 0
+            if start == len(second.terms):
                 break
+            columns = first.columns[:, index].astype(float)
+            between = (columns.T @ flat[:, start * size :]).reshape(
+                columns.shape[1], -1, size
+            )
             inner = np.concatenate([self.columns, columns], axis=1)
-            made[index, rest] = self._log_evidence(
+            made[index, start:] = self._log_evidence(
                 inner.T @ inner,
                 inner.T @ self.offset,
-                np.concatenate([across[:, rest], others.times(columns)]),
-                others.products,
-                along[rest],
+                np.concatenate([across[:, start:], between]),
+                second.products[start:],
+                along[start:],
                 POLICY.ratios[1:2],
             )
         return made - first.price - second.price
