@@ -29,6 +29,7 @@ from pinav.forces.formulas import (
     Functions,
     Role,
     symbolic,
+    symbols,
 )
 from pinav.forces.geometries import (
     AbstractGeometry,
@@ -318,15 +319,7 @@ def expressions(law: AbstractLaw) -> LawExpressions:
     import sympy
 
     x, y = sympy.symbols("x y", real=True)
-    constants = {
-        constant.name: sympy.Symbol(
-            constant.symbol,
-            real=True,
-            positive=True if constant.role is Role.SCALE else None,
-        )
-        for constant in law.constants
-    }
-    values = tuple(constants.values())
+    values = symbols(law.constants)
     potential, stream = (
         sympy.sympify(potential_of(law, values, (x, y), symbolic(), turns=turns))
         for turns in (False, True)
@@ -335,8 +328,9 @@ def expressions(law: AbstractLaw) -> LawExpressions:
         sympy.diff(stream, y) - sympy.diff(potential, x),
         -sympy.diff(stream, x) - sympy.diff(potential, y),
     )
-    symbols = {"x": x, "y": y} | constants
-    return LawExpressions(symbols, potential, stream, force)
+    names = ("x", "y", *(constant.name for constant in law.constants))
+    named = dict(zip(names, (x, y, *values), strict=True))
+    return LawExpressions(named, potential, stream, force)
 
 
 def latex(law: AbstractLaw) -> str:
