@@ -3,6 +3,7 @@
 import dataclasses
 import re
 
+import jax.numpy as jnp
 import pytest
 
 import pinav.actuation
@@ -14,7 +15,8 @@ from pinav.actuation import SaturatingResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.fitting import Estimate
 from pinav.fitting.environments.summary import ModelChoice
-from pinav.learning.evidence import with_units
+from pinav.forces.fitted_laws import FittedLaw
+from pinav.learning.evidence import with_unit, with_units
 from pinav.systems import System, Units
 from pinav.units import unit_of
 
@@ -77,7 +79,7 @@ def test_constants_of_a_swimmer_with_inertia():
     assert units(system, swimmer, *names) == expected
 
 
-@pytest.mark.parametrize(("force", "height"), [("pN", "um pN"), ("1", "um² s⁻¹")])
+@pytest.mark.parametrize(("force", "height"), [("pN", "pN um"), ("1", "um² s⁻¹")])
 def test_constants_of_a_swimmer_without_inertia(force, height):
     known = forces.SumForce((forces.GaussianBarrier(1.0, (0.0, 0.0), 1.0),))
     swimmer = OverdampedSwimmer(
@@ -90,3 +92,19 @@ def test_constants_of_a_swimmer_without_inertia(force, height):
     names = ("known_force.terms[0].height", "propulsion.gain", "propulsion.delay")
     assert units(system, swimmer, *names) == [height, "um", "s"]
     assert units(system, swimmer, "propulsion.response.corner") == ["Hz"]
+
+
+def test_numbers_of_a_structure_have_the_units_of_the_data():
+    swimmer = Swimmer(forces.ZeroForce(), forces.LinearDrag(1.0), forces.ZeroForce())
+    system = System("a", swimmer, 2, base_units=Units("um", "s"))
+    law = FittedLaw("ring", (3.0, 0.1, 0.2))
+    terms = (
+        forces.CentralTerm(jnp.ones(1), jnp.ones(2), jnp.zeros(0), 1.0, law=law),
+        forces.WallTerm(jnp.ones(1), 0.3, jnp.ones(2), jnp.zeros(0), 1.0),
+        forces.LatticeTerm(jnp.ones(12), jnp.eye(2), jnp.zeros(2)),
+    )
+    units = [
+        [with_unit(Estimate(1.0, 0.1), one, system).unit for one in dimensions]
+        for dimensions in (law.dimensions, *(term.dimensions for term in terms))
+    ]
+    assert units == [["um", "um", "1"], ["um"] * 2, ["rad"], ["rad um⁻¹"] * 4]

@@ -61,6 +61,12 @@ class FittedLaw(eqx.Module):
         names = (number.name for number in self.family.numbers)
         return dict(zip(names, (first, *rest), strict=True))
 
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """The dimension of each constant."""
+        place = ("L",) if self.family.is_placed else ()
+        return (*place, *(shape.unit for shape in self.family.shapes))
+
     def potential(self, z: Scalar) -> Float[Array, ""]:
         """The potential at a place along the coordinate, relative to its height."""
         place, shapes = 0.0, self._values

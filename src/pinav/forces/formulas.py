@@ -132,7 +132,7 @@ class Constant:
     Attributes:
         name: in words, as `height`.
         role: amplitudes enter the force linearly, scales are positive.
-        unit: dimension in length L and time T; "1" means dimensionless.
+        unit: its dimension, as `pinav.units.model_unit` takes it.
     """
 
     name: str

@@ -11,7 +11,7 @@ from pinav.forces.formulas import Constant, Constants, Expr, Functions, Role
 from pinav.forces.profiles import DISTANCES, LINES
 
 CENTER = tuple(Constant(f"center_{i}", f"c_{i}", Role.POSITION) for i in "xyz")
-ANGLE = Constant("angle", r"\phi", Role.ANGLE, "1")
+ANGLE = Constant("angle", r"\phi", Role.ANGLE, "rad")
 OFFSET = Constant("offset", "d", Role.POSITION)
 
 Place = Sequence[Expr]

@@ -24,7 +24,7 @@ from pinav.forces.fitted_numbers import (
 )
 from pinav.forces.formulas import Constant, Constants, Expr, Functions, Role
 
-HEIGHT = Constant("height", "U_0", Role.AMPLITUDE, "L² T⁻²")
+HEIGHT = Constant("height", "U_0", Role.AMPLITUDE, "L2 T-2")
 WIDTH = Constant("width", r"\sigma", Role.SCALE)
 CORE = Constant("core", "s", Role.SCALE)
 EDGE = Constant("edge", "w", Role.SCALE)
@@ -100,7 +100,7 @@ class Harmonic(AbstractEvenProfile):
     r"""$U = \tfrac12 k z^2$: a trap, or with k < 0 a hill without end."""
 
     name = "harmonic"
-    amplitude = Constant("stiffness", "k", Role.AMPLITUDE, "T⁻²")
+    amplitude = Constant("stiffness", "k", Role.AMPLITUDE, "T-2")
     ratios = ((),)
 
     def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:
@@ -157,7 +157,7 @@ class SoftLogarithm(AbstractEvenProfile):
     r"""$U = \tfrac12 A \log(1 + z^2/s^2)$: a line charge, or a vortex with a core."""
 
     name = "soft logarithm"
-    amplitude = Constant("strength", "A", Role.AMPLITUDE, "L² T⁻²")
+    amplitude = Constant("strength", "A", Role.AMPLITUDE, "L2 T-2")
     shapes = (CORE,)
 
     def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:

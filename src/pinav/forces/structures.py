@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from pinav.arguments import Scalar, Vector
+from pinav.arguments import Scalar, Vector, dimension_of
 from pinav.errors import InputError
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.force import (
@@ -97,6 +97,12 @@ class AbstractTerm(AbstractForce):
     def placement(self) -> PyTree:
         """The numbers that shape its coordinates."""
         return tuple(getattr(self, name) for name in self.shaped_by)
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """The dimension of each number of the placement, as its field states it."""
+        sizes = ((name, np.size(getattr(self, name))) for name in self.shaped_by)
+        return tuple(dimension_of(self, name) for name, n in sizes for _ in range(n))
 
     @property
     def geometry(self) -> PyTree:

@@ -36,8 +36,8 @@ class ConstantForce(AbstractLaw):
 
     name = "constant force"
     constants = (
-        Constant("force_x", "a", Role.AMPLITUDE, "L T⁻²"),
-        Constant("force_y", "b", Role.AMPLITUDE, "L T⁻²"),
+        Constant("force_x", "a", Role.AMPLITUDE, "L T-2"),
+        Constant("force_y", "b", Role.AMPLITUDE, "L T-2"),
     )
 
     def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
@@ -54,8 +54,8 @@ class Saddle(AbstractLaw):
 
     name = "saddle"
     constants = (
-        Constant("stretch", "a", Role.AMPLITUDE, "T⁻²"),
-        Constant("shear", "b", Role.AMPLITUDE, "T⁻²"),
+        Constant("stretch", "a", Role.AMPLITUDE, "T-2"),
+        Constant("shear", "b", Role.AMPLITUDE, "T-2"),
         *CENTER[:2],
     )
 
@@ -71,9 +71,9 @@ class AnisotropicTrap(AbstractLaw):
 
     name = "anisotropic trap"
     constants = (
-        Constant("stiffness_x", "k_x", Role.AMPLITUDE, "T⁻²"),
-        Constant("stiffness_y", "k_y", Role.AMPLITUDE, "T⁻²"),
-        Constant("shear", "b", Role.AMPLITUDE, "T⁻²"),
+        Constant("stiffness_x", "k_x", Role.AMPLITUDE, "T-2"),
+        Constant("stiffness_y", "k_y", Role.AMPLITUDE, "T-2"),
+        Constant("shear", "b", Role.AMPLITUDE, "T-2"),
         *CENTER[:2],
     )
 
@@ -103,12 +103,14 @@ class Lattice(AbstractLaw):
 
     def __post_init__(self) -> None:
         constants = [
-            Constant(f"{word}_{i}", f"{symbol}_{i}", Role.AMPLITUDE, "L² T⁻²")
+            Constant(f"{word}_{i}", f"{symbol}_{i}", Role.AMPLITUDE, "L2 T-2")
             for i in range(1, len(self.orders) + 1)
             for word, symbol in (("cosine", "a"), ("sine", "b"))
         ]
         constants += [
-            Constant(f"wavenumber_{axis}_{i}", f"k_{{{axis},{i}}}", Role.ANGLE, "L⁻¹")
+            Constant(
+                f"wavenumber_{axis}_{i}", f"k_{{{axis},{i}}}", Role.ANGLE, "rad L-1"
+            )
             for i in range(1, len(self.orders[0]) + 1)
             for axis in "xy"
         ]
@@ -163,7 +165,7 @@ class DoubleWell(AbstractLaw):
     name = "double well"
     constants = (
         HEIGHT,
-        Constant("stiffness", "k", Role.AMPLITUDE, "T⁻²"),
+        Constant("stiffness", "k", Role.AMPLITUDE, "T-2"),
         *CENTER[:2],
         Constant("half_distance", "a", Role.SCALE),
         ANGLE,
@@ -242,7 +244,7 @@ class SolidRotation(AbstractLaw):
     r"""$\psi = -\tfrac12 \Omega r^2$: $\Omega\,(-(y - c_y),\ x - c_x)$."""
 
     name = "solid rotation"
-    constants = (Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"), *CENTER[:2])
+    constants = (Constant("rate", r"\Omega", Role.AMPLITUDE, "T-2"), *CENTER[:2])
     turns = True
 
     def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
