@@ -20,7 +20,7 @@ from pinav.forces.laws import ProfileLaw, latex
 from pinav.forces.profiles import Yukawa
 from pinav.report import sections_text
 from pinav.runs import RunFolder
-from pinav.systems import Observation, UniformStarts, write_system
+from pinav.systems import Observation, UniformStarts, Units, write_system
 
 
 def constant(name, value, sd=np.inf):
@@ -153,6 +153,7 @@ def test_the_law_of_a_swimmer_without_inertia_is_a_force(tmp_path, printed):
         observation=Observation(noise=0.01),
         rule=UniformStarts((-2.0, -2.0), (3.0, 3.0), count=6),
         times=np.linspace(0.0, 3.0, 61),
+        base_units=Units("um", "s", "pN"),
     )
     write_system(trap, tmp_path / "trap.toml")
     data, run = tmp_path / "trap.npz", tmp_path / "run"
@@ -163,7 +164,7 @@ def test_the_law_of_a_swimmer_without_inertia_is_a_force(tmp_path, printed):
     assert best.name == "harmonic"
     stiffness = best.constants[0]
     assert stiffness.low < 2.0 < stiffness.high
-    assert stiffness.unit == "F L⁻¹"
+    assert stiffness.unit == "pN um⁻¹"
 
 
 @pytest.mark.slow

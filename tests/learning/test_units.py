@@ -23,13 +23,19 @@ from pinav.units import unit_of
 SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
+def stated(field):
+    """The dimension of a field, where it does not depend on what the field holds."""
+    dimension = field.metadata.get("dimension")
+    return dimension if isinstance(dimension, str) else None
+
+
 CLASSES = {
     name: kind
     for module in (pinav.forces, pinav.actuation, pinav.dynamics, pinav.systems)
     for name, kind in sorted(vars(module).items())
     if isinstance(kind, type)
     and dataclasses.is_dataclass(kind)
-    and any("dimension" in field.metadata for field in dataclasses.fields(kind))
+    and any(stated(field) for field in dataclasses.fields(kind))
 }
 
 
@@ -37,12 +43,12 @@ CLASSES = {
 def test_the_dimension_of_a_field_is_that_of_its_description(kind):
     """Both stand in the class: a reader sees one, a table the other."""
     for field in dataclasses.fields(kind):
-        if "dimension" in field.metadata:
+        if stated(field):
             _, _, text = kind.__doc__.partition(f"        {field.name}: ")
             described = re.split(r"\n {8}\w+: |\n\n", text)[0]
             brackets = re.findall(r"\[([^\]]+)\]", described.translate(SUPERSCRIPTS))
-            stated = [one.removesuffix(" per cycle") for one in brackets]
-            assert field.metadata["dimension"] in stated, field.name
+            described = [one.removesuffix(" per cycle") for one in brackets]
+            assert stated(field) in described, field.name
 
 
 @pytest.mark.parametrize(
@@ -108,3 +114,14 @@ def test_numbers_of_a_structure_have_the_units_of_the_data():
         for dimensions in (law.dimensions, *(term.dimensions for term in terms))
     ]
     assert units == [["um", "um", "1"], ["um"] * 2, ["rad"], ["rad um⁻¹"] * 4]
+
+
+def test_constants_of_a_law_have_its_units():
+    known = forces.SumForce((forces.ring_barrier(1.0, (0.0, 0.0), 2.0, 0.5),))
+    swimmer = OverdampedSwimmer(
+        forces.ZeroForce(), forces.ZeroForce(), 1.0, known_force=known
+    )
+    system = System("a", swimmer, 2, base_units=Units("um", "s", "pN"))
+    names = [f"known_force.terms[0].constants[{index}]" for index in range(5)]
+    assert units(system, swimmer, *names) == ["pN um", "um", "um", "um", "um"]
+    assert units(system, swimmer, "known_force.terms[0].constants") == ["?"]

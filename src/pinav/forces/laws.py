@@ -18,7 +18,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
-from pinav.arguments import Scalar, Vector, real_array
+from pinav.arguments import Scalar, Vector, dimension, real_array
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce
 from pinav.forces.formulas import (
@@ -226,7 +226,9 @@ class LawForce(AbstractForce):
     """
 
     law: AbstractLaw = eqx.field(static=True)
-    constants: Float[Array, " constant"]
+    constants: Float[Array, " constant"] = eqx.field(
+        metadata=dimension(lambda force: tuple(one.unit for one in force.law.constants))
+    )
 
     def __check_init__(self) -> None:
         expected = (len(self.law.constants),)
