@@ -1,8 +1,7 @@
 r"""Laws: formulas of a force with constants, and how they are printed.
 
-Most are a profile of the coordinates of a geometry (`ProfileLaw`). The truth of a
-scenario, the force that a file states and the law that is discovered are values of one
-class, `LawForce`: a law with numbers for its constants.
+Most are a profile of the coordinates of a geometry (`ProfileLaw`). With
+numbers for its constants a law is a `LawForce`.
 """
 
 import abc
@@ -12,17 +11,10 @@ from collections.abc import Iterator
 from typing import ClassVar, final
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Float
 
-from pinav.arguments import Scalar, Vector, dimension, real_array
-from pinav.errors import InputError
-from pinav.forces.force import AbstractForce
 from pinav.forces.formulas import (
-    NUMERIC,
     Constant,
     Constants,
     Expr,
@@ -33,15 +25,11 @@ from pinav.forces.formulas import (
 )
 from pinav.forces.geometries import (
     AbstractGeometry,
-    Center,
-    Ellipse,
     Landscape,
     Line,
     Place,
 )
-from pinav.forces.kernels import quarter_turn
-from pinav.forces.profiles import LINES, PROFILES, AbstractProfile, Harmonic
-from pinav.settings import POSITIVE
+from pinav.forces.profiles import LINES, AbstractProfile, Harmonic
 
 
 class AbstractLaw(abc.ABC):
@@ -213,98 +201,6 @@ def potential_of(
     """The potential of the terms that have one, or the stream function of the rest."""
     parts = (t.potential(v, x, f) for t, v in law.split(c) if t.turns is turns)
     return sum(parts)
-
-
-class LawForce(AbstractForce):
-    """The force of a law; its constants train.
-
-    A file states it by the name of a law that is a profile of a geometry, and the
-    values of its constants in their order.
-
-    Raises:
-        InputError: there are more or fewer values than constants.
-    """
-
-    law: AbstractLaw = eqx.field(static=True)
-    constants: Float[Array, " constant"] = eqx.field(
-        metadata=dimension(lambda force: tuple(one.unit for one in force.law.constants))
-    )
-
-    def __check_init__(self) -> None:
-        expected = (len(self.law.constants),)
-        if np.shape(self.constants) != expected:
-            names = ", ".join(constant.name for constant in self.law.constants)
-            raise InputError(
-                f"LawForce.constants: {self.law.name} expects shape {expected} "
-                f"({names}), got {np.shape(self.constants)}"
-            )
-
-    @property
-    def name(self) -> str:
-        """Name of the law."""
-        return self.law.name
-
-    @classmethod
-    def of(cls, name: str, constants: Float[ArrayLike, " constant"]) -> "LawForce":
-        """The force of a law that is a profile of a geometry, by its name.
-
-        Raises:
-            InputError: there is no such law, or a scale is not positive.
-        """
-        for law in _named_laws():
-            if law.name == name and len(law.constants) == np.size(constants):
-                return force_of(law, constants)
-        raise InputError(
-            f"LawForce.name: there is no law {name!r} of {np.size(constants)} constants"
-        )
-
-    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        """Potential energy per mass [L² T⁻²].
-
-        Raises:
-            InputError: the law, or a term of it, has none.
-        """
-        if any(term.turns for term in terms_of(self.law)):
-            raise InputError(f"LawForce.potential: {self.law.name} has none")
-        return self._height(x, turns=False)
-
-    def stream(self, x: Vector) -> Float[Array, ""]:
-        """Stream function [L² T⁻²] of the terms that turn."""
-        return self._height(x, turns=True)
-
-    def _height(self, x: Vector, *, turns: bool) -> Float[Array, ""]:
-        value = potential_of(self.law, self.constants, tuple(x), NUMERIC, turns=turns)
-        return jnp.zeros((), x.dtype) + value
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        force = -jax.grad(lambda x: self._height(x, turns=False))(x)
-        if not any(term.turns for term in terms_of(self.law)):
-            return force
-        return force - quarter_turn(jax.grad(self.stream)(x))
-
-
-def force_of(law: AbstractLaw, *values: ArrayLike) -> LawForce:
-    """A law with values of its constants, numbers and points, in their order.
-
-    Raises:
-        InputError: they are too many or too few, or a scale is a number <= 0.
-    """
-    force = LawForce(law, jnp.concatenate([jnp.ravel(real_array(v)) for v in values]))
-    if not isinstance(force.constants, Tracer):
-        for index in law.indices(Role.SCALE):
-            name = f"{law.name}.{law.constants[index].name}"
-            POSITIVE.check(name, float(force.constants[index]))
-    return force
-
-
-def _named_laws() -> Iterator[AbstractLaw]:
-    """Laws that a file may name."""
-    for geometry in (Center(1), Center(2), Center(3), Ellipse(), Line()):
-        for profile in PROFILES.values():
-            law = ProfileLaw(profile, geometry)
-            yield law
-            if geometry not in (Center(1), Center(3)):
-                yield Turned(law)
 
 
 class LawExpressions(eqx.Module):

@@ -8,7 +8,6 @@ from tests.fitted_runs import crossing_system
 from tests.fitting.problems import observing
 
 from pinav.analysis import Verdict, discover_law
-from pinav.analysis.discovery.candidates import CONSTANT_FORCE, GAUSSIAN, HARMONIC
 from pinav.analysis.discovery.discovery import estimates
 from pinav.analysis.discovery.refit import (
     LearnedOnPaths,
@@ -22,7 +21,15 @@ from pinav.fitting import Outcome
 from pinav.fitting.engine.local_model import known_model
 from pinav.forces import GaussianBarrier
 from pinav.forces.geometries import Center
-from pinav.forces.laws import LawForce, ProfileLaw
+from pinav.forces.law_force import LawForce
+from pinav.forces.law_library import (
+    CONSTANT_FORCE,
+    GAUSSIAN,
+    HARMONIC,
+)
+from pinav.forces.laws import (
+    ProfileLaw,
+)
 from pinav.forces.profiles import Lorentzian
 from pinav.systems import Observation
 from pinav.trajectories import simulate, smooth_states

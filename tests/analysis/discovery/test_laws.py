@@ -3,7 +3,13 @@ import numpy as np
 import pytest
 import sympy
 
-from pinav.analysis.discovery.candidates import (
+from pinav.analysis.discovery.candidates import POTENTIALS, ROTATIONS
+from pinav.errors import InputError
+from pinav.forces import GaussianBarrier
+from pinav.forces.formulas import Role
+from pinav.forces.geometries import Center, Centers, Ellipse, Line
+from pinav.forces.law_force import LawForce
+from pinav.forces.law_library import (
     ANISOTROPIC_TRAP,
     CHANNEL,
     GAUSSIAN,
@@ -11,20 +17,13 @@ from pinav.analysis.discovery.candidates import (
     HARMONIC,
     LATTICES,
     PLANE_WAVE,
-    POTENTIALS,
     RING,
-    ROTATIONS,
     SADDLE,
     WALL,
     profile_laws,
     turn,
 )
-from pinav.errors import InputError
-from pinav.forces import GaussianBarrier
-from pinav.forces.formulas import Role
-from pinav.forces.geometries import Center, Centers, Ellipse, Line
 from pinav.forces.laws import (
-    LawForce,
     ProfileLaw,
     SumLaw,
     Turned,

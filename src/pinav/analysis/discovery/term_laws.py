@@ -14,17 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from pinav.analysis.discovery.candidates import (
-    ANISOTROPIC_TRAP,
-    CONSTANT_FORCE,
-    GAUSSIAN,
-    HARMONIC,
-    LATTICES,
-    PLANE_WAVE,
-    SADDLE,
-    profile_laws,
-    turn,
-)
 from pinav.analysis.discovery.force_sample import ForceSample, Sampling
 from pinav.forces import (
     AbstractProfileTerm,
@@ -38,6 +27,17 @@ from pinav.forces import (
     WallTerm,
 )
 from pinav.forces.geometries import Center, Centers, Ellipse, Landscape, Line
+from pinav.forces.law_library import (
+    ANISOTROPIC_TRAP,
+    CONSTANT_FORCE,
+    GAUSSIAN,
+    HARMONIC,
+    LATTICES,
+    PLANE_WAVE,
+    SADDLE,
+    profile_laws,
+    turn,
+)
 from pinav.forces.laws import AbstractLaw, SumLaw
 from pinav.forces.terms import HARMONICS
 
