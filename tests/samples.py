@@ -14,9 +14,7 @@ import numpy as np
 from pinav import codec
 from pinav.analysis import ForceSample
 from pinav.evaluation import Regions
-from pinav.forces.law_library import (
-    GAUSSIAN,
-)
+from pinav.forces.law_library import GAUSSIAN
 from pinav.forces.laws import AbstractLaw
 from pinav.thermal.protocols import Piecewise
 

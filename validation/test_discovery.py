@@ -24,11 +24,7 @@ from pinav.fitting import (
 from pinav.fitting.environments.kernels import KernelGrid
 from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
 from pinav.forces.law_force import LawForce
-from pinav.forces.law_library import (
-    GAUSSIAN,
-    GAUSSIAN_SWIRL,
-    HARMONIC,
-)
+from pinav.forces.law_library import GAUSSIAN, GAUSSIAN_SWIRL, HARMONIC
 from pinav.scenarios import barrier_crossings, paper
 from pinav.trajectories import Trajectories, simulate
 

@@ -13,7 +13,7 @@ from tests.forces.examples import FORCES
 from pinav import actuation, forces, systems
 from pinav.analysis.discovery.candidates import LIBRARY
 from pinav.dynamics import OverdampedSwimmer, Swimmer
-from pinav.forces.geometries import Centers
+from pinav.forces.geometries import Center
 from pinav.forces.law_library import (
     ANISOTROPIC_TRAP,
     GAUSSIAN,
@@ -84,7 +84,7 @@ LAWS = (
     *LIBRARY,
     *LATTICES,
     ANISOTROPIC_TRAP,
-    *map(ProfileLaw, PROFILES.values(), map(Centers, (2, 3))),
+    *(ProfileLaw(PROFILES["Yukawa"], Center(count=count)) for count in (2, 3)),
     turn(PLANE_WAVE),
     SADDLE + GAUSSIAN + turn(GAUSSIAN),
 )

@@ -140,6 +140,15 @@ class Constant:
     role: Role
     unit: str = "L"
 
+    def numbered(self, index: int, count: int) -> "Constant":
+        """The constant with an index, where several of its name stand together."""
+        if count == 1:
+            return self
+        body, _, mark = self.symbol.partition("_")
+        marks = ",".join(filter(None, (mark.strip("{}"), str(index))))
+        symbol = f"{body}_{{{marks}}}"
+        return dataclasses.replace(self, name=f"{self.name}_{index}", symbol=symbol)
+
 
 def symbols(constants: Iterable[Constant]) -> tuple[Expr, ...]:
     """The constants as symbols of SymPy."""

@@ -80,21 +80,36 @@ STRAIGHT = "logistic wall", "channel"
 @final
 @dataclasses.dataclass(frozen=True)
 class Center(AbstractGeometry):
-    """The distance from a centre, in a plane or in another space."""
+    """The distance from a centre, in a plane or another space; or from several."""
 
     dim: int = 2
+    count: int = 1
 
     @property
     def constants(self) -> tuple[Constant, ...]:
-        return CENTER[: self.dim]
+        return tuple(
+            constant.numbered(index, self.count)
+            for index in range(1, self.count + 1)
+            for constant in CENTER[: self.dim]
+        )
 
     def coordinates(self, c: Constants, x: Place, f: Functions) -> Expressions:
-        return (f.root(sum((x[i] - c[i]) ** 2 for i in range(self.dim))),)
+        dim = self.dim
+        return tuple(
+            f.root(sum((x[i] - c[dim * k + i]) ** 2 for i in range(dim)))
+            for k in range(self.count)
+        )
 
     def starts(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        return list(landscape.centers)
+        if self.count == 1:
+            return list(landscape.centers)
+        if len(landscape.centers) != self.count:
+            return []
+        return [tuple(itertools.chain.from_iterable(landscape.centers))]
 
     def name(self, profile: str) -> str:
+        if self.count > 1:
+            return f"{profile} at {self.count} places"
         return f"round {profile}" if profile in STRAIGHT else profile
 
 
@@ -152,40 +167,6 @@ class Line(AbstractGeometry):
 
     def name(self, profile: str) -> str:
         return profile if profile in STRAIGHT else f"{profile} layer"
-
-
-@final
-@dataclasses.dataclass(frozen=True)
-class Centers(AbstractGeometry):
-    """Distances from several centres, of obstacles of one kind."""
-
-    count: int
-
-    @property
-    def constants(self) -> tuple[Constant, ...]:
-        return tuple(
-            dataclasses.replace(
-                constant,
-                name=f"{constant.name}_{index}",
-                symbol=f"c_{{{axis},{index}}}",
-            )
-            for index in range(1, self.count + 1)
-            for axis, constant in zip("xy", CENTER[:2], strict=True)
-        )
-
-    def coordinates(self, c: Constants, x: Place, f: Functions) -> Expressions:
-        return tuple(
-            f.root((x[0] - c[2 * k]) ** 2 + (x[1] - c[2 * k + 1]) ** 2)
-            for k in range(self.count)
-        )
-
-    def starts(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        if len(landscape.centers) != self.count:
-            return []
-        return [tuple(itertools.chain.from_iterable(landscape.centers))]
-
-    def name(self, profile: str) -> str:
-        return f"{profile} at {self.count} places"
 
 
 def rotate_axes(x: Expr, y: Expr, angle: Expr, f: Functions) -> tuple[Expr, Expr]:

@@ -14,7 +14,7 @@ from pinav.arguments import Scalar, Vector, dimension, real_array
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce
 from pinav.forces.formulas import NUMERIC, Role
-from pinav.forces.geometries import AbstractGeometry, Center, Centers, Ellipse, Line
+from pinav.forces.geometries import AbstractGeometry, Center, Ellipse, Line
 from pinav.forces.kernels import quarter_turn
 from pinav.forces.law_library import FORMULAS
 from pinav.forces.laws import (
@@ -118,7 +118,8 @@ def force_of(law: AbstractLaw, *values: ArrayLike) -> LawForce:
 
 def _named_laws(count: int) -> Iterator[AbstractLaw]:
     """Laws that a file may name, whose constants are no more than so many."""
-    planes = (Center(), Ellipse(), Line(), *map(Centers, range(1, count // 2 + 1)))
+    several = (Center(count=places) for places in range(2, count // 2 + 1))
+    planes = (Center(), Ellipse(), Line(), *several)
     laws = [law for geometry in planes for law in _profile_laws(geometry)]
     for law in (*laws, *FORMULAS):
         yield law

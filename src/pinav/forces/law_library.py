@@ -84,6 +84,15 @@ class AnisotropicTrap(AbstractLaw):
         return other in (HARMONIC, SADDLE)
 
 
+WAVE = (
+    Constant("cosine", "a", Role.AMPLITUDE, "L2 T-2"),
+    Constant("sine", "b", Role.AMPLITUDE, "L2 T-2"),
+)
+VECTOR = tuple(
+    Constant(f"wavenumber_{axis}", f"k_{axis}", Role.ANGLE, "rad L-1") for axis in "xy"
+)
+
+
 @final
 @dataclasses.dataclass(frozen=True)
 class Lattice(AbstractLaw):
@@ -101,25 +110,12 @@ class Lattice(AbstractLaw):
     constants: tuple[Constant, ...] = dataclasses.field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        constants = [
-            Constant(f"{word}_{i}", f"{symbol}_{i}", Role.AMPLITUDE, "L2 T-2")
-            for i in range(1, len(self.orders) + 1)
-            for word, symbol in (("cosine", "a"), ("sine", "b"))
-        ]
-        constants += [
-            Constant(
-                f"wavenumber_{axis}_{i}", f"k_{{{axis},{i}}}", Role.ANGLE, "rad L-1"
-            )
-            for i in range(1, len(self.orders[0]) + 1)
-            for axis in "xy"
-        ]
-        if self.is_straight:
-            symbols = "U_0", "U_1", "k_x", "k_y"
-            constants = [
-                dataclasses.replace(one, name=one.name[:-2], symbol=symbol)
-                for one, symbol in zip(constants, symbols, strict=True)
-            ]
-        object.__setattr__(self, "constants", tuple(constants))
+        waves, vectors = len(self.orders), len(self.orders[0])
+        constants = (
+            *(one.numbered(i + 1, waves) for i in range(waves) for one in WAVE),
+            *(one.numbered(i + 1, vectors) for i in range(vectors) for one in VECTOR),
+        )
+        object.__setattr__(self, "constants", constants)
 
     @property
     def is_straight(self) -> bool:

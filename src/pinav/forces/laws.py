@@ -165,7 +165,7 @@ class SumLaw(AbstractLaw):
     def __post_init__(self) -> None:
         numbers = [(i, c) for i, t in enumerate(self.terms, 1) for c in t.constants]
         names = [constant.name for _, constant in numbers]
-        numbered = tuple(_number(c, i, names.count(c.name)) for i, c in numbers)
+        numbered = tuple(c.numbered(i, names.count(c.name)) for i, c in numbers)
         object.__setattr__(self, "name", " + ".join(t.name for t in self.terms))
         object.__setattr__(self, "constants", numbered)
 
@@ -267,13 +267,3 @@ def _of_rotation(constant: Constant) -> Constant:
 def terms_of(law: AbstractLaw) -> tuple[AbstractLaw, ...]:
     """The laws that a law is the sum of; itself where it is no sum."""
     return law.terms if isinstance(law, SumLaw) else (law,)
-
-
-def _number(constant: Constant, term: int, count: int) -> Constant:
-    """The constant with the number of its term, where several share its name."""
-    if count == 1:
-        return constant
-    body, _, index = constant.symbol.partition("_")
-    inner = index.strip("{}")
-    symbol = f"{body}_{{{inner},{term}}}" if inner else f"{body}_{{{term}}}"
-    return dataclasses.replace(constant, name=f"{constant.name}_{term}", symbol=symbol)

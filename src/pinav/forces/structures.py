@@ -168,7 +168,8 @@ class AbstractProfileTerm(AbstractTerm):
     @property
     def placement_scales(self) -> tuple[float, ...]:
         """Prior standard deviation of each number of the placement."""
-        return (self.reach,)
+        dimensions = (dimension_of(self, name) for name in self.shaped_by)
+        return tuple(self.reach if one == "L" else 1.0 for one in dimensions)
 
     @property
     def geometry(self) -> PyTree:

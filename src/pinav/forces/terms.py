@@ -286,10 +286,6 @@ class EllipticTerm(AbstractProfileTerm):
     formulas = (r"f(z)\,\nabla z,\ z^2 = (x - c)^\top e^{2S} (x - c)",)
     shaped_by = ("center", "shear")
 
-    @property
-    def placement_scales(self) -> tuple[float, ...]:
-        return self.reach, 1.0
-
     def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
         root = exponential_of_shear(self.shear[0], self.shear[1])
         return distance(root @ (x - self.center), ROUNDING * self.width)[None]
@@ -320,10 +316,6 @@ class WallTerm(AbstractProfileTerm):
     formulas = (r"f(n \cdot x)\,n", r"f(n \cdot x)\,n^\perp")
     shaped_by = ("angle",)
     is_odd = False
-
-    @property
-    def placement_scales(self) -> tuple[float, ...]:
-        return (1.0,)
 
     @property
     def offset(self) -> Scalar:

@@ -22,14 +22,8 @@ from pinav.fitting.engine.local_model import known_model
 from pinav.forces import GaussianBarrier
 from pinav.forces.geometries import Center
 from pinav.forces.law_force import LawForce
-from pinav.forces.law_library import (
-    CONSTANT_FORCE,
-    GAUSSIAN,
-    HARMONIC,
-)
-from pinav.forces.laws import (
-    ProfileLaw,
-)
+from pinav.forces.law_library import CONSTANT_FORCE, GAUSSIAN, HARMONIC
+from pinav.forces.laws import ProfileLaw
 from pinav.forces.profiles import Lorentzian
 from pinav.systems import Observation
 from pinav.trajectories import simulate, smooth_states

@@ -17,9 +17,7 @@ from pinav.forces import (
 from pinav.forces.fitted_numbers import SIZE
 from pinav.forces.geometries import Center
 from pinav.forces.law_force import force_of
-from pinav.forces.laws import (
-    ProfileLaw,
-)
+from pinav.forces.laws import ProfileLaw
 from pinav.forces.profiles import DISTANCES, FITTED, PROFILES
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))

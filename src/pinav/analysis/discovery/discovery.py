@@ -40,13 +40,7 @@ from pinav.fitting.environments.summary import learned_part
 from pinav.forces import as_learned_force, split_structure
 from pinav.forces.formulas import Role
 from pinav.forces.law_force import LawForce
-from pinav.forces.laws import (
-    AbstractLaw,
-    SumLaw,
-    latex,
-    sympy_text,
-    terms_of,
-)
+from pinav.forces.laws import AbstractLaw, SumLaw, latex, sympy_text, terms_of
 from pinav.forces.priors import Points
 from pinav.identification import needs_kalman_filter
 from pinav.trajectories import Trajectories, with_velocities

@@ -22,9 +22,7 @@ from pinav.fitting.engine.evidence_fit import iterate
 from pinav.fitting.engine.local_model import ParametricModel, ravel_model
 from pinav.fitting.matching.state import Trainable
 from pinav.forces.law_force import LawForce
-from pinav.forces.laws import (
-    AbstractLaw,
-)
+from pinav.forces.laws import AbstractLaw
 from pinav.trajectories import Trajectories, with_velocities
 
 MAX_ITERATIONS = 40

@@ -26,7 +26,7 @@ from pinav.forces import (
     ObstaclesTerm,
     WallTerm,
 )
-from pinav.forces.geometries import Center, Centers, Ellipse, Landscape, Line
+from pinav.forces.geometries import Center, Ellipse, Landscape, Line
 from pinav.forces.law_library import (
     ANISOTROPIC_TRAP,
     CONSTANT_FORCE,
@@ -81,7 +81,7 @@ def laws_of(term: AbstractTerm) -> tuple[AbstractLaw, ...]:
         case WallTerm():
             laws = (*profile_laws(Line()), PLANE_WAVE)
         case ObstaclesTerm():
-            laws = profile_laws(Centers(len(term.centers)))
+            laws = profile_laws(Center(count=len(term.centers)))
         case LatticeTerm():
             laws = LATTICES
         case LinearTerm() if term.rotational:
