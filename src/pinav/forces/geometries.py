@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import ClassVar, final
 
 from pinav.forces.formulas import Constant, Constants, Expr, Functions, Role
-from pinav.forces.profiles import DISTANCES, LINES
+from pinav.forces.profiles import DISTANCES, LINES, AbstractProfile
 
 CENTER = tuple(Constant(f"center_{i}", f"c_{i}", Role.POSITION) for i in "xyz")
 ANGLE = Constant("angle", r"\phi", Role.ANGLE, "rad")
@@ -65,16 +65,12 @@ class AbstractGeometry(abc.ABC):
         """Constants from which a fit may start."""
 
     @abc.abstractmethod
-    def name(self, profile: str) -> str:
+    def name(self, profile: AbstractProfile) -> str:
         """Name of a law of this geometry and a profile, for tables."""
 
     def contains(self, other: "AbstractGeometry") -> bool:
         """True if the other one is a special case of this one, or the same."""
         return self == other
-
-
-STRAIGHT = "logistic wall", "channel"
-"""Profiles whose name says that they are those of a line."""
 
 
 @final
@@ -107,10 +103,10 @@ class Center(AbstractGeometry):
             return []
         return [tuple(itertools.chain.from_iterable(landscape.centers))]
 
-    def name(self, profile: str) -> str:
+    def name(self, profile: AbstractProfile) -> str:
         if self.count > 1:
-            return f"{profile} at {self.count} places"
-        return f"round {profile}" if profile in STRAIGHT else profile
+            return f"{profile.name} at {self.count} places"
+        return f"round {profile.name}" if profile.is_straight else profile.name
 
 
 @final
@@ -135,8 +131,8 @@ class Ellipse(AbstractGeometry):
             )
         ]
 
-    def name(self, profile: str) -> str:
-        return f"elliptic {profile}"
+    def name(self, profile: AbstractProfile) -> str:
+        return f"elliptic {profile.name}"
 
     def contains(self, other: AbstractGeometry) -> bool:
         return isinstance(other, Center | Ellipse)
@@ -165,8 +161,8 @@ class Line(AbstractGeometry):
             )
         ]
 
-    def name(self, profile: str) -> str:
-        return profile if profile in STRAIGHT else f"{profile} layer"
+    def name(self, profile: AbstractProfile) -> str:
+        return profile.name if profile.is_straight else f"{profile.name} layer"
 
 
 def rotate_axes(x: Expr, y: Expr, angle: Expr, f: Functions) -> tuple[Expr, Expr]:

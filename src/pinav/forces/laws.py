@@ -96,7 +96,7 @@ class ProfileLaw(AbstractLaw):
     def __post_init__(self) -> None:
         profile, places = self.profile, self.geometry.constants
         constants = (profile.amplitude, *places, *profile.shapes)
-        object.__setattr__(self, "name", self.geometry.name(profile.name))
+        object.__setattr__(self, "name", self.geometry.name(profile))
         object.__setattr__(self, "constants", constants)
 
     @property

@@ -63,6 +63,11 @@ class AbstractProfile(abc.ABC):
     numbers: ClassVar[tuple[Number, ...]] = ()
 
     @property
+    def is_straight(self) -> bool:
+        """True if its name says that it is one along a line."""
+        return self.found_in == (LINES,)
+
+    @property
     def is_placed(self) -> bool:
         """True if in a fit it has a place."""
         return len(self.numbers) > len(self.shapes)
