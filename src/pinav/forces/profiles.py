@@ -4,7 +4,7 @@ $z$ is the distance from a centre, or the signed distance from a line. The barri
 scenario, the law that a term of a fit follows and the law that is discovered have the
 same profiles. A new profile is one class here: files state it by its name, LaTeX and
 the explorer know its formula, discovery tries it in the geometries of `found_in`, and
-fits of a structure where it states `numbers`.
+fits of a structure in those of `fitted_in`, by its `numbers`.
 """
 
 import abc
