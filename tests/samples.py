@@ -13,8 +13,8 @@ import numpy as np
 
 from pinav import codec
 from pinav.analysis import ForceSample
-from pinav.analysis.discovery.candidates import GAUSSIAN
 from pinav.evaluation import Regions
+from pinav.forces.law_library import GAUSSIAN
 from pinav.forces.laws import AbstractLaw
 from pinav.thermal.protocols import Piecewise
 

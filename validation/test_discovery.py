@@ -11,7 +11,6 @@ import pytest
 from benchmarks.fields.families import FAMILIES, random_system
 
 from pinav.analysis import Verdict, discover_law
-from pinav.analysis.discovery.candidates import GAUSSIAN, GAUSSIAN_SWIRL, HARMONIC
 from pinav.analysis.discovery.refit import laplace_posterior
 from pinav.dynamics import FixedStep, Swimmer
 from pinav.fitting import (
@@ -24,7 +23,8 @@ from pinav.fitting import (
 )
 from pinav.fitting.environments.kernels import KernelGrid
 from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
-from pinav.forces.laws import LawForce
+from pinav.forces.law_force import LawForce
+from pinav.forces.law_library import GAUSSIAN, GAUSSIAN_SWIRL, HARMONIC
 from pinav.scenarios import barrier_crossings, paper
 from pinav.trajectories import Trajectories, simulate
 

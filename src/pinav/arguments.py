@@ -97,13 +97,14 @@ def check_positive(module: eqx.Module, *names: str) -> None:
             POSITIVE.check(f"{type(module).__name__}.{name}", value)
 
 
-def dimension(text: str) -> dict[str, str]:
+def dimension(text: str | Callable[[Any], tuple[str, ...]]) -> dict[str, Any]:
     """The metadata of a field that holds a quantity of a dimension, such as "L2 T-1".
 
     What is learned is printed in a unit of this dimension: `pinav.units.unit_of`.
 
     Args:
-        text: powers of L (length), T (time) and F (force); "1" of a plain number.
+        text: powers of L (length), T (time) and F (force), "1" of a plain number; or a
+            function of the module, of those of each of several numbers.
     """
     return {"dimension": text}
 
@@ -123,10 +124,12 @@ def dimension_of(part: Any, path: str) -> str:
             if name not in fields:
                 return stated
             stated = fields[name].metadata.get("dimension", "?")
+            stated = stated if isinstance(stated, str) else stated(part)
             part = getattr(part, name, None)
         else:
+            stated = stated if isinstance(stated, str) else stated[int(place)]
             part = part[int(place)] if isinstance(part, tuple | list) else None
-    return stated
+    return stated if isinstance(stated, str) else "?"
 
 
 STEPS = re.compile(r"\[(\d+)\]|([^.\[\]]+)")

@@ -20,7 +20,7 @@ def with_order(
         order: 2 where a force is an acceleration, 1 where it is a velocity.
         force: its unit where the mobility makes a velocity of it.
     """
-    forces = {FORCE: force} if order == 1 and force not in ("1", "?") else {}
+    forces = {FORCE: force} if order == 1 and force != "1" else {}
     return {**units, ORDER: str(order), **forces}
 
 
@@ -35,13 +35,23 @@ def force_unit(units: Mapping[str, str], *, lengths: int = 1) -> str:
         units: of each channel.
         lengths: power of the length; 2 for an energy.
     """
+    return model_unit(f"L{lengths} T-2", units)
+
+
+def model_unit(dimension: str, units: Mapping[str, str]) -> str:
+    """The unit of a number of a model, from those of position and time.
+
+    Args:
+        dimension: of dynamics of second order, of which a mass-specific force is an
+            acceleration, L T-2; without inertia that is a velocity L T-1, or a force F.
+        units: of each channel, and the order (`with_order`).
+    """
+    words = dimension.split()
+    if units.get(ORDER) == "1" and "T-2" in words:
+        words.remove("T-2")
+        words = ["F L-1", *words] if FORCE in units else [*words, "T-1"]
     length, time = units.get("x", "1"), units.get("t", "1")
-    if "?" in (length, time):
-        return "?"
-    dimension = f"L{lengths} T-{units.get(ORDER, '2')}"
-    if FORCE in units:
-        dimension = f"F L{lengths - 1}"
-    return unit_of(dimension, {"L": length, "T": time, "F": units.get(FORCE, "")})
+    return unit_of(" ".join(words), {"L": length, "T": time, "F": units.get(FORCE, "")})
 
 
 _POWER = re.compile(r"([^\d-]+)(-?\d+)?")

@@ -5,10 +5,10 @@ import pytest
 import sympy
 from benchmarks.open_forms import search_radial_law
 
-from pinav.analysis.discovery.candidates import GAUSSIAN, GAUSSIAN_SWIRL
 from pinav.analysis.discovery.force_sample import ForceSample
 from pinav.analysis.discovery.law_regression import law_force
 from pinav.errors import InputError
+from pinav.forces.law_library import GAUSSIAN, GAUSSIAN_SWIRL
 
 POSITIONS = np.random.default_rng(0).uniform(0.0, 8.0, (60, 2))
 BARRIER = np.array([5.25, 5.0, 4.0, 2.9])

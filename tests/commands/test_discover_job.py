@@ -9,18 +9,19 @@ from tests.fitted_runs import trap_system
 from tests.samples import sample
 
 from pinav import analysis
-from pinav.analysis.discovery import candidates
+from pinav.analysis.discovery.candidates import POTENTIALS
 from pinav.commands import DISCOVER
 from pinav.commands.discover.job import central_sentence, sections, sentences
 from pinav.commands.results import sections_of
 from pinav.figures.images import save_pictures
 from pinav.fitting import Outcome
 from pinav.forces.geometries import Center
+from pinav.forces.law_library import GAUSSIAN, GAUSSIAN_SWIRL, SADDLE
 from pinav.forces.laws import ProfileLaw, latex
 from pinav.forces.profiles import Yukawa
 from pinav.report import sections_text
 from pinav.runs import RunFolder
-from pinav.systems import Observation, UniformStarts, write_system
+from pinav.systems import Observation, UniformStarts, Units, write_system
 
 
 def constant(name, value, sd=np.inf):
@@ -53,10 +54,10 @@ def law(law, delta, *constants):
 FORCE = np.linspace(-1.0, 1.0, 20).reshape(10, 2)
 FOUND = analysis.Discovery(
     candidates=(
-        law(candidates.GAUSSIAN, 0.0, constant("height", 5.25, 0.01)),
+        law(GAUSSIAN, 0.0, constant("height", 5.25, 0.01)),
         law(ProfileLaw(Yukawa(), Center()), 3.0, constant("core", 7.0)),
-        law(candidates.GAUSSIAN + candidates.SADDLE, 800.0, constant("edge", 1.0, 0.1)),
-        law(candidates.GAUSSIAN_SWIRL, np.inf, constant("height", 1.0, 0.1)),
+        law(GAUSSIAN + SADDLE, 800.0, constant("edge", 1.0, 0.1)),
+        law(GAUSSIAN_SWIRL, np.inf, constant("height", 1.0, 0.1)),
     ),
     screened=(("Gaussian", 1.5),),
     verdict=analysis.Verdict.IDENTIFIED,
@@ -137,7 +138,7 @@ def test_report_section_holds_figure_and_tables(folder):
 
 @pytest.mark.parametrize(
     "law",
-    [*candidates.POTENTIALS, candidates.GAUSSIAN + candidates.GAUSSIAN],
+    [*POTENTIALS, GAUSSIAN + GAUSSIAN],
     ids=lambda law: law.name,
 )
 def test_every_formula_can_be_drawn(law):
@@ -153,6 +154,7 @@ def test_the_law_of_a_swimmer_without_inertia_is_a_force(tmp_path, printed):
         observation=Observation(noise=0.01),
         rule=UniformStarts((-2.0, -2.0), (3.0, 3.0), count=6),
         times=np.linspace(0.0, 3.0, 61),
+        base_units=Units("um", "s", "pN"),
     )
     write_system(trap, tmp_path / "trap.toml")
     data, run = tmp_path / "trap.npz", tmp_path / "run"
@@ -163,7 +165,7 @@ def test_the_law_of_a_swimmer_without_inertia_is_a_force(tmp_path, printed):
     assert best.name == "harmonic"
     stiffness = best.constants[0]
     assert stiffness.low < 2.0 < stiffness.high
-    assert stiffness.unit == "F L⁻¹"
+    assert stiffness.unit == "pN um⁻¹"
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """The blocks of a fit: units, the support for a field, the search for a structure."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -91,8 +92,9 @@ def test_the_page_shows_what_the_search_tried(content_with):
     ]
 
 
-def term(kind, formula, values, sd):
-    return FoundTerm(kind, formula, tuple(map(Estimate, values, sd)))
+def term(kind, formula, values, sd, units=("?",)):
+    units = itertools.cycle(units)
+    return FoundTerm(kind, formula, tuple(map(Estimate, values, sd, units)))
 
 
 CENTRE = term("central", "f(r)", (4.99, 5.01), (0.004, 0.003))
@@ -115,6 +117,21 @@ NAMED = {
     ),
     "central about (4.990, 5.010) ± 0.0040 (potential: hill of height 3.883 ± 0.012, "
     "tail −0.3321 ± 0.0043)": dataclasses.replace(CENTRE, law=HILL),
+}
+
+STEP = FoundLaw("step", "L", {"size": Estimate(4.0, 0.1, "um")})
+NAMED |= {
+    "central about (4.990, 5.010) ± 0.0040 um (potential: step of size 4.000 ± 0.10 "
+    "um)": dataclasses.replace(
+        term("central", "f(r)", (4.99, 5.01), (0.004, 0.003), ("um",)), law=STEP
+    ),
+    "elliptic with (1.000, 2.000) ± 0.20 um, (0.3000, 0.1000) ± 0.010": term(
+        "elliptic",
+        "f",
+        (1.0, 2.0, 0.3, 0.1),
+        (0.1, 0.2, 0.01, 0.01),
+        ("um",) * 2 + ("1",) * 2,
+    ),
 }
 
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from pinav import forces
 from pinav.actuation import LinearProgramme, RotatingField, SaturatingResponse
-from pinav.analysis.discovery.candidates import GAUSSIAN
 from pinav.forces import GaussianBarrier, KernelPotential, LinearDrag
-from pinav.forces.laws import LawForce
+from pinav.forces.law_force import LawForce
+from pinav.forces.law_library import GAUSSIAN
 from pinav.navigation.task.steering import HeldThrust
 
 KEY = jax.random.key(0)

@@ -11,7 +11,19 @@ from tests.defects import told
 from tests.forces.examples import FORCES
 
 from pinav import actuation, forces, systems
+from pinav.analysis.discovery.candidates import LIBRARY
 from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.forces.geometries import Center
+from pinav.forces.law_library import (
+    ANISOTROPIC_TRAP,
+    GAUSSIAN,
+    LATTICES,
+    PLANE_WAVE,
+    SADDLE,
+    turn,
+)
+from pinav.forces.laws import ProfileLaw
+from pinav.forces.profiles import PROFILES
 from pinav.scenarios import SCENARIOS, find_system, scenario
 from pinav.trajectories import simulate
 
@@ -66,6 +78,30 @@ def test_every_force_comes_back_exactly(name):
         return
     again = systems.parse_system(systems.system_text(system))
     assert eqx.tree_equal(again, system, typematch=True)
+
+
+LAWS = (
+    *LIBRARY,
+    *LATTICES,
+    ANISOTROPIC_TRAP,
+    *(ProfileLaw(PROFILES["Yukawa"], Center(count=count)) for count in (2, 3)),
+    turn(PLANE_WAVE),
+    SADDLE + GAUSSIAN + turn(GAUSSIAN),
+)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+def test_every_law_that_discovery_finds_can_be_stated(law):
+    constants = jnp.linspace(0.5, 2.5, len(law.constants))
+    system = scenario("paper").with_truth(forces.LawForce(law, constants))
+    again = systems.parse_system(systems.system_text(system))
+    assert eqx.tree_equal(again, system, typematch=True)
+
+
+def test_a_profile_is_no_law_of_a_geometry_that_it_is_not_made_for():
+    """A ring about a line would be a layer beside it."""
+    with told("there is no law 'ring layer' of 5 constants"):
+        forces.LawForce.of("ring layer", jnp.ones(5))
 
 
 RULES = (

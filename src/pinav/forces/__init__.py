@@ -46,7 +46,7 @@ from pinav.forces.landscapes import power_hill as power_hill
 from pinav.forces.landscapes import profile_barrier as profile_barrier
 from pinav.forces.landscapes import ring_barrier as ring_barrier
 from pinav.forces.landscapes import soft_wall as soft_wall
-from pinav.forces.laws import LawForce as LawForce
+from pinav.forces.law_force import LawForce as LawForce
 from pinav.forces.networks import AbstractFeatures as AbstractFeatures
 from pinav.forces.networks import NeuralForce as NeuralForce
 from pinav.forces.networks import NeuralPotential as NeuralPotential

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
-from pinav.forces.formulas import NUMERIC
+from pinav.forces.formulas import NUMERIC, symbolic, symbols
 from pinav.forces.profiles import FITTED, AbstractProfile
 
 
@@ -20,9 +20,7 @@ class FittedLaw(eqx.Module):
 
     Attributes:
         name: in `FITTED`.
-        numbers: of each constant a number without bounds: places and the half width of
-            a channel [L] as they are, of a size or a steepness the logarithm, of a tail
-            $\log (1 + 2\kappa)$, so that $\kappa > -1/2$ and forces are smooth.
+        numbers: of each constant the number without bounds, as its profile states.
     """
 
     name: str = eqx.field(static=True)
@@ -35,30 +33,39 @@ class FittedLaw(eqx.Module):
 
     @property
     def latex(self) -> str:
-        """Its formula for unit height."""
-        return self.family.formula
+        """Its formula for unit height, as SymPy prints it."""
+        import sympy
+
+        z, place = sympy.symbols("z z_0", real=True)
+        shapes = symbols(self.family.shapes)
+        z = z - place if self.family.is_placed else z
+        return sympy.latex(self.family.value(shapes, z, symbolic()))
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Prior standard deviation of each number: one of logarithms and forms."""
-        far = self.family.reach * float(self.size)
-        return tuple(far if n in PLACES else 1.0 for n in self.family.numbers)
+        """Prior standard deviation of each number."""
+        size = float(self.size)
+        reaches = (number.reach for number in self.family.numbers)
+        return tuple(1.0 if reach is None else reach * size for reach in reaches)
 
     @property
     def size(self) -> Scalar:
         """Distance over which it falls [L]."""
-        names = self.family.numbers
-        index = names.index("period" if "period" in names else "size")
-        return jnp.exp(self.numbers[index])
+        numbers = zip(self.family.numbers, self.numbers, strict=True)
+        return jnp.exp(next(value for kind, value in numbers if kind.reach is None))
 
     def constants(self, offset: Scalar = 0.0) -> dict[str, Scalar]:
-        """The numbers as tables name them, places shifted by an offset [L]."""
-        names, values = self.family.numbers, list(self._values)
-        if self.family.is_placed:
-            values[0] = values[0] + offset
-        if names[-1] == "period":
-            values[-1] = 2 * jnp.pi * values[-1]
-        return dict(zip(names, values, strict=True))
+        """The constants as tables name them, the place shifted by an offset [L]."""
+        first, *rest = self._values
+        first = first + offset if self.family.is_placed else first
+        names = (number.name for number in self.family.numbers)
+        return dict(zip(names, (first, *rest), strict=True))
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """The dimension of each constant."""
+        place = ("L",) if self.family.is_placed else ()
+        return (*place, *(shape.unit for shape in self.family.shapes))
 
     def potential(self, z: Scalar) -> Float[Array, ""]:
         """The potential at a place along the coordinate, relative to its height."""
@@ -73,15 +80,5 @@ class FittedLaw(eqx.Module):
 
     @property
     def _values(self) -> tuple[Scalar, ...]:
-        maps = {"tail": tail} | dict.fromkeys(PLACES, lambda number: number)
-        pairs = zip(self.family.numbers, self.numbers, strict=True)
-        return tuple(maps.get(name, jnp.exp)(number) for name, number in pairs)
-
-
-PLACES = ("place", "middle", "half width", "radius")
-"""Constants whose numbers are lengths as they are."""
-
-
-def tail(form: Scalar) -> Scalar:
-    r"""$\kappa$ of a form."""
-    return 0.5 * jnp.expm1(form)
+        numbers = zip(self.family.numbers, self.numbers, strict=True)
+        return tuple(kind.constant(number) for kind, number in numbers)

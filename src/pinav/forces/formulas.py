@@ -8,7 +8,7 @@ printed cannot disagree.
 import dataclasses
 import enum
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -43,6 +43,7 @@ class Functions(NamedTuple):
     positive_power: Callable[[Expr, Expr], Expr]
     logistic: Callable[[Expr], Expr]
     falling: Callable[[Expr, Expr], Expr]
+    pi: Expr
 
 
 @functools.cache
@@ -59,6 +60,7 @@ def symbolic() -> Functions:
         lambda base, exponent: sympy.Max(0, base) ** exponent,
         lambda z: 1 / (1 + sympy.exp(-z)),
         lambda square, tail: (1 + tail * square) ** (-1 / tail),
+        sympy.pi,
     )
 
 
@@ -101,7 +103,15 @@ def falling(square: Scalar, tail: Scalar) -> Float[Array, ""]:
 
 
 NUMERIC = Functions(
-    jnp.exp, jnp.log, jnp.cos, jnp.sin, _root, _positive_power, jax.nn.sigmoid, falling
+    jnp.exp,
+    jnp.log,
+    jnp.cos,
+    jnp.sin,
+    _root,
+    _positive_power,
+    jax.nn.sigmoid,
+    falling,
+    jnp.pi,
 )
 """The functions of JAX."""
 
@@ -122,10 +132,29 @@ class Constant:
     Attributes:
         name: in words, as `height`.
         role: amplitudes enter the force linearly, scales are positive.
-        unit: dimension in length L and time T; "1" means dimensionless.
+        unit: its dimension, as `pinav.units.model_unit` takes it.
     """
 
     name: str
     symbol: str
     role: Role
     unit: str = "L"
+
+    def numbered(self, index: int, count: int) -> "Constant":
+        """The constant with an index, where several of its name stand together."""
+        if count == 1:
+            return self
+        body, _, mark = self.symbol.partition("_")
+        marks = ",".join(filter(None, (mark.strip("{}"), str(index))))
+        symbol = f"{body}_{{{marks}}}"
+        return dataclasses.replace(self, name=f"{self.name}_{index}", symbol=symbol)
+
+
+def symbols(constants: Iterable[Constant]) -> tuple[Expr, ...]:
+    """The constants as symbols of SymPy."""
+    import sympy
+
+    return tuple(
+        sympy.Symbol(one.symbol, real=True, positive=one.role is Role.SCALE or None)
+        for one in constants
+    )

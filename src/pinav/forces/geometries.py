@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from typing import ClassVar, final
 
 from pinav.forces.formulas import Constant, Constants, Expr, Functions, Role
-from pinav.forces.profiles import DISTANCES, LINES
+from pinav.forces.profiles import DISTANCES, LINES, AbstractProfile
 
 CENTER = tuple(Constant(f"center_{i}", f"c_{i}", Role.POSITION) for i in "xyz")
-ANGLE = Constant("angle", r"\phi", Role.ANGLE, "1")
+ANGLE = Constant("angle", r"\phi", Role.ANGLE, "rad")
 OFFSET = Constant("offset", "d", Role.POSITION)
 
 Place = Sequence[Expr]
@@ -65,7 +65,7 @@ class AbstractGeometry(abc.ABC):
         """Constants from which a fit may start."""
 
     @abc.abstractmethod
-    def name(self, profile: str) -> str:
+    def name(self, profile: AbstractProfile) -> str:
         """Name of a law of this geometry and a profile, for tables."""
 
     def contains(self, other: "AbstractGeometry") -> bool:
@@ -73,29 +73,40 @@ class AbstractGeometry(abc.ABC):
         return self == other
 
 
-STRAIGHT = "logistic wall", "channel"
-"""Profiles whose name says that they are those of a line."""
-
-
 @final
 @dataclasses.dataclass(frozen=True)
 class Center(AbstractGeometry):
-    """The distance from a centre, in a plane or in another space."""
+    """The distance from a centre, in a plane or another space; or from several."""
 
     dim: int = 2
+    count: int = 1
 
     @property
     def constants(self) -> tuple[Constant, ...]:
-        return CENTER[: self.dim]
+        return tuple(
+            constant.numbered(index, self.count)
+            for index in range(1, self.count + 1)
+            for constant in CENTER[: self.dim]
+        )
 
     def coordinates(self, c: Constants, x: Place, f: Functions) -> Expressions:
-        return (f.root(sum((x[i] - c[i]) ** 2 for i in range(self.dim))),)
+        dim = self.dim
+        return tuple(
+            f.root(sum((x[i] - c[dim * k + i]) ** 2 for i in range(dim)))
+            for k in range(self.count)
+        )
 
     def starts(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        return list(landscape.centers)
+        if self.count == 1:
+            return list(landscape.centers)
+        if len(landscape.centers) != self.count:
+            return []
+        return [tuple(itertools.chain.from_iterable(landscape.centers))]
 
-    def name(self, profile: str) -> str:
-        return f"round {profile}" if profile in STRAIGHT else profile
+    def name(self, profile: AbstractProfile) -> str:
+        if self.count > 1:
+            return f"{profile.name} at {self.count} places"
+        return f"round {profile.name}" if profile.is_straight else profile.name
 
 
 @final
@@ -120,8 +131,8 @@ class Ellipse(AbstractGeometry):
             )
         ]
 
-    def name(self, profile: str) -> str:
-        return f"elliptic {profile}"
+    def name(self, profile: AbstractProfile) -> str:
+        return f"elliptic {profile.name}"
 
     def contains(self, other: AbstractGeometry) -> bool:
         return isinstance(other, Center | Ellipse)
@@ -150,42 +161,8 @@ class Line(AbstractGeometry):
             )
         ]
 
-    def name(self, profile: str) -> str:
-        return profile if profile in STRAIGHT else f"{profile} layer"
-
-
-@final
-@dataclasses.dataclass(frozen=True)
-class Centers(AbstractGeometry):
-    """Distances from several centres, of obstacles of one kind."""
-
-    count: int
-
-    @property
-    def constants(self) -> tuple[Constant, ...]:
-        return tuple(
-            dataclasses.replace(
-                constant,
-                name=f"{constant.name}_{index}",
-                symbol=f"c_{{{axis},{index}}}",
-            )
-            for index in range(1, self.count + 1)
-            for axis, constant in zip("xy", CENTER[:2], strict=True)
-        )
-
-    def coordinates(self, c: Constants, x: Place, f: Functions) -> Expressions:
-        return tuple(
-            f.root((x[0] - c[2 * k]) ** 2 + (x[1] - c[2 * k + 1]) ** 2)
-            for k in range(self.count)
-        )
-
-    def starts(self, landscape: Landscape) -> list[tuple[float, ...]]:
-        if len(landscape.centers) != self.count:
-            return []
-        return [tuple(itertools.chain.from_iterable(landscape.centers))]
-
-    def name(self, profile: str) -> str:
-        return f"{profile} at {self.count} places"
+    def name(self, profile: AbstractProfile) -> str:
+        return profile.name if profile.is_straight else f"{profile.name} layer"
 
 
 def rotate_axes(x: Expr, y: Expr, angle: Expr, f: Functions) -> tuple[Expr, Expr]:

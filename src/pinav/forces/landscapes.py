@@ -16,7 +16,8 @@ from pinav.errors import InputError
 from pinav.forces.force import AbstractForce, AbstractPotentialForce
 from pinav.forces.formulas import NUMERIC
 from pinav.forces.geometries import Center, Ellipse, Line
-from pinav.forces.laws import LawForce, ProfileLaw, Turned, force_of
+from pinav.forces.law_force import LawForce, force_of
+from pinav.forces.laws import ProfileLaw, Turned
 from pinav.forces.profiles import (
     PROFILES,
     AbstractProfile,

@@ -1,8 +1,7 @@
 r"""Laws: formulas of a force with constants, and how they are printed.
 
-Most are a profile of the coordinates of a geometry (`ProfileLaw`). The truth of a
-scenario, the force that a file states and the law that is discovered are values of one
-class, `LawForce`: a law with numbers for its constants.
+Most are a profile of the coordinates of a geometry (`ProfileLaw`). With
+numbers for its constants a law is a `LawForce`.
 """
 
 import abc
@@ -12,35 +11,25 @@ from collections.abc import Iterator
 from typing import ClassVar, final
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Float
 
-from pinav.arguments import Scalar, Vector, real_array
-from pinav.errors import InputError
-from pinav.forces.force import AbstractForce
 from pinav.forces.formulas import (
-    NUMERIC,
     Constant,
     Constants,
     Expr,
     Functions,
     Role,
     symbolic,
+    symbols,
 )
 from pinav.forces.geometries import (
     AbstractGeometry,
-    Center,
-    Ellipse,
     Landscape,
     Line,
     Place,
 )
-from pinav.forces.kernels import quarter_turn
-from pinav.forces.profiles import LINES, PROFILES, AbstractProfile, Harmonic
-from pinav.settings import POSITIVE
+from pinav.forces.profiles import LINES, AbstractProfile, Harmonic
 
 
 class AbstractLaw(abc.ABC):
@@ -107,7 +96,7 @@ class ProfileLaw(AbstractLaw):
     def __post_init__(self) -> None:
         profile, places = self.profile, self.geometry.constants
         constants = (profile.amplitude, *places, *profile.shapes)
-        object.__setattr__(self, "name", self.geometry.name(profile.name))
+        object.__setattr__(self, "name", self.geometry.name(profile))
         object.__setattr__(self, "constants", constants)
 
     @property
@@ -176,7 +165,7 @@ class SumLaw(AbstractLaw):
     def __post_init__(self) -> None:
         numbers = [(i, c) for i, t in enumerate(self.terms, 1) for c in t.constants]
         names = [constant.name for _, constant in numbers]
-        numbered = tuple(_number(c, i, names.count(c.name)) for i, c in numbers)
+        numbered = tuple(c.numbered(i, names.count(c.name)) for i, c in numbers)
         object.__setattr__(self, "name", " + ".join(t.name for t in self.terms))
         object.__setattr__(self, "constants", numbered)
 
@@ -214,96 +203,6 @@ def potential_of(
     return sum(parts)
 
 
-class LawForce(AbstractForce):
-    """The force of a law; its constants train.
-
-    A file states it by the name of a law that is a profile of a geometry, and the
-    values of its constants in their order.
-
-    Raises:
-        InputError: there are more or fewer values than constants.
-    """
-
-    law: AbstractLaw = eqx.field(static=True)
-    constants: Float[Array, " constant"]
-
-    def __check_init__(self) -> None:
-        expected = (len(self.law.constants),)
-        if np.shape(self.constants) != expected:
-            names = ", ".join(constant.name for constant in self.law.constants)
-            raise InputError(
-                f"LawForce.constants: {self.law.name} expects shape {expected} "
-                f"({names}), got {np.shape(self.constants)}"
-            )
-
-    @property
-    def name(self) -> str:
-        """Name of the law."""
-        return self.law.name
-
-    @classmethod
-    def of(cls, name: str, constants: Float[ArrayLike, " constant"]) -> "LawForce":
-        """The force of a law that is a profile of a geometry, by its name.
-
-        Raises:
-            InputError: there is no such law, or a scale is not positive.
-        """
-        for law in _named_laws():
-            if law.name == name and len(law.constants) == np.size(constants):
-                return force_of(law, constants)
-        raise InputError(
-            f"LawForce.name: there is no law {name!r} of {np.size(constants)} constants"
-        )
-
-    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        """Potential energy per mass [L² T⁻²].
-
-        Raises:
-            InputError: the law, or a term of it, has none.
-        """
-        if any(term.turns for term in terms_of(self.law)):
-            raise InputError(f"LawForce.potential: {self.law.name} has none")
-        return self._height(x, turns=False)
-
-    def stream(self, x: Vector) -> Float[Array, ""]:
-        """Stream function [L² T⁻²] of the terms that turn."""
-        return self._height(x, turns=True)
-
-    def _height(self, x: Vector, *, turns: bool) -> Float[Array, ""]:
-        value = potential_of(self.law, self.constants, tuple(x), NUMERIC, turns=turns)
-        return jnp.zeros((), x.dtype) + value
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        force = -jax.grad(lambda x: self._height(x, turns=False))(x)
-        if not any(term.turns for term in terms_of(self.law)):
-            return force
-        return force - quarter_turn(jax.grad(self.stream)(x))
-
-
-def force_of(law: AbstractLaw, *values: ArrayLike) -> LawForce:
-    """A law with values of its constants, numbers and points, in their order.
-
-    Raises:
-        InputError: they are too many or too few, or a scale is a number <= 0.
-    """
-    force = LawForce(law, jnp.concatenate([jnp.ravel(real_array(v)) for v in values]))
-    if not isinstance(force.constants, Tracer):
-        for index in law.indices(Role.SCALE):
-            name = f"{law.name}.{law.constants[index].name}"
-            POSITIVE.check(name, float(force.constants[index]))
-    return force
-
-
-def _named_laws() -> Iterator[AbstractLaw]:
-    """Laws that a file may name."""
-    for geometry in (Center(1), Center(2), Center(3), Ellipse(), Line()):
-        for profile in PROFILES.values():
-            law = ProfileLaw(profile, geometry)
-            yield law
-            if geometry not in (Center(1), Center(3)):
-                yield Turned(law)
-
-
 class LawExpressions(eqx.Module):
     """A law in SymPy: x, y and the constants by name, its two functions, its force."""
 
@@ -318,15 +217,7 @@ def expressions(law: AbstractLaw) -> LawExpressions:
     import sympy
 
     x, y = sympy.symbols("x y", real=True)
-    constants = {
-        constant.name: sympy.Symbol(
-            constant.symbol,
-            real=True,
-            positive=True if constant.role is Role.SCALE else None,
-        )
-        for constant in law.constants
-    }
-    values = tuple(constants.values())
+    values = symbols(law.constants)
     potential, stream = (
         sympy.sympify(potential_of(law, values, (x, y), symbolic(), turns=turns))
         for turns in (False, True)
@@ -335,8 +226,9 @@ def expressions(law: AbstractLaw) -> LawExpressions:
         sympy.diff(stream, y) - sympy.diff(potential, x),
         -sympy.diff(stream, x) - sympy.diff(potential, y),
     )
-    symbols = {"x": x, "y": y} | constants
-    return LawExpressions(symbols, potential, stream, force)
+    names = ("x", "y", *(constant.name for constant in law.constants))
+    named = dict(zip(names, (x, y, *values), strict=True))
+    return LawExpressions(named, potential, stream, force)
 
 
 def latex(law: AbstractLaw) -> str:
@@ -375,13 +267,3 @@ def _of_rotation(constant: Constant) -> Constant:
 def terms_of(law: AbstractLaw) -> tuple[AbstractLaw, ...]:
     """The laws that a law is the sum of; itself where it is no sum."""
     return law.terms if isinstance(law, SumLaw) else (law,)
-
-
-def _number(constant: Constant, term: int, count: int) -> Constant:
-    """The constant with the number of its term, where several share its name."""
-    if count == 1:
-        return constant
-    body, _, index = constant.symbol.partition("_")
-    inner = index.strip("{}")
-    symbol = f"{body}_{{{inner},{term}}}" if inner else f"{body}_{{{term}}}"
-    return dataclasses.replace(constant, name=f"{constant.name}_{term}", symbol=symbol)

@@ -4,16 +4,27 @@ $z$ is the distance from a centre, or the signed distance from a line. The barri
 scenario, the law that a term of a fit follows and the law that is discovered have the
 same profiles. A new profile is one class here: files state it by its name, LaTeX and
 the explorer know its formula, discovery tries it in the geometries of `found_in`, and
-fits of a structure where it states `numbers`.
+fits of a structure in those of `fitted_in`, by its `numbers`.
 """
 
 import abc
 import dataclasses
 from typing import ClassVar, final
 
+import numpy as np
+
+from pinav.forces.fitted_numbers import (
+    FORM,
+    PERIOD,
+    PLACE,
+    SIZE,
+    STEEPNESS,
+    Number,
+    Span,
+)
 from pinav.forces.formulas import Constant, Constants, Expr, Functions, Role
 
-HEIGHT = Constant("height", "U_0", Role.AMPLITUDE, "L² T⁻²")
+HEIGHT = Constant("height", "U_0", Role.AMPLITUDE, "L2 T-2")
 WIDTH = Constant("width", r"\sigma", Role.SCALE)
 CORE = Constant("core", "s", Role.SCALE)
 EDGE = Constant("edge", "w", Role.SCALE)
@@ -35,13 +46,10 @@ class AbstractProfile(abc.ABC):
         limits: names of the profiles that it becomes for special values of them.
         found_in: geometries in which discovery tries it: `DISTANCES`, `LINES`.
         fitted: word of fits of a structure for it; empty where they do not try it.
-        numbers: its constants in fits, as tables name them: the place along the
-            coordinate first where it has one, then `shapes`.
-        formula: in LaTeX; SymPy, which could print it, takes a second to import.
-        is_placed: True if in a fit it has a place; else it stands at zero.
-        of_distances: True if terms of a distance may follow it.
-        of_lines: True if terms along a line may.
-        reach: deviation of the prior of a place, in sizes.
+        fitted_in: geometries whose terms may follow it.
+        numbers: its constants in fits: the place along the coordinate first where it
+            has one, else it stands at zero; then `shapes`. The first that is no length
+            as it is tells the distance over which the potential falls.
     """
 
     name: ClassVar[str]
@@ -51,12 +59,18 @@ class AbstractProfile(abc.ABC):
     limits: ClassVar[tuple[str, ...]] = ()
     found_in: ClassVar[tuple[str, ...]] = (DISTANCES, LINES)
     fitted: ClassVar[str] = ""
-    numbers: ClassVar[tuple[str, ...]] = ()
-    formula: ClassVar[str] = ""
-    is_placed: ClassVar[bool] = True
-    of_distances: ClassVar[bool] = True
-    of_lines: ClassVar[bool] = True
-    reach: ClassVar[float] = 2.0
+    fitted_in: ClassVar[tuple[str, ...]] = ()
+    numbers: ClassVar[tuple[Number, ...]] = ()
+
+    @property
+    def is_straight(self) -> bool:
+        """True if its name says that it is one along a line."""
+        return self.found_in == (LINES,)
+
+    @property
+    def is_placed(self) -> bool:
+        """True if in a fit it has a place."""
+        return len(self.numbers) > len(self.shapes)
 
     @abc.abstractmethod
     def value(self, c: Constants, z: Expr, f: Functions) -> Expr:
@@ -91,7 +105,7 @@ class Harmonic(AbstractEvenProfile):
     r"""$U = \tfrac12 k z^2$: a trap, or with k < 0 a hill without end."""
 
     name = "harmonic"
-    amplitude = Constant("stiffness", "k", Role.AMPLITUDE, "T⁻²")
+    amplitude = Constant("stiffness", "k", Role.AMPLITUDE, "T-2")
     ratios = ((),)
 
     def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:
@@ -148,7 +162,7 @@ class SoftLogarithm(AbstractEvenProfile):
     r"""$U = \tfrac12 A \log(1 + z^2/s^2)$: a line charge, or a vortex with a core."""
 
     name = "soft logarithm"
-    amplitude = Constant("strength", "A", Role.AMPLITUDE, "L² T⁻²")
+    amplitude = Constant("strength", "A", Role.AMPLITUDE, "L2 T-2")
     shapes = (CORE,)
 
     def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:
@@ -234,10 +248,8 @@ class SuperGaussian(AbstractEvenProfile):
     ratios = ((1.0, 0.7), (1.0, 1.6))
     limits = ("Gaussian",)
     fitted = "plateau"
-    numbers = ("size", "steepness")
-    formula = r"e^{-(z^2 / 2 s^2)^m}"
-    is_placed = False
-    of_lines = False
+    fitted_in = (DISTANCES,)
+    numbers = (SIZE, STEEPNESS)
 
     def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:
         return f.exp(-f.positive_power(q / (2 * c[0] ** 2), c[1]))
@@ -256,10 +268,8 @@ class Hill(AbstractEvenProfile):
     shapes = (CORE, TAIL)
     found_in = ()
     fitted = "hill"
-    numbers = ("size", "tail")
-    formula = r"(1 + \kappa z^2 / 2 s^2)^{-1/\kappa}"
-    is_placed = False
-    of_lines = False
+    fitted_in = (DISTANCES,)
+    numbers = (SIZE, FORM)
 
     def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:
         return f.falling(q / (2 * c[0] ** 2), c[1])
@@ -273,9 +283,12 @@ class Ridge(AbstractEvenProfile):
     shapes = (CORE, TAIL)
     found_in = ()
     fitted = "ring"
-    numbers = ("radius", "size", "tail")
-    formula = r"(1 + \kappa (z - \rho)^2 / 2 s^2)^{-1/\kappa}"
-    reach = 1.0
+    fitted_in = (DISTANCES, LINES)
+    numbers = (
+        PLACE._replace(name="radius", reach=1.0),
+        SIZE,
+        FORM._replace(starts=lambda _: np.zeros(1)),
+    )
 
     def of_square(self, c: Constants, q: Expr, f: Functions) -> Expr:
         return Hill().of_square(c, q, f)
@@ -290,8 +303,8 @@ class Step(AbstractProfile):
     ratios = ((0.5,),)
     found_in = (LINES,)
     fitted = "step"
-    numbers = ("place", "size")
-    formula = r"1 / (1 + e^{-(z - b) / w})"
+    fitted_in = (DISTANCES, LINES)
+    numbers = (PLACE, SIZE)
 
     def value(self, c: Constants, z: Expr, f: Functions) -> Expr:
         return f.logistic(z / c[0])
@@ -307,9 +320,12 @@ class Channel(AbstractProfile):
     limits = ("logistic wall",)
     found_in = (LINES,)
     fitted = "channel"
-    numbers = ("middle", "half width", "size")
-    formula = r"1 / (1 + e^{(a + b - z) / w}) + 1 / (1 + e^{(a - b + z) / w})"
-    of_distances = False
+    fitted_in = (LINES,)
+    numbers = (
+        PLACE._replace(name="middle"),
+        PLACE._replace(name="half width", starts=Span.halves),
+        SIZE,
+    )
 
     def value(self, c: Constants, z: Expr, f: Functions) -> Expr:
         return f.logistic((z - c[0]) / c[1]) + f.logistic((-z - c[0]) / c[1])
@@ -317,18 +333,17 @@ class Channel(AbstractProfile):
 
 @final
 class Wave(AbstractProfile):
-    r"""$U = U_0 \cos(z / s)$: stripes along a line."""
+    r"""$U = U_0 \cos(2\pi z / \lambda)$: stripes along a line."""
 
     name = "wave"
-    shapes = (CORE,)
+    shapes = (Constant("period", r"\lambda", Role.SCALE),)
     found_in = ()
     fitted = "wave"
-    numbers = ("place", "period")
-    formula = r"\cos((z - b) / s)"
-    of_distances = False
+    fitted_in = (LINES,)
+    numbers = (PLACE, PERIOD)
 
     def value(self, c: Constants, z: Expr, f: Functions) -> Expr:
-        return f.cos(z / c[0])
+        return f.cos(2 * f.pi * z / c[0])
 
 
 PROFILES: dict[str, AbstractProfile] = {

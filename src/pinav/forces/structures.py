@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from pinav.arguments import Scalar, Vector
+from pinav.arguments import Scalar, Vector, dimension_of
 from pinav.errors import InputError
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.force import (
@@ -99,6 +99,12 @@ class AbstractTerm(AbstractForce):
         return tuple(getattr(self, name) for name in self.shaped_by)
 
     @property
+    def dimensions(self) -> tuple[str, ...]:
+        """The dimension of each number of the placement, as its field states it."""
+        sizes = ((name, np.size(getattr(self, name))) for name in self.shaped_by)
+        return tuple(dimension_of(self, name) for name, n in sizes for _ in range(n))
+
+    @property
     def geometry(self) -> PyTree:
         """The numbers that shape it, each with a wide prior."""
         return self.placement
@@ -162,7 +168,8 @@ class AbstractProfileTerm(AbstractTerm):
     @property
     def placement_scales(self) -> tuple[float, ...]:
         """Prior standard deviation of each number of the placement."""
-        return (self.reach,)
+        dimensions = (dimension_of(self, name) for name in self.shaped_by)
+        return tuple(self.reach if one == "L" else 1.0 for one in dimensions)
 
     @property
     def geometry(self) -> PyTree:

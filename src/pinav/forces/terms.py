@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, Vector
+from pinav.arguments import Scalar, Vector, dimension
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.priors import (
     AbstractIndependentPrior,
@@ -69,7 +69,7 @@ class LatticeTerm(AbstractTerm):
     """
 
     weights: Float[Array, " weight"]
-    wave_vectors: Float[Array, "2 2"]
+    wave_vectors: Float[Array, "2 2"] = eqx.field(metadata=dimension("rad L-1"))
     origin: Float[Array, "2"]
     rotational: bool = eqx.field(static=True, default=False)
 
@@ -180,12 +180,12 @@ class HillsTerm(AbstractTerm):
     Attributes:
         weights: $a_{km}$, the Gaussians of a hill one after the other [L² T⁻²].
         centers: $c_k$ [L].
-        shapes: $s_k$, the logarithm of a length [L], then $p_k$ and $q_k$.
+        shapes: $s_k$, the logarithm of a length, then $p_k$ and $q_k$ [1].
     """
 
     weights: Float[Array, " weight"]
-    centers: Float[Array, "hill 2"]
-    shapes: Float[Array, "hill 3"]
+    centers: Float[Array, "hill 2"] = eqx.field(metadata=dimension("L"))
+    shapes: Float[Array, "hill 3"] = eqx.field(metadata=dimension("1"))
     rotational: bool = eqx.field(static=True, default=False)
 
     kinds = ("hills and wells",)
@@ -231,10 +231,14 @@ def _squared_distance(
 
 
 class CentralTerm(AbstractProfileTerm):
-    r"""A force about a centre [L], $f(r)\,\hat r$ with $r = |x - c|$, or a swirl."""
+    r"""A force about a centre, $f(r)\,\hat r$ with $r = |x - c|$, or a swirl.
+
+    Attributes:
+        center: $c$ [L].
+    """
 
     weights: Float[Array, " weight"]
-    center: Vector
+    center: Vector = eqx.field(metadata=dimension("L"))
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)
@@ -251,13 +255,17 @@ class CentralTerm(AbstractProfileTerm):
 class EllipticTerm(AbstractProfileTerm):
     r"""A force whose potential has similar ellipses for contours.
 
-    $z = \sqrt{(x - c)^\top e^{2S} (x - c)}$ with a traceless symmetric $S$ of the
-    entries $(p, q)$: $e^{2|S|}$ is the ratio of the axes.
+    $z = \sqrt{(x - c)^\top e^{2S} (x - c)}$ with a traceless symmetric $S$:
+    $e^{2|S|}$ is the ratio of the axes.
+
+    Attributes:
+        center: $c$ [L].
+        shear: entries $p$ and $q$ of $S$ [1].
     """
 
     weights: Float[Array, " weight"]
-    center: Float[Array, "2"]
-    shear: Float[Array, "2"]
+    center: Float[Array, "2"] = eqx.field(metadata=dimension("L"))
+    shear: Float[Array, "2"] = eqx.field(metadata=dimension("1"))
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)
@@ -266,10 +274,6 @@ class EllipticTerm(AbstractProfileTerm):
     kinds = ("elliptic",)
     formulas = (r"f(z)\,\nabla z,\ z^2 = (x - c)^\top e^{2S} (x - c)",)
     shaped_by = ("center", "shear")
-
-    @property
-    def placement_scales(self) -> tuple[float, ...]:
-        return self.reach, 1.0
 
     def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
         root = exponential_of_shear(self.shear[0], self.shear[1])
@@ -288,7 +292,9 @@ class WallTerm(AbstractProfileTerm):
     """
 
     weights: Float[Array, " weight"]
-    angle: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    angle: Float[Array, ""] = eqx.field(
+        converter=jnp.asarray, metadata=dimension("rad")
+    )
     origin: Float[Array, "2"]
     places: Places
     width: Scalar
@@ -299,10 +305,6 @@ class WallTerm(AbstractProfileTerm):
     formulas = (r"f(n \cdot x)\,n", r"f(n \cdot x)\,n^\perp")
     shaped_by = ("angle",)
     is_odd = False
-
-    @property
-    def placement_scales(self) -> tuple[float, ...]:
-        return (1.0,)
 
     @property
     def offset(self) -> Scalar:
@@ -317,10 +319,14 @@ class WallTerm(AbstractProfileTerm):
 
 
 class ObstaclesTerm(AbstractProfileTerm):
-    """Obstacles of one kind: central forces about several centres, one profile."""
+    """Obstacles of one kind: central forces about several centres, one profile.
+
+    Attributes:
+        centers: of each obstacle [L].
+    """
 
     weights: Float[Array, " weight"]
-    centers: Float[Array, "center dim"]
+    centers: Float[Array, "center dim"] = eqx.field(metadata=dimension("L"))
     places: Places
     width: Scalar
     rotational: bool = eqx.field(static=True, default=False)

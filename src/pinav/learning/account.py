@@ -29,6 +29,7 @@ from pinav.forces import (
 )
 from pinav.identification import needs_kalman_filter
 from pinav.learning import findings
+from pinav.learning.evidence import with_unit
 from pinav.learning.learned import Learned
 from pinav.learning.plan import FitPlan
 from pinav.learning.recipes import name_of
@@ -52,7 +53,7 @@ def found_structure(run: Learned) -> findings.FoundStructure | None:
     terms = split_structure(force)[0] if hasattr(force, "terms") else ()
     return findings.FoundStructure(
         tuple(
-            _found_term(term, index, posterior, kernels.data)
+            _found_term(term, index, posterior, kernels)
             for index, term in enumerate(terms)
         ),
         search.gain if np.isfinite(search.gain) else None,
@@ -65,15 +66,17 @@ def found_structure(run: Learned) -> findings.FoundStructure | None:
 
 
 def _found_term(
-    term: AbstractTerm, index: int, posterior: Posterior, data: Trajectories
+    term: AbstractTerm, index: int, posterior: Posterior, run: Learned
 ) -> findings.FoundTerm:
     has_profile = isinstance(term, AbstractProfileTerm)
+    numbers = derive(posterior, lambda model: _numbers(model, index))
+    pairs = zip(numbers, term.dimensions, strict=True)
     return findings.FoundTerm(
         term.kind,
         term.latex,
-        tuple(derive(posterior, lambda model: _numbers(model, index))),
-        _found_law(term, posterior, index) if has_profile else None,
-        _profile(term, posterior, index, data) if has_profile else None,
+        tuple(with_unit(*pair, run.system) for pair in pairs),
+        _found_law(term, posterior, index, run) if has_profile else None,
+        _profile(term, posterior, index, run.data) if has_profile else None,
     )
 
 
@@ -84,7 +87,7 @@ def _numbers(model: Any, index: int) -> Float[Array, " number"]:
 
 
 def _found_law(
-    term: AbstractProfileTerm, posterior: Posterior, index: int
+    term: AbstractProfileTerm, posterior: Posterior, index: int, run: Learned
 ) -> findings.FoundLaw | None:
     law = term.law
     if law is None:
@@ -96,10 +99,10 @@ def _found_law(
         return jnp.stack([one.weights[0], *values])
 
     names = ("height", *law.constants())
-    estimates = derive(posterior, constants)
-    return findings.FoundLaw(
-        law.name, law.latex, dict(zip(names, estimates, strict=True))
-    )
+    dimensions = (law.family.amplitude.unit, *law.dimensions)
+    found = zip(names, derive(posterior, constants), dimensions, strict=True)
+    estimates = {name: with_unit(one, unit, run.system) for name, one, unit in found}
+    return findings.FoundLaw(law.name, law.latex, estimates)
 
 
 def _profile(

@@ -32,7 +32,7 @@ from pinav.forces import (
 )
 from pinav.systems import System, WanderingVelocity
 from pinav.trajectories import Trajectories
-from pinav.units import unit_of
+from pinav.units import model_unit, with_order
 
 DIMENSIONS = {
     "diffusion": "L2 T-1",
@@ -48,32 +48,18 @@ def with_units(
     estimates: Mapping[str, Estimate], choice: ModelChoice, model: Any, system: System
 ) -> dict[str, Estimate]:
     """Learned constants with their units."""
-    stated = system.base_units
-    units = {"L": stated.length, "T": stated.time, "F": stated.force}
     paths = choice.paths()
     return {
-        name: Estimate(
-            float(one.value),
-            float(one.sd),
-            unit_of(_in_order(_dimension(name, paths, model), system), units),
-        )
+        name: with_unit(one, _dimension(name, paths, model), system)
         for name, one in estimates.items()
     }
 
 
-def _in_order(dimension: str, system: System) -> str:
-    """The dimension of a mass-specific force where a force is none of these.
-
-    Without inertia a force L T-2 is a force F, or a velocity L T-1 where the mobility
-    has no unit.
-    """
-    words = dimension.split()
-    if system.order == 2 or "T-2" not in words:
-        return dimension
-    others = [word for word in words if word != "T-2"]
-    if system.base_units.force == "1":
-        return " ".join([*others, "T-1"])
-    return " ".join([*others, "L-1", "F"])
+def with_unit(estimate: Estimate, dimension: str, system: System) -> Estimate:
+    """A number of a model with its unit in a system."""
+    force = system.base_units.force
+    unit = model_unit(dimension, with_order(system.units, system.order, force))
+    return Estimate(float(estimate.value), float(estimate.sd), unit)
 
 
 def _dimension(name: str, paths: Mapping[str, str], model: Any) -> str:

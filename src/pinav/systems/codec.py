@@ -30,7 +30,7 @@ import pinav.systems
 from pinav.codec import kebab, members
 from pinav.errors import InputError
 from pinav.forces.landscapes import NAMED
-from pinav.forces.laws import LawForce
+from pinav.forces.law_force import LawForce
 
 TOML = dict[str, Any]
 

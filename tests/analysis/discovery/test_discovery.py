@@ -8,7 +8,6 @@ from tests.fitted_runs import crossing_system
 from tests.fitting.problems import observing
 
 from pinav.analysis import Verdict, discover_law
-from pinav.analysis.discovery.candidates import CONSTANT_FORCE, GAUSSIAN, HARMONIC
 from pinav.analysis.discovery.discovery import estimates
 from pinav.analysis.discovery.refit import (
     LearnedOnPaths,
@@ -22,10 +21,13 @@ from pinav.fitting import Outcome
 from pinav.fitting.engine.local_model import known_model
 from pinav.forces import GaussianBarrier
 from pinav.forces.geometries import Center
-from pinav.forces.laws import LawForce, ProfileLaw
+from pinav.forces.law_force import LawForce
+from pinav.forces.law_library import CONSTANT_FORCE, GAUSSIAN, HARMONIC
+from pinav.forces.laws import ProfileLaw
 from pinav.forces.profiles import Lorentzian
 from pinav.systems import Observation
 from pinav.trajectories import simulate, smooth_states
+from pinav.units import with_order
 
 TRUTH = np.array([5.25, 5.0, 5.0, 2.9])
 LORENTZIAN = ProfileLaw(Lorentzian(), Center())
@@ -122,8 +124,21 @@ def refit_with(constants, sd):
     )
 
 
+UNITS = {"x": "um", "t": "s"}
+
+
+@pytest.mark.parametrize(
+    ("order", "force", "height"),
+    [(2, "1", "um² s⁻²"), (1, "1", "um² s⁻¹"), (1, "pN", "pN um"), (1, "?", "?")],
+)
+def test_constants_of_a_law_have_the_units_of_the_data(order, force, height):
+    units = with_order(UNITS, order, force)
+    rows = estimates(refit_with(TRUTH, [1.0] * 4), 10.0, units)
+    assert [row.unit for row in rows] == [height, "um", "um", "um"]
+
+
 def test_wide_intervals_are_not_identifiable():
-    rows = estimates(refit_with(TRUTH, [3.0, 0.1, np.inf, 0.1]), extent=10.0)
+    rows = estimates(refit_with(TRUTH, [3.0, 0.1, np.inf, 0.1]), 10.0, UNITS)
     assert [own.identifiable for own in rows] == [False, True, False, True]
     assert rows[1].low == pytest.approx(5.0 - 0.196)
 
@@ -134,7 +149,9 @@ def test_singular_directions_have_infinite_intervals(crossings, posterior):
     learned = LearnedOnPaths.of(posterior, data)
     far = np.array([1e-3, 90.0, 90.0, 1.0])
     result = refit(GAUSSIAN, far, truth, learned)
-    assert not any(own.identifiable for own in estimates(result, learned.extent)[1:])
+    assert not any(
+        own.identifiable for own in estimates(result, learned.extent, UNITS)[1:]
+    )
 
 
 def test_bic_counts_constants():

@@ -1,7 +1,16 @@
 import numpy as np
 import pytest
 
-from pinav.analysis.discovery.candidates import (
+from pinav.analysis.discovery.force_sample import (
+    Centrality,
+    ForceSample,
+    central_test,
+    spread_points,
+)
+from pinav.analysis.discovery.law_regression import fit_law, fit_sum, law_force, screen
+from pinav.errors import InputError
+from pinav.forces.geometries import Center, Ellipse
+from pinav.forces.law_library import (
     CHANNEL,
     CONSTANT_FORCE,
     GAUSSIAN,
@@ -12,15 +21,6 @@ from pinav.analysis.discovery.candidates import (
     RING,
     WALL,
 )
-from pinav.analysis.discovery.force_sample import (
-    Centrality,
-    ForceSample,
-    central_test,
-    spread_points,
-)
-from pinav.analysis.discovery.law_regression import fit_law, fit_sum, law_force, screen
-from pinav.errors import InputError
-from pinav.forces.geometries import Center, Ellipse
 from pinav.forces.laws import ProfileLaw
 from pinav.forces.profiles import CompactHill, Gaussian, Lorentzian
 

@@ -3,7 +3,13 @@ import numpy as np
 import pytest
 import sympy
 
-from pinav.analysis.discovery.candidates import (
+from pinav.analysis.discovery.candidates import POTENTIALS, ROTATIONS
+from pinav.errors import InputError
+from pinav.forces import GaussianBarrier
+from pinav.forces.formulas import Role
+from pinav.forces.geometries import Center, Ellipse, Line
+from pinav.forces.law_force import LawForce
+from pinav.forces.law_library import (
     ANISOTROPIC_TRAP,
     CHANNEL,
     GAUSSIAN,
@@ -11,34 +17,20 @@ from pinav.analysis.discovery.candidates import (
     HARMONIC,
     LATTICES,
     PLANE_WAVE,
-    POTENTIALS,
     RING,
-    ROTATIONS,
     SADDLE,
     WALL,
     profile_laws,
     turn,
 )
-from pinav.errors import InputError
-from pinav.forces import GaussianBarrier
-from pinav.forces.formulas import Role
-from pinav.forces.geometries import Center, Centers, Ellipse, Line
-from pinav.forces.laws import (
-    LawForce,
-    ProfileLaw,
-    SumLaw,
-    Turned,
-    expressions,
-    latex,
-    sympy_text,
-)
+from pinav.forces.laws import ProfileLaw, SumLaw, Turned, expressions, latex, sympy_text
 from pinav.forces.profiles import CompactHill, Gaussian, InversePower, Lorentzian
 
 SWIRL = GAUSSIAN_SWIRL
 STRUCTURED = (
     ProfileLaw(Gaussian(), Line()),
     ProfileLaw(InversePower(), Ellipse()),
-    ProfileLaw(Lorentzian(), Centers(3)),
+    ProfileLaw(Lorentzian(), Center(count=3)),
     *LATTICES[1:],
     ANISOTROPIC_TRAP,
 )

@@ -8,16 +8,7 @@ from tests.fitted_runs import crossing_system
 
 from pinav import forces
 from pinav.analysis import Verdict, discover_law
-from pinav.analysis.discovery.candidates import (
-    ANISOTROPIC_TRAP,
-    GAUSSIAN,
-    LATTICES,
-    LIBRARY,
-    RING,
-    SADDLE,
-    WALL,
-    turn,
-)
+from pinav.analysis.discovery.candidates import LIBRARY
 from pinav.analysis.discovery.force_sample import ForceSample, Sampling
 from pinav.analysis.discovery.law_regression import (
     exchange_terms,
@@ -40,6 +31,15 @@ from pinav.fitting.engine.local_model import known_model
 from pinav.fitting.environments.summary import learned_part
 from pinav.forces.fitted_laws import FittedLaw
 from pinav.forces.geometries import Center
+from pinav.forces.law_library import (
+    ANISOTROPIC_TRAP,
+    GAUSSIAN,
+    LATTICES,
+    RING,
+    SADDLE,
+    WALL,
+    turn,
+)
 from pinav.forces.laws import ProfileLaw
 from pinav.forces.profiles import SuperGaussian
 from pinav.forces.terms import HARMONICS

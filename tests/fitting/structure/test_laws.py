@@ -14,6 +14,11 @@ from pinav.forces import (
     ring_barrier,
     soft_wall,
 )
+from pinav.forces.fitted_numbers import SIZE
+from pinav.forces.geometries import Center
+from pinav.forces.law_force import force_of
+from pinav.forces.laws import ProfileLaw
+from pinav.forces.profiles import DISTANCES, FITTED, PROFILES
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
 REGION = Region.of(POINTS[0])
@@ -99,3 +104,20 @@ def test_a_profile_that_follows_no_law_keeps_its_kernels():
     )
     centre = central_term(REGION, np.array([4.0, 6.0]))
     assert lawful(truth, centre) is None
+
+
+def test_a_new_profile_needs_no_entry_elsewhere(monkeypatch):
+    """Its words are no others': a fit walks the numbers that it states."""
+
+    class Screened(type(PROFILES["Yukawa"])):
+        fitted_in = (DISTANCES,)
+        numbers = (SIZE._replace(name="core"), SIZE._replace(name="range"))
+
+    monkeypatch.setitem(FITTED, "screened", Screened())
+    term = lawful(
+        force_of(ProfileLaw(Screened(), Center()), [3.0, *CENTER, 0.4, 1.0]),
+        central_term(REGION, np.array([4.05, 5.97])),
+    )
+    assert term.law.name == "screened"
+    np.testing.assert_allclose(term.law.constants()["range"], 1.0, rtol=0.05)
+    assert r"\lambda" in term.law.latex

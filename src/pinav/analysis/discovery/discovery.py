@@ -4,9 +4,8 @@ Candidate laws are fitted to the learned force, weighted by the covariance of it
 errors; the best of them are refitted through the equations of motion and ranked there.
 """
 
-import dataclasses
 import enum
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -40,10 +39,12 @@ from pinav.fitting import AbstractLearned, Outcome, Posterior
 from pinav.fitting.environments.summary import learned_part
 from pinav.forces import as_learned_force, split_structure
 from pinav.forces.formulas import Role
-from pinav.forces.laws import AbstractLaw, LawForce, SumLaw, latex, sympy_text, terms_of
+from pinav.forces.law_force import LawForce
+from pinav.forces.laws import AbstractLaw, SumLaw, latex, sympy_text, terms_of
 from pinav.forces.priors import Points
 from pinav.identification import needs_kalman_filter
 from pinav.trajectories import Trajectories, with_velocities
+from pinav.units import model_unit, with_order
 
 CLOSE = 6.0
 """Laws whose BIC is within this of the best are not told apart."""
@@ -53,7 +54,7 @@ class EstimatedConstant(eqx.Module):
     """A constant of a law, as the trajectories determine it.
 
     Attributes:
-        unit: dimension in length L, time T and force F; "1" means dimensionless.
+        unit: "1" means dimensionless.
         sd: standard deviation; infinite where the data say nothing.
         identifiable: True if the interval is short enough to mean anything.
     """
@@ -168,8 +169,7 @@ def discover(fit: AbstractLearned, *, refits: int = 5) -> Discovery:
         InputError: the fit is none of a force.
         FitError: the learned force does not explain the trajectories.
     """
-    found = discover_law(_posterior(fit), fit.data, refits=refits)
-    return dataclasses.replace(found, units=dict(fit.units))
+    return discover_law(_posterior(fit), fit.data, refits=refits, units=fit.units)
 
 
 def _posterior(fit: AbstractLearned) -> Posterior:
@@ -199,6 +199,7 @@ def discover_law(
     *,
     laws: Sequence[AbstractLaw] | None = None,
     refits: int = 5,
+    units: Mapping[str, str] | None = None,
 ) -> Discovery:
     """Rank candidate laws of a learned force, with intervals for their constants.
 
@@ -210,6 +211,8 @@ def discover_law(
     Args:
         laws: candidates for the whole force in place of those of the library.
         refits: number of laws refitted through the equations of motion.
+        units: of the channels, and the order (`pinav.units.with_order`); without them,
+            those of the trajectories, and forces in no unit of their own.
 
     Raises:
         InputError: there are no candidates, `refits` is not positive, or the
@@ -237,7 +240,9 @@ def discover_law(
     terms = None if laws is not None else term_laws(structure, sampling)
     screened = screen(sample, library) if terms is None else screen_terms(terms, sample)
     refitted = _refit_best(screened, model, learned, refits)
-    candidates = _rank(refitted, learned, inertia=isinstance(model, Swimmer))
+    order = 2 if isinstance(model, Swimmer) else 1
+    units = units or with_order(trajectories.units, order)
+    candidates = _rank(refitted, learned, units)
     best = candidates[0]
     return Discovery(
         candidates=candidates,
@@ -248,7 +253,7 @@ def discover_law(
         num_effective=learned.num_effective,
         sample=sample,
         best_force=law_force(best.law, best.values, sample.positions),
-        units=dict(trajectories.units),
+        units=dict(units),
         structure=() if terms is None else tuple(term.kind for term in terms),
     )
 
@@ -283,7 +288,9 @@ def _refit_best(
 
 
 def _rank(
-    refitted: list[tuple[FieldFit, Refit]], learned: LearnedOnPaths, *, inertia: bool
+    refitted: list[tuple[FieldFit, Refit]],
+    learned: LearnedOnPaths,
+    units: Mapping[str, str],
 ) -> tuple[Candidate, ...]:
     pairs = sorted(refitted, key=lambda pair: pair[1].bic)
     best, least = pairs[0][1].law, pairs[0][1].bic
@@ -291,7 +298,7 @@ def _rank(
         Candidate(
             name=result.law.name,
             law=result.law,
-            constants=estimates(result, learned.extent, inertia=inertia),
+            constants=estimates(result, learned.extent, units),
             bic=result.bic,
             delta_bic=result.bic - least if np.isfinite(result.bic) else np.inf,
             field_bic=field.bic,
@@ -320,12 +327,8 @@ def _verdict(candidates: tuple[Candidate, ...]) -> Verdict:
     return Verdict.IDENTIFIED if is_known and is_alone else Verdict.NOT_IDENTIFIABLE
 
 
-FORCES = {"L² T⁻²": "F L", "L T⁻²": "F", "T⁻²": "F L⁻¹"}
-"""Dimensions of a force, with F, for those of an acceleration."""
-
-
 def estimates(
-    result: Refit, extent: float, *, inertia: bool = True
+    result: Refit, extent: float, units: Mapping[str, str]
 ) -> tuple[EstimatedConstant, ...]:
     """The constants of a refit with their 95 % intervals.
 
@@ -334,10 +337,10 @@ def estimates(
     angle for angles.
 
     Args:
-        inertia: the law is an acceleration; else it is a force, of dimension F.
+        extent: of the data [L].
+        units: of the channels, and the order.
     """
     sd = np.sqrt(np.diag(result.covariance))
-    units = {} if inertia else FORCES
     estimated = []
     for constant, value, spread in zip(
         result.law.constants, result.constants, sd, strict=True
@@ -348,7 +351,7 @@ def estimates(
             EstimatedConstant(
                 name=constant.name,
                 symbol=constant.symbol,
-                unit=units.get(constant.unit, constant.unit),
+                unit=model_unit(constant.unit, units),
                 value=float(value),
                 sd=float(spread),
                 low=float(value) - half,

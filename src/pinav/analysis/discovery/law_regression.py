@@ -21,7 +21,8 @@ from pinav.analysis.discovery.force_sample import ForceSample
 from pinav.analysis.discovery.term_laws import MOST_TERMS, TermLaws
 from pinav.forces import forces_at
 from pinav.forces.formulas import Role
-from pinav.forces.laws import AbstractLaw, LawForce, terms_of
+from pinav.forces.law_force import LawForce
+from pinav.forces.laws import AbstractLaw, terms_of
 from pinav.forces.priors import Points
 from pinav.threads import map_on_cores
 

@@ -21,7 +21,8 @@ from pinav.fitting.bayes.problem import BayesProblem, LocalTrajectories
 from pinav.fitting.engine.evidence_fit import iterate
 from pinav.fitting.engine.local_model import ParametricModel, ravel_model
 from pinav.fitting.matching.state import Trainable
-from pinav.forces.laws import AbstractLaw, LawForce
+from pinav.forces.law_force import LawForce
+from pinav.forces.laws import AbstractLaw
 from pinav.trajectories import Trajectories, with_velocities
 
 MAX_ITERATIONS = 40

@@ -14,17 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from pinav.analysis.discovery.candidates import (
-    ANISOTROPIC_TRAP,
-    CONSTANT_FORCE,
-    GAUSSIAN,
-    HARMONIC,
-    LATTICES,
-    PLANE_WAVE,
-    SADDLE,
-    profile_laws,
-    turn,
-)
 from pinav.analysis.discovery.force_sample import ForceSample, Sampling
 from pinav.forces import (
     AbstractProfileTerm,
@@ -37,7 +26,18 @@ from pinav.forces import (
     ObstaclesTerm,
     WallTerm,
 )
-from pinav.forces.geometries import Center, Centers, Ellipse, Landscape, Line
+from pinav.forces.geometries import Center, Ellipse, Landscape, Line
+from pinav.forces.law_library import (
+    ANISOTROPIC_TRAP,
+    CONSTANT_FORCE,
+    GAUSSIAN,
+    HARMONIC,
+    LATTICES,
+    PLANE_WAVE,
+    SADDLE,
+    profile_laws,
+    turn,
+)
 from pinav.forces.laws import AbstractLaw, SumLaw
 from pinav.forces.terms import HARMONICS
 
@@ -81,7 +81,7 @@ def laws_of(term: AbstractTerm) -> tuple[AbstractLaw, ...]:
         case WallTerm():
             laws = (*profile_laws(Line()), PLANE_WAVE)
         case ObstaclesTerm():
-            laws = profile_laws(Centers(len(term.centers)))
+            laws = profile_laws(Center(count=len(term.centers)))
         case LatticeTerm():
             laws = LATTICES
         case LinearTerm() if term.rotational:

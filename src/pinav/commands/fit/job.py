@@ -1,6 +1,7 @@
 """`pinav fit`: one model of the unknown, fitted to given data."""
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -250,7 +251,7 @@ def term_words(term: FoundTerm) -> str:
     if law is None:
         return place
     constants = [
-        f"{name} {number(one.value, 4)} ± {number(one.sd, 2)}"
+        f"{name} {number(one.value, 4)} ± {quantity(one.sd, one.unit, 2)}"
         for name, one in law.constants.items()
     ]
     return f"{place} (potential: {law.name} of {', '.join(constants)})"
@@ -259,21 +260,27 @@ def term_words(term: FoundTerm) -> str:
 def _place(term: FoundTerm) -> str:
     if not term.geometry:
         return term.name
-    values = [one.value for one in term.geometry]
-    deviations = [one.sd for one in term.geometry]
     if term.name in ("wall", "shear layer"):
-        degrees = float(np.degrees(values[0]) % 360)
-        spread = number(float(np.degrees(deviations[0])), 2)
-        return f"{term.name} with its normal at {number(degrees, 5)} ± {spread} degrees"
+        (angle,) = term.geometry
+        degrees = number(float(np.degrees(angle.value) % 360), 5)
+        spread = number(float(np.degrees(angle.sd)), 2)
+        return f"{term.name} with its normal at {degrees} ± {spread} degrees"
     if term.name == HillsTerm.kinds[0]:
-        count = HillsTerm.count(len(values))
-        centers = np.reshape(values[: 2 * count], (count, 2))
-        places = ", ".join(f"({number(x, 4)}, {number(y, 4)})" for x, y in centers)
-        spread = number(max(deviations[: 2 * count]), 2)
-        return f"{count} {term.name} at {places} ± {spread}"
+        count = HillsTerm.count(len(term.geometry))
+        places = _points(term.geometry[: 2 * count], 2)
+        return f"{count} {term.name} at {places}"
     word = "about" if term.name.startswith("central") else "with"
-    numbers = ", ".join(number(value, 4) for value in values)
-    return f"{term.name} {word} ({numbers}) ± {number(max(deviations), 2)}"
+    groups = itertools.groupby(term.geometry, lambda one: one.unit)
+    numbers = (_points(list(group)) for _, group in groups)
+    return f"{term.name} {word} {', '.join(numbers)}"
+
+
+def _points(numbers: Sequence[Estimate], dim: int | None = None) -> str:
+    """Numbers of one unit, in brackets or as points, with the largest deviation."""
+    values = np.reshape([one.value for one in numbers], (-1, dim or len(numbers)))
+    points = (", ".join(number(float(one), 4) for one in row) for row in values)
+    spread = quantity(max(one.sd for one in numbers), numbers[0].unit, 2)
+    return f"{', '.join(f'({point})' for point in points)} ± {spread}"
 
 
 def _thermal(thermal: ThermalFindings) -> list[AbstractBlock]:

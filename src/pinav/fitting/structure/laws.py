@@ -27,16 +27,9 @@ from pinav.fitting.structure.trials import (
     with_profiles,
 )
 from pinav.forces import AbstractProfileTerm, LinearTerm
-from pinav.forces.fitted_laws import FITTED, FittedLaw
-
-SIZES, PLACES = 10, 16
-"""Sizes and places of a law that are tried."""
-
-FORMS, STEEP = (-1.0, 0.0, 1.1, 1.6), (-0.5, 0.5, 1.0)
-"""Forms of a hill that are tried: an end, Gaussian, and tails; and of a plateau."""
-
-HALVES = 8
-"""Widths of a channel that are tried."""
+from pinav.forces.fitted_laws import FittedLaw
+from pinav.forces.fitted_numbers import Span
+from pinav.forces.profiles import DISTANCES, FITTED, LINES
 
 POINTS, PROMISING = 200, 2
 """Data at whose coordinates laws are compared with a profile; and the kinds of laws
@@ -46,9 +39,6 @@ KINDS = 2.0
 """Nats by which a law may lose, the logarithm of the number of kinds and a little more:
 where the evidence cannot tell, the formula is simpler than kernels that explain as
 much, and says more where no swimmer went."""
-
-BEYOND = 0.2
-"""Distance beyond the data, over their extent, where a law may be placed at first."""
 
 
 def follow_laws(
@@ -195,25 +185,14 @@ def _law_forces(
 def _laws(
     term: AbstractProfileTerm, z: Float[np.ndarray, " place"]
 ) -> Iterator[FittedLaw]:
-    low, extent = z.min(), np.ptp(z)
     width = float(term.width)
-    sizes = np.log(np.geomspace(width, max(0.5 * extent, 2 * width), SIZES))
-    first = 0.0 if term.is_odd else -BEYOND
-    places = low + extent * np.linspace(first, 1 + BEYOND, PLACES)
-    # between neighbouring waves the phase at the rim of the data differs little
-    turns = np.arange(1.0, extent / (POLICY.shortest * width), 0.5)
-    grids = {
-        "size": sizes,
-        "half width": np.linspace(0.0, 0.6, HALVES + 1)[1:] * extent,
-        "period": np.log(extent / (2 * np.pi * turns)),
-        "steepness": np.array(STEEP),
-        **dict.fromkeys(("place", "middle", "radius"), places),
-    }
+    shortest = POLICY.shortest * width
+    span = Span(z.min(), np.ptp(z), width, shortest, is_distance=term.is_odd)
+    geometry = DISTANCES if term.is_odd else LINES
     for name, family in FITTED.items():
-        if family.of_distances if term.is_odd else family.of_lines:
-            forms = np.zeros(1) if family.is_placed else np.array(FORMS)
-            axes = [(grids | {"tail": forms})[number] for number in family.numbers]
-            mesh = np.meshgrid(*axes, indexing="ij")
+        if geometry in family.fitted_in:
+            starts = [number.starts(span) for number in family.numbers]
+            mesh = np.meshgrid(*starts, indexing="ij")
             numbers = [on_device(one.ravel()) for one in mesh]
             yield jax.vmap(functools.partial(_law, name))(*numbers)
 
