@@ -135,7 +135,7 @@ class BayesProblem(AbstractProblem):
         if learn is None:
             weights, rule, tolerance = NoWeights(), FullStep(), TOLERANCE
         else:
-            weights, rule, tolerance = _method(model, weights)
+            weights, rule, tolerance = _method(model, weights, bends=shaping.any())
         residuals = (np.asarray(states) - trajectories.states)[trajectories.observed]
         return cls(
             parametric=parametric,
@@ -204,9 +204,13 @@ class BayesProblem(AbstractProblem):
 
 
 def _method(
-    model: Any, weights: AbstractWeights | None
+    model: Any, weights: AbstractWeights | None, *, bends: bool
 ) -> tuple[AbstractWeights, AbstractStepRule, float]:
-    """Prior of the weights, steps as curved as they are, and when to stop."""
+    """Prior of the weights, steps as curved as they are, and when to stop.
+
+    Args:
+        bends: True if the geometry of terms is learned, in which forces are not linear.
+    """
     environment = learned_environment(model)
     if weights is not None:
         return weights, ShortenedStep(), NETWORK_TOLERANCE
@@ -214,7 +218,7 @@ def _method(
         return NoWeights(), ChordSteps(damping=1e-2), TOLERANCE
     weights = GaussianWeights(environment.prior())
     if environment.is_linear:
-        return weights, FullStep(), TOLERANCE
+        return weights, ShortenedStep() if bends else FullStep(), TOLERANCE
     return weights, ChordSteps(damping=1e3), NETWORK_TOLERANCE
 
 
