@@ -56,15 +56,18 @@ class Atoms(eqx.Module):
     @classmethod
     def of(cls, terms: Sequence[AbstractTerm], response: ForceResponse) -> "Atoms":
         """The columns of terms that differ in their geometry alone."""
-        made, products, sizes = [], [], []
-        for columns in _seen_columns(terms, response):
+        made, products, sizes = np.zeros(0, np.float32), [], []
+        for index, columns in enumerate(_seen_columns(terms, response)):
+            if not made.size:
+                shape = len(columns), len(terms), columns.shape[1]
+                made = np.empty(shape, np.float32)
             size = max(float(np.linalg.norm(columns)), np.finfo(float).tiny)
-            made.append((columns / size).astype(np.float32))
-            products.append(made[-1].T.astype(float) @ made[-1])
+            made[:, index] = columns / size
+            rounded = made[:, index].astype(float)
+            products.append(rounded.T @ rounded)
             sizes.append(size)
         price = cost((terms[0],), response)
-        stacked = np.stack(made, axis=1)
-        return cls(terms, stacked, np.stack(products), np.array(sizes), price)
+        return cls(terms, made, np.stack(products), np.array(sizes), price)
 
     def __getitem__(self, chosen: slice) -> "Atoms":
         """Some of the terms."""
@@ -76,17 +79,12 @@ class Atoms(eqx.Module):
             sizes=self.sizes[chosen],
         )
 
-    @property
-    def flat(self) -> Float[np.ndarray, "datum column"]:
-        """The columns of all terms in a row, in double precision."""
-        return self.columns.reshape(len(self.columns), -1).astype(float)
-
     def times(
         self, columns: Float[np.ndarray, " datum *some"]
     ) -> Float[np.ndarray, "*some atom direction"]:
         """Products of the columns with others."""
-        made = columns.T @ self.flat
-        return made.reshape(*columns.shape[1:], *self.columns.shape[1:])
+        each = np.moveaxis(self.columns, 1, 0)
+        return np.stack([columns.T @ one for one in each], axis=-2)
 
 
 def _seen_columns(
@@ -152,9 +150,12 @@ class Held(eqx.Module):
 
         Of pairs of one kind, each once; none of a term and itself.
         """
+        if second.columns.shape[:0:-1] > first.columns.shape[:0:-1]:
+            return self.pairs(second, first).T  # few directions are quicker beside many
         made = np.full((len(first.terms), len(second.terms)), -np.inf)
         across, along = second.times(self.columns), second.times(self.offset)
-        size, flat = along.shape[1], second.flat
+        size = along.shape[1]
+        flat = second.columns.reshape(len(self.offset), -1).astype(float)
         for index in range(len(first.terms)):
             start = index + 1 if first is second else 0
             if start == len(second.terms):
