@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.identification.conftest import as_recording
 
-from pinav import forces, systems
+from pinav import actuation, forces, systems
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.evaluation import predict
@@ -19,6 +19,7 @@ from pinav.identification.drive import drive_of
 from pinav.identification.parameters import (
     DISTURBANCE,
     NOISE_PLACES,
+    Prior,
     coordinates_of,
     stated_noise,
 )
@@ -70,7 +71,7 @@ class Sprint(forces.AbstractCommandedForce):
 
     speed: float
     delay: float
-    programme: None = None
+    programme: actuation.AbstractProgramme | None = None
 
     @property
     def actuator(self):
@@ -126,6 +127,30 @@ def test_any_propulsion_drives_a_path_as_it_drives_a_swimmer():
     moved = np.asarray(states) - states[0]
     np.testing.assert_allclose(path[: len(moved)], moved, atol=1e-4)
     assert np.abs(late - path).max() < 0.05  # no step of the way jumps with the delay
+
+
+def test_recorded_commands_drive_a_propulsion_that_has_a_programme(driven):
+    system, track = sprinter(), one_track(driven, "sprinter")
+    programme = actuation.HeldProgramme(*(jnp.ones(1),) * 3)
+    propulsion = dataclasses.replace(system.swimmer.propulsion, programme=programme)
+    swimmer = dataclasses.replace(system.swimmer, propulsion=propulsion)
+    with jax.enable_x64(new_val=True):
+        blocks = jax.tree.map(jnp.asarray, Blocks.of(track))
+        stated, recorded = (
+            drive_of(one).displacements(jnp.zeros(0), blocks)
+            for one in (dataclasses.replace(system, swimmer=swimmer), system)
+        )
+    np.testing.assert_array_equal(stated, recorded)
+
+
+@pytest.mark.parametrize(
+    ("prior", "low"),
+    [(systems.Normal(0.2, 0.3), 0.0), (systems.LogNormal(1, 0.3), -1.5)],
+)
+def test_a_delay_is_positive_in_its_own_coordinate(prior, low, driven):
+    drive = drive_of(sprinter(systems.FreeNumber("propulsion.delay", prior)))
+    bounds = Prior.of(one_track(driven, "sprinter"), drive.parameters).bounds()
+    np.testing.assert_allclose(bounds[0, 0], low)
 
 
 @pytest.mark.slow

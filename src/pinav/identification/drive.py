@@ -19,7 +19,12 @@ from jaxtyping import Array, Float, Int
 from pinav import actuation
 from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_arrays
 from pinav.errors import InputError
-from pinav.forces import RollingPropulsion, ZeroFlow, ZeroForce
+from pinav.forces import (
+    AbstractCommandedForce,
+    RollingPropulsion,
+    ZeroFlow,
+    ZeroForce,
+)
 from pinav.identification.parameters import (
     GAIN,
     ROLLING,
@@ -173,10 +178,14 @@ class OtherDrive(AbstractDrive):
         """The drive of a system."""
         numbers = [n for n in system.learn if n.path.startswith("propulsion.")]
         parameters = tuple(_parameter(number, system) for number in numbers)
+        propulsion = system.swimmer.propulsion
+        if isinstance(propulsion, AbstractCommandedForce):
+            # A programme runs on the clock of a trajectory, not on that of the track.
+            propulsion = dataclasses.replace(propulsion, programme=None)
         swimmer = eqx.tree_at(
-            lambda s: (s.environment, s.known_force, s.flow),
+            lambda s: (s.propulsion, s.environment, s.known_force, s.flow),
             system.swimmer,
-            (ZeroForce(), ZeroForce(), ZeroFlow()),
+            (propulsion, ZeroForce(), ZeroForce(), ZeroFlow()),
         )
         return cls(swimmer=swimmer, parameters=parameters)
 
