@@ -267,7 +267,10 @@ class Prior(NamedTuple):
         }
         rows = [one.prior or table[one.name] for one in parameters]
         # A delay is not negative.
-        least = [0.0 if one.path == DELAY else -math.inf for one in parameters]
+        least = [
+            one.scale.coordinate(0.0) if one.path == DELAY else math.nan
+            for one in parameters
+        ]
         mean, sd = np.array(rows).T
         return cls(mean, sd, np.array(least))
 
