@@ -134,6 +134,7 @@ MISTAKES = {
     f"{DESIGN} --data nowhere.csv": "nowhere.csv",
     f"{STUDY} --sigmas -1": "--sigmas: expected 0 or more, got -1.0",
     f"{STUDY} --count 0": "--count: expected 1 or more, got 0",
+    f"{STUDY} --max-steps 10000000": "--max-steps: expected 1 to 1e.06, got 10000000",
     f"{STUDY} --seeds 1 1": "--seeds: 1 is given twice; drop one",
     f"{STUDY} --models": "--models: expected at least one",
     f"{STUDY} --workers 0": "--workers: expected 1 or more, got 0",

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from pinav.fitting import EvidenceFit
-from pinav.identification.estimates import drift_of, gain_of
-from pinav.identification.forecast import cycles
+from pinav.identification.estimates import drift_of
+from pinav.identification.forecast import DrivenSwimmer
 from pinav.identification.kalman import (
     Disturbance,
     State,
@@ -58,10 +58,8 @@ def _piece(piece: Trajectory, width: float, fit: EvidenceFit) -> tuple[np.ndarra
     def means(values: np.ndarray) -> np.ndarray:
         return np.bincount(index, values) / counts
 
-    swimmer = fit.model
-    turned = cycles(swimmer, piece)
-    left = piece.states - turned @ gain_of(swimmer).T
-    left = left - np.outer(piece.times - piece.times[0], drift_of(swimmer))
+    driven, swimmer = DrivenSwimmer.of(fit.model), fit.model
+    turned, left = driven.displacements(piece), piece.states - driven.path(piece)
     times = means(piece.times)
     frequency = means(commands_of(piece)[0])
     positions, along = (means(a) + 1j * means(b) for a, b in (left.T, turned.T))

@@ -35,7 +35,7 @@ class RotatingField(AbstractField):
         PI-NAV paper, section 2.2.
     """
 
-    amplitude: Scalar
+    amplitude: Scalar = eqx.field(metadata=dimension("B"))
     frequency: Scalar = eqx.field(metadata=dimension("rad T-1"))
 
     def __call__(self, t: Scalar) -> Float[Array, "3"]:
@@ -93,14 +93,14 @@ class SlippingResponse(AbstractResponse):
 
     Attributes:
         corner: corner frequency $f_c$ [Hz], positive.
-        residual: $\rho$, the part of the gain that remains far above the corner.
+        residual: $\rho$, the part of the gain that remains far above the corner [1].
 
     Raises:
         InputError: `corner` is a number <= 0, or `residual` one outside (0, 1).
     """
 
     corner: Scalar = eqx.field(metadata=dimension("Hz"))
-    residual: Scalar
+    residual: Scalar = eqx.field(metadata=dimension("1"))
 
     def __check_init__(self) -> None:
         check_positive(self, "corner")

@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from pinav.errors import InputError
 from pinav.settings import POSITIVE, Range
+from pinav.units import powers_of
 
 Scalar = float | int | Float[Array, ""]
 """One real number: plain, NumPy's float64, or a JAX array without axes."""
@@ -105,12 +106,20 @@ def dimension(text: str | Callable[[Any], tuple[str, ...]]) -> dict[str, Any]:
     Args:
         text: powers of L (length), T (time) and F (force), "1" of a plain number; or a
             function of the module, of those of each of several numbers.
+
+    Raises:
+        InputError: it is none.
     """
+    if isinstance(text, str):
+        powers_of(text)
     return {"dimension": text}
 
 
 def dimension_of(part: Any, path: str) -> str:
-    """The dimension of a number of a module, "?" where its field states none.
+    """The dimension of a number of a module.
+
+    A number without one, such as the value of a tensor, has that of the field that
+    holds its module; "?" where none does.
 
     Args:
         part: a module, or its class.
@@ -123,8 +132,8 @@ def dimension_of(part: Any, path: str) -> str:
             fields = getattr(kind, "__dataclass_fields__", {})
             if name not in fields:
                 return stated
-            stated = fields[name].metadata.get("dimension", "?")
-            stated = stated if isinstance(stated, str) else stated(part)
+            stated = fields[name].metadata.get("dimension", stated)
+            stated = stated(part) if callable(stated) else stated
             part = getattr(part, name, None)
         else:
             stated = stated if isinstance(stated, str) else stated[int(place)]

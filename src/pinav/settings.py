@@ -132,6 +132,9 @@ POSITIVE = Range(above=0)
 NOT_NEGATIVE = Range(least=0)
 FRACTION = Range(above=0, below=1)
 
+MAX_STEPS = 20
+"""Steps of a fit, or of each of its windows, at most unless they are given."""
+
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Options that can be checked before anything is computed or written."""

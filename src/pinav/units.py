@@ -2,6 +2,9 @@
 
 import re
 from collections.abc import Mapping
+from fractions import Fraction
+
+from pinav.errors import InputError
 
 ORDER = "order"
 """Entry of the units that says of which order in time the dynamics are."""
@@ -54,8 +57,28 @@ def model_unit(dimension: str, units: Mapping[str, str]) -> str:
     return unit_of(" ".join(words), {"L": length, "T": time, "F": units.get(FORCE, "")})
 
 
-_POWER = re.compile(r"([^\d-]+)(-?\d+)?")
+_POWER = re.compile(
+    r"([^\W\d_]+|[1?])(?:(-?\d+(?:/[1-9]\d*)?)|\^\((-?\d+/[1-9]\d*)\))?"
+)
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def powers_of(dimension: str) -> list[tuple[str, Fraction]]:
+    """The symbols of a dimension such as "L2 T-1 Hz^(-1/4)", each with its power.
+
+    Raises:
+        InputError: a word is no symbol with a power.
+    """
+    powers = []
+    for word in dimension.split():
+        match = _POWER.fullmatch(word)
+        if match is None:
+            raise InputError(
+                f"dimension {dimension!r}: expected powers of symbols, such as L2 T-1 "
+                f"or Hz^(-1/4), got {word!r}"
+            )
+        powers.append((match[1], Fraction(match[2] or match[3] or 1)))
+    return powers
 
 
 def unit_of(dimension: str, units: Mapping[str, str]) -> str:
@@ -69,18 +92,18 @@ def unit_of(dimension: str, units: Mapping[str, str]) -> str:
     Returns:
         The unit; "1" where it has none, "?" where it is not known.
     """
-    powers: dict[str, int] = {}
-    for word in dimension.split():
-        match = _POWER.fullmatch(word)
-        symbol, power = (word, "1") if match is None else (match[1], match[2] or "1")
+    powers: dict[str, Fraction] = {}
+    for symbol, power in powers_of(dimension):
         unit = units.get(symbol, symbol)
         if unit == "?":
             return "?"
         if unit != "1":
-            powers[unit] = powers.get(unit, 0) + int(power)
-    parts = [
-        unit + ("" if power == 1 else str(power).translate(_SUPERSCRIPTS))
-        for unit, power in powers.items()
-        if power
-    ]
+            powers[unit] = powers.get(unit, Fraction()) + power
+    parts = [unit + _exponent(power) for unit, power in powers.items() if power]
     return " ".join(parts) or "1"
+
+
+def _exponent(power: Fraction) -> str:
+    if power.denominator > 1:
+        return f"^({power})"
+    return "" if power == 1 else str(power).translate(_SUPERSCRIPTS)

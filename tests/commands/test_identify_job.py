@@ -123,4 +123,4 @@ def test_quantities_are_named_in_words_and_units_of_the_recording():
     row = estimate_row("driven", Estimate(2.0, 0.1), units)
     assert row[:3] == ("wandering under a command", "um s⁻¹", 2.0)
     assert 0 < row[3] < 2.0 < row[4]  # of a logarithm
-    assert estimate_row("of a new model", Estimate(1.0, 0.1), units)[1] == "1"
+    assert estimate_row("of a new model", Estimate(1.0, 0.1), units)[1] == "?"

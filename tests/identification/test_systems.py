@@ -9,16 +9,23 @@ import numpy as np
 import pytest
 from tests.identification.conftest import as_recording
 
-from pinav import forces, systems
+from pinav import actuation, forces, systems
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.evaluation import predict
-from pinav.identification import needs_kalman_filter, record_commands
+from pinav.identification import (
+    candidates,
+    needs_kalman_filter,
+    record_commands,
+    selection,
+)
 from pinav.identification.commanded_fit import fit_commanded
 from pinav.identification.drive import drive_of
+from pinav.identification.estimates import estimates
 from pinav.identification.parameters import (
     DISTURBANCE,
     NOISE_PLACES,
+    Prior,
     coordinates_of,
     stated_noise,
 )
@@ -70,7 +77,7 @@ class Sprint(forces.AbstractCommandedForce):
 
     speed: float
     delay: float
-    programme: None = None
+    programme: actuation.AbstractProgramme | None = None
 
     @property
     def actuator(self):
@@ -118,7 +125,9 @@ def test_any_propulsion_drives_a_path_as_it_drives_a_swimmer():
     with jax.enable_x64(new_val=True):
         blocks = jax.tree.map(jnp.asarray, Blocks.of(one_track(data, "sprinter")))
         path, late = (
-            drive_of(system).displacements(jnp.array([delay]), blocks)
+            drive_of(system.swimmer, system.learn).displacements(
+                jnp.array([delay]), blocks
+            )
             for delay in (0.23, 0.24)
         )
     swimmer = dataclasses.replace(sprinter(delay=0.23).swimmer, flow=forces.ZeroFlow())
@@ -126,6 +135,31 @@ def test_any_propulsion_drives_a_path_as_it_drives_a_swimmer():
     moved = np.asarray(states) - states[0]
     np.testing.assert_allclose(path[: len(moved)], moved, atol=1e-4)
     assert np.abs(late - path).max() < 0.05  # no step of the way jumps with the delay
+
+
+def test_recorded_commands_drive_a_propulsion_that_has_a_programme(driven):
+    system, track = sprinter(), one_track(driven, "sprinter")
+    programme = actuation.HeldProgramme(*(jnp.ones(1),) * 3)
+    propulsion = dataclasses.replace(system.swimmer.propulsion, programme=programme)
+    swimmer = dataclasses.replace(system.swimmer, propulsion=propulsion)
+    with jax.enable_x64(new_val=True):
+        blocks = jax.tree.map(jnp.asarray, Blocks.of(track))
+        stated, recorded = (
+            drive_of(one).displacements(jnp.zeros(0), blocks)
+            for one in (swimmer, system.swimmer)
+        )
+    np.testing.assert_array_equal(stated, recorded)
+
+
+@pytest.mark.parametrize(
+    ("prior", "low"),
+    [(systems.Normal(0.2, 0.3), 0.0), (systems.LogNormal(1, 0.3), -1.5)],
+)
+def test_a_delay_is_positive_in_its_own_coordinate(prior, low, driven):
+    learn = systems.FreeNumber("propulsion.delay", prior)
+    drive = drive_of(sprinter().swimmer, [learn])
+    bounds = Prior.of(one_track(driven, "sprinter"), drive.parameters).bounds()
+    np.testing.assert_allclose(bounds[0, 0], low)
 
 
 @pytest.mark.slow
@@ -145,16 +179,40 @@ def test_any_propulsion_is_fitted_by_its_own_drive():
     np.testing.assert_allclose(fit.posterior.model.propulsion.speed, speed.value)
 
 
+@pytest.mark.slow
+def test_another_propulsion_is_a_candidate_by_its_entry(monkeypatch):
+    learn = (
+        systems.FreeNumber("propulsion.speed", systems.LogNormal(3.0, 1.0)),
+        systems.FreeNumber("propulsion.delay", systems.LogNormal(0.2, 1.0)),
+        systems.FreeNumber("flow.velocity"),
+    )
+    several = (*candidates.CANDIDATES, lambda: sprinter(*learn))
+    monkeypatch.setattr(selection, "CANDIDATES", several)
+    track = one_track(observed(sprinter(delay=0.25)), "sprinter")
+    chosen = selection.select_model(track)
+    assert chosen.chosen == "sprinter"
+    assert chosen.row("sprinter").velocity_r2 > 0.9
+    numbers = estimates(chosen.best)
+    for name, truth in {"propulsion.speed": 4.0, "delay": 0.25}.items():
+        assert abs(numbers[name].value - truth) < 4 * numbers[name].sd
+    (piece,) = chosen.held_out.pieces
+    bands = chosen.predictor.forecast(piece)
+    assert bands.slopes.shape == (len(piece.times), 2, 4)
+    elapsed, drift = piece.times - piece.times[0], chosen.best.model.flow.velocity
+    moved = bands.slopes[:, :, 0] * numbers["propulsion.speed"].value
+    np.testing.assert_allclose(moved + np.outer(elapsed, drift), bands.path, atol=1e-2)
+
+
 @pytest.mark.parametrize("path", ["propulsion.speed", "propulsion.delay"])
 def test_a_number_of_another_propulsion_needs_a_prior(path):
     with pytest.raises(InputError, match="expected a prior Normal or LogNormal"):
-        drive_of(sprinter(systems.FreeNumber(path)))
+        drive_of(sprinter().swimmer, [systems.FreeNumber(path)])
 
 
 def test_a_wandering_velocity_stands_beside_a_propulsion_without_commands(roller):
     propulsion = forces.ConstantForce([0.7, -0.1])
     swimmer = dataclasses.replace(roller.swimmer, propulsion=propulsion)
-    drive = drive_of(dataclasses.replace(roller, swimmer=swimmer, learn=()))
+    drive = drive_of(swimmer)
     times = jnp.arange(0.0, 5.0, 0.5)
     blocks = Blocks(times, jnp.zeros((10, 2)), *(jnp.zeros(10),) * 6)
     path = drive.displacements(jnp.zeros(0), blocks)

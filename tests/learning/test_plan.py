@@ -4,7 +4,7 @@ import jax
 import pytest
 
 from pinav.errors import InputError
-from pinav.learning.plan import plan_fit
+from pinav.learning.plan import plan_fit, suitable_recipe
 from pinav.learning.recipes import Bayes, Curriculum, Langevin, Paper, Suited
 from pinav.scenarios import scenario
 from pinav.trajectories import simulate
@@ -27,7 +27,6 @@ def paper():
         ({"recipe": Bayes(), "model": "ude"}, "the model ude has no evidence"),
         ({"model": "nn-only", "train": ("gain",)}, "no physical constants"),
         ({"model": "physics-only"}, "there is nothing to fit; add --train damping"),
-        ({"model": "ude", "recipe": Suited(noise=0.1)}, "only the recipe bayes uses"),
         ({"recipe": Bayes(noise=-1.0)}, "--noise: expected > 0, got -1.0"),
         ({"recipe": Bayes(budget=0.0)}, "--budget: expected > 0, got 0"),
         ({"recipe": Curriculum(0)}, "--max-steps: expected 1 to 1e.06, got 0"),
@@ -36,6 +35,22 @@ def paper():
 def test_what_does_not_go_together_is_refused(paper, options, message):
     with pytest.raises(InputError, match=message):
         plan_fit(*paper, **options)
+
+
+LACKED = {
+    "langevin": {"noise": 0.1, "structure": "free", "max_steps": 3, "budget": 9.0},
+    "curriculum": {"noise": 0.1, "structure": "free", "budget": 9.0},
+}
+
+
+@pytest.mark.parametrize(
+    ("recipe", "option"), [(name, option) for name in LACKED for option in LACKED[name]]
+)
+def test_an_option_that_the_suited_recipe_lacks_is_refused(recipe, option):
+    asked, thermal = Suited(**{option: LACKED[recipe][option]}), recipe == "langevin"
+    message = f"--{option.replace('_', '-')}: the recipe {recipe}, .* no such option"
+    with pytest.raises(InputError, match=message):
+        suitable_recipe(asked, "ude", scenario("brownian"), thermal=thermal)
 
 
 def test_the_recipe_suits_model_and_data(paper):

@@ -12,7 +12,9 @@ import pinav.forces
 import pinav.systems
 from pinav import forces
 from pinav.actuation import SaturatingResponse
+from pinav.arguments import Scalar, dimension, dimension_of
 from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.errors import InputError
 from pinav.fitting import Estimate
 from pinav.fitting.environments.summary import ModelChoice
 from pinav.forces.fitted_laws import FittedLaw
@@ -51,22 +53,64 @@ def test_the_dimension_of_a_field_is_that_of_its_description(kind):
             assert stated(field) in described, field.name
 
 
+LEARNABLE = (
+    forces.AbstractForce,
+    forces.AbstractFlow,
+    forces.AbstractSurface,
+    pinav.actuation.AbstractField,
+    pinav.actuation.AbstractResponse,
+)
+"""Parts of a swimmer whose numbers a system may leave open."""
+
+LAID = (forces.AbstractLearnedForce, forces.AbstractTerm)
+"""Parts whose numbers are chosen with their weights, and printed with these."""
+
+
+@pytest.mark.parametrize("module", [pinav.forces, pinav.actuation, pinav.dynamics])
+def test_every_number_that_a_system_may_leave_open_states_its_dimension(module):
+    kinds = [kind for kind in vars(module).values() if isinstance(kind, type)]
+    silent = [
+        f"{kind.__name__}.{field.name}"
+        for kind in kinds
+        if issubclass(kind, LEARNABLE) and not issubclass(kind, LAID)
+        for field in dataclasses.fields(kind)
+        if field.type == Scalar and "dimension" not in field.metadata
+    ]
+    assert not silent
+
+
+def test_the_value_of_a_tensor_has_the_dimension_of_its_place():
+    swimmer = OverdampedSwimmer(forces.ZeroForce(), forces.ZeroForce(), 2.0)
+    assert dimension_of(swimmer, "mobility.value") == "L T-1 F-1"
+    assert dimension_of(swimmer, "propulsion.value") == "?"
+
+
 @pytest.mark.parametrize(
-    ("dimension", "unit"),
+    ("text", "unit"),
     [
         ("L2 T-1", "um² s⁻¹"),
         ("rad T-1", "rad s⁻¹"),
         ("L T-1 Hz^(-1/4)", "um s⁻¹ Hz^(-1/4)"),
         ("F L", "pN um"),
+        ("L-1/2 T-2", "um^(-1/2) s⁻²"),
+        ("L1/2 L^(1/2)", "um"),
         ("L L-1", "1"),
         ("1", "1"),
         ("?", "?"),
     ],
 )
-def test_symbols_become_the_units_of_the_data(dimension, unit):
-    assert unit_of(dimension, {"L": "um", "T": "s", "F": "pN"}) == unit
-    bare = unit_of(dimension, {"L": "1", "T": "1", "F": "1"})
+def test_symbols_become_the_units_of_the_data(text, unit):
+    assert unit_of(text, {"L": "um", "T": "s", "F": "pN"}) == unit
+    bare = unit_of(text, {"L": "1", "T": "1", "F": "1"})
     assert bare in ("1", "?", "rad", "Hz^(-1/4)")
+
+
+@pytest.mark.parametrize("word", ["L^2", "2L", "L2.5", "L1/", "1/s"])
+def test_what_is_no_power_is_refused_where_a_class_states_it(word):
+    with pytest.raises(
+        InputError, match=rf"expected powers .* got {re.escape(repr(word))}"
+    ):
+        dimension(f"{word} T-1")
 
 
 def units(system, swimmer, *paths):

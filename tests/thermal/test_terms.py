@@ -1,5 +1,9 @@
 """Each term of the heat equation beside the others, and what plans are made of."""
 
+import dataclasses
+import itertools
+from dataclasses import MISSING
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,7 +15,14 @@ from tests.samples import stand_in
 from pinav.evaluation import normal_quantile
 from pinav.thermal import design, quantities
 from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.boundaries import Dirichlet, Insulated, Periodic, Robin, Sides
+from pinav.thermal.boundaries import (
+    BOUNDARIES,
+    Dirichlet,
+    Insulated,
+    Periodic,
+    Robin,
+    Sides,
+)
 from pinav.thermal.case import read_case
 from pinav.thermal.dose import LIVER_DAMAGE
 from pinav.thermal.grids import CartesianGrid, RadialGrid
@@ -318,3 +329,12 @@ def test_ranges_hold_their_bounds(numbers, taken, refused):
     assert quantities.within("it", numbers, taken) == taken
     with pytest.raises(ValueError, match="it: "):
         quantities.within("it", numbers, refused)
+
+
+@pytest.mark.parametrize("pair", list(itertools.combinations(BOUNDARIES, 2)))
+def test_the_keys_of_a_side_tell_its_boundary(pair):
+    """`read_module` takes the first class whose fields the keys of a table name."""
+    fields = [dataclasses.fields(kind) for kind in pair]
+    needed = {f.name for part in fields for f in part if f.default is MISSING}
+    both = set.intersection(*({f.name for f in part} for part in fields))
+    assert needed - both or not any(fields)

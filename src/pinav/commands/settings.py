@@ -10,8 +10,10 @@ from typing import Annotated
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
+from pinav.learning.recipes import MaxSteps as MaxSteps
 from pinav.learning.recipes import ModelName as ModelName
 from pinav.reading import PLAIN, Reading
+from pinav.settings import MAX_STEPS as MAX_STEPS
 from pinav.settings import Numbers as Numbers
 from pinav.settings import Range as Range
 from pinav.settings import Settings as Settings

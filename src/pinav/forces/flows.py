@@ -161,7 +161,7 @@ class TubeFlow(AbstractFlow):
     Attributes:
         peak: $u_m$, mean over time on the axis [L T⁻¹]; negative runs backwards.
         tube: where the wall is.
-        pulse: p, part of the mean by which the flow swings.
+        pulse: p, part of the mean by which the flow swings [1].
         frequency: f [cycles T⁻¹].
 
     References:
@@ -170,8 +170,8 @@ class TubeFlow(AbstractFlow):
 
     peak: Scalar = eqx.field(metadata=dimension("L T-1"))
     tube: Tube
-    pulse: Scalar = 0.0
-    frequency: Scalar = 1.0
+    pulse: Scalar = eqx.field(metadata=dimension("1"), default=0.0)
+    frequency: Scalar = eqx.field(metadata=dimension("cycles T-1"), default=1.0)
 
     def __call__(self, t: Scalar, x: Vector) -> Vector:
         across = self.tube.from_axis(x)
@@ -201,7 +201,7 @@ class BifurcationFlow(AbstractFlow):
             [L T⁻¹]; negative runs backwards.
         wall: where the walls are; its first tube is the trunk.
         shares: $s_i$ of the other tubes, which sum to 1.
-        pulse: p, part of the mean by which the flow swings.
+        pulse: p, part of the mean by which the flow swings [1].
         frequency: f [cycles T⁻¹].
 
     Raises:
@@ -212,8 +212,8 @@ class BifurcationFlow(AbstractFlow):
     peak: Scalar = eqx.field(metadata=dimension("L T-1"))
     wall: Bifurcation
     shares: Float[Array, " branch"] = eqx.field(converter=jnp.asarray)
-    pulse: Scalar = 0.0
-    frequency: Scalar = 1.0
+    pulse: Scalar = eqx.field(metadata=dimension("1"), default=0.0)
+    frequency: Scalar = eqx.field(metadata=dimension("cycles T-1"), default=1.0)
 
     def __check_init__(self) -> None:
         branches = len(self.wall.radii) - 1

@@ -157,11 +157,11 @@ class DipolePull(AbstractForce):
     r"""Pull $m\,\nabla |B|$ on a permanent dipole that aligns with the field.
 
     Attributes:
-        moment: $m$, so that $m\,\nabla |B|$ is a force per mass [L² T⁻² per tesla].
+        moment: $m$, so that $m\,\nabla |B|$ is a force per mass [L² T⁻² tesla⁻¹].
     """
 
     table: MagneticFieldTable
-    moment: Scalar
+    moment: Scalar = eqx.field(metadata=dimension("L2 T-2 tesla-1"))
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.moment * jax.grad(self.table.strength)(x)
@@ -174,14 +174,14 @@ class InductionPull(AbstractForce):
     $s = V \chi / \mu_0$ per mass.
 
     Attributes:
-        susceptibility: $s$ [L² T⁻² per tesla squared].
+        susceptibility: $s$ [L² T⁻² tesla⁻²].
 
     References:
         Jackson, Classical Electrodynamics, 3rd ed., section 5.7.
     """
 
     table: MagneticFieldTable
-    susceptibility: Scalar
+    susceptibility: Scalar = eqx.field(metadata=dimension("L2 T-2 tesla-2"))
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         def energy(x: Vector) -> Scalar:

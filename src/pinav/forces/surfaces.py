@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, Vector, check_positive, point
+from pinav.arguments import Scalar, Vector, check_positive, dimension, point
 from pinav.errors import InputError
 
 
@@ -36,7 +36,7 @@ class Plane(AbstractSurface):
     """
 
     normal: Vector = eqx.field(converter=point("Plane.normal"))
-    position: Scalar = 0.0
+    position: Scalar = eqx.field(metadata=dimension("L"), default=0.0)
 
     def __check_init__(self) -> None:
         if not jnp.any(self.normal != 0):
@@ -69,7 +69,7 @@ class Tube(AbstractSurface):
 
     along: Float[Array, "3"] = eqx.field(converter=point("Tube.along", 3))
     middle: Float[Array, "3"] = eqx.field(converter=point("Tube.middle", 3))
-    radius: Scalar
+    radius: Scalar = eqx.field(metadata=dimension("L"))
 
     def __check_init__(self) -> None:
         check_positive(self, "radius")

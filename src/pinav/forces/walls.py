@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, Vector, check_positive, point
+from pinav.arguments import Scalar, Vector, check_positive, dimension, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce
 from pinav.forces.surfaces import AbstractSurface
@@ -98,8 +98,8 @@ class WallMobility(AbstractTensorField):
         InputError: `radius` or `viscosity` is a number <= 0.
     """
 
-    radius: Scalar
-    viscosity: Scalar
+    radius: Scalar = eqx.field(metadata=dimension("um"))
+    viscosity: Scalar = eqx.field(metadata=dimension("mPa s"))
     wall: AbstractSurface
 
     def __check_init__(self) -> None:
@@ -137,8 +137,8 @@ class Weight(AbstractForce):
         InputError: `radius` is a number <= 0, or `down` is no vector or zero.
     """
 
-    radius: Scalar
-    excess_density: Scalar
+    radius: Scalar = eqx.field(metadata=dimension("um"))
+    excess_density: Scalar = eqx.field(metadata=dimension("kg m-3"))
     down: Vector = eqx.field(converter=point("Weight.down"))
 
     def __check_init__(self) -> None:
@@ -173,9 +173,9 @@ class DoubleLayer(AbstractForce):
         Prieve, Adv. Colloid Interface Sci. 82, 93 (1999).
     """
 
-    energy: Scalar
-    length: Scalar
-    radius: Scalar
+    energy: Scalar = eqx.field(metadata=dimension("pN um"))
+    length: Scalar = eqx.field(metadata=dimension("um"))
+    radius: Scalar = eqx.field(metadata=dimension("um"))
     wall: AbstractSurface
 
     def __check_init__(self) -> None:

@@ -5,6 +5,8 @@ in every fit.
 """
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,13 +18,11 @@ from pinav.dynamics import OverdampedSwimmer, takes_commands
 from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
 from pinav.forces import RollingPropulsion, UniformFlow, ZeroFlow, ZeroForce
-from pinav.identification.drive import RESPONSES
-from pinav.identification.parameters import DRIFT, GAIN, ROLLING, Parameter, Scale
+from pinav.identification.drive import RESPONSES, drive_numbers, gain_of
+from pinav.identification.parameters import DRIFT, GAIN, ROLLING
 from pinav.systems import (
     Flat,
     FreeNumber,
-    LogNormal,
-    Normal,
     Observation,
     System,
     Units,
@@ -57,21 +57,9 @@ def system_of(
 
 
 def _free_numbers(fit: EvidenceFit) -> tuple[FreeNumber, ...]:
-    drive = (
-        FreeNumber(parameter.path, _prior(fit, parameter))
-        for parameter in ROLLING
-        if parameter.path in fit.constants
-    )
     gain = (FreeNumber(GAIN, Flat()),) if f"{GAIN}[0, 0]" in fit.constants else ()
     drift = (FreeNumber(DRIFT, Flat()),) if f"{DRIFT}[0]" in fit.constants else ()
-    return (*gain, *drive, *drift)
-
-
-def _prior(fit: EvidenceFit, parameter: Parameter) -> Normal | LogNormal:
-    value, sd = (getattr(fit.constants[parameter.path], n) for n in ("value", "sd"))
-    if parameter.scale is Scale.LOG:
-        return LogNormal(median=value, deviation=max(sd / value, 1e-6))
-    return Normal(mean=value, deviation=max(sd, 1e-6))
+    return (*gain, *drive_numbers(fit), *drift)
 
 
 def needs_kalman_filter(system: System) -> bool:
@@ -144,6 +132,13 @@ def with_response(system: System, response: str) -> System:
     return with_learned(changed, response, *paths)
 
 
+CANDIDATES: tuple[Callable[[], System], ...] = tuple(
+    lambda response=response: with_response(gain_matrix(), response)
+    for response in RESPONSES
+)
+"""Propulsions that are compared where there are commands, each with a drift."""
+
+
 def with_learned(system: System, label: str, *paths: str) -> System:
     """A candidate with further numbers learned, such as `propulsion.delay`."""
     learn = (*system.learn, *map(FreeNumber, paths))
@@ -159,11 +154,12 @@ def with_slow_drift(system: System) -> System:
 def like(base: System, other: System) -> System:
     """A candidate with the gain and drift of `base`, and all else of `other`.
 
-    Without a propulsion in the base only the noise of the other is taken; with nothing
-    to take the base itself is returned.
+    Where either does not roll only the noise of the other is taken; with nothing to
+    take the base itself is returned.
     """
-    drive, propulsion = (), base.swimmer.propulsion
-    if isinstance(propulsion, RollingPropulsion):
+    drive: tuple[FreeNumber, ...] = ()
+    propulsion: Any = base.swimmer.propulsion
+    if gain_of(base.swimmer) is not None and gain_of(other.swimmer) is not None:
         paths = {parameter.path for parameter in ROLLING}
         drive = tuple(number for number in other.learn if number.path in paths)
         gain = propulsion.gain

@@ -43,9 +43,8 @@ from pinav.forces import (
     ZeroFlow,
     ZeroForce,
     as_learned_force,
-    tensor_matrix,
 )
-from pinav.identification.drive import is_open, known_gain
+from pinav.identification.drive import is_open
 from pinav.identification.fit import CandidateSearch, stated_coordinates
 from pinav.identification.likelihood import Design, Field, path_displacement, whiten
 from pinav.identification.parameters import DRIFT, GAIN, Prior
@@ -88,7 +87,6 @@ def with_environment(
 def displacements_by(
     swimmer: OverdampedSwimmer,
     blocks: Blocks,
-    gain: Float[Array, "2 2"],
     *,
     drift: bool,
 ) -> Field:
@@ -108,7 +106,7 @@ def displacements_by(
     if environment is not None:
         free, start = ravel_model(environment, lambda e: e.parameters)
         columns = _weight_columns(free, jnp.zeros_like(start), swimmer, blocks)
-    return Field(columns, path_displacement(passive, blocks), gain, known_drift)
+    return Field(columns, path_displacement(passive, blocks), known_drift)
 
 
 @eqx.filter_jit
@@ -196,7 +194,7 @@ class _Problem:
                 f"system {system.name!r}: expected a swimmer without inertia (order 1) "
                 "for a fit with commands or a wandering velocity, got order 2"
             )
-        design = Design.of(system, Blocks.of(track))
+        self.design = design = Design.of(system, Blocks.of(track))
         learnable = {GAIN, DRIFT, *(number.path for number in design.parameters)}
         if ignored := {number.path for number in system.learn} - learnable:
             raise InputError(
@@ -208,17 +206,9 @@ class _Problem:
         own = [parameter.prior is not None for parameter in design.parameters]
         stated = np.where(own, np.nan, stated_coordinates(system, design))
         prior = Prior.of(track, design.parameters).about(stated)
-        swimmer = with_environment(system.swimmer, environment)
-        # The propulsion is a force: what the gain moves passes through the mobility.
-        mobility = tensor_matrix(swimmer.mobility, jnp.zeros(2))
-        gains = jnp.einsum("ab,gbc->gac", mobility, design.still.gains)
-        self.design = eqx.tree_at(lambda d: d.still.gains, design, gains)
-        self.swimmer = swimmer
+        self.swimmer = with_environment(system.swimmer, environment)
         self.field = displacements_by(
-            swimmer,
-            self.design.blocks,
-            known_gain(system, mobility),
-            drift=is_open(system, DRIFT),
+            self.swimmer, design.blocks, drift=is_open(system, DRIFT)
         )
         self.weights: AbstractWeights = NoWeights()
         if environment is not None:

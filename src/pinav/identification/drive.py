@@ -8,6 +8,7 @@ are parameters of the search.
 import abc
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -19,9 +20,15 @@ from jaxtyping import Array, Float, Int
 from pinav import actuation
 from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_arrays
 from pinav.errors import InputError
-from pinav.forces import RollingPropulsion, ZeroFlow, ZeroForce
+from pinav.fitting import Estimate, EvidenceFit
+from pinav.forces import (
+    AbstractCommandedForce,
+    RollingPropulsion,
+    ZeroFlow,
+    ZeroForce,
+    tensor_matrix,
+)
 from pinav.identification.parameters import (
-    GAIN,
     ROLLING,
     Parameter,
     Scale,
@@ -38,7 +45,11 @@ RESPONSES: dict[str, actuation.AbstractResponse] = {
 """Responses to high frequencies, with placeholders for their numbers."""
 
 
-def response_name(swimmer: Swimmer | OverdampedSwimmer) -> str:
+AnySwimmer = Swimmer | OverdampedSwimmer
+"""Swimmer of a system, which may have inertia that no drive allows for."""
+
+
+def response_name(swimmer: AnySwimmer) -> str:
     """Name of the response of a swimmer among `RESPONSES`; linear if it rolls not."""
     kind = type(getattr(swimmer.propulsion, "response", RESPONSES["linear"]))
     return next(name for name, made in RESPONSES.items() if type(made) is kind)
@@ -49,9 +60,13 @@ class AbstractDrive(eqx.Module):
 
     Attributes:
         parameters: the numbers in which displacements are not linear.
+        gain: matrix that makes lengths of displacements.
+        basis: gain by each number of it, zero where there are fewer.
     """
 
     parameters: eqx.AbstractVar[tuple[Parameter, ...]]
+    gain: eqx.AbstractVar[Float[Array, "2 2"]]
+    basis: eqx.AbstractVar[Float[Array, "4 2 2"]]
 
     @abc.abstractmethod
     def displacements(
@@ -60,12 +75,38 @@ class AbstractDrive(eqx.Module):
         """Displacement since the first sample of a track, for a gain of 1."""
 
 
-def drive_of(system: System) -> AbstractDrive:
-    """The drive of the propulsion of a system."""
-    propulsion = system.swimmer.propulsion
-    if isinstance(propulsion, RollingPropulsion | ZeroForce):
-        return RollingDrive.of(system.swimmer)
-    return OtherDrive.of(system)
+def drive_of(swimmer: AnySwimmer, learn: Sequence[FreeNumber] = ()) -> AbstractDrive:
+    """The drive of a swimmer, of which these numbers are open."""
+    assert isinstance(swimmer, OverdampedSwimmer)
+    if isinstance(swimmer.propulsion, RollingPropulsion | ZeroForce):
+        return RollingDrive.of(swimmer)
+    return OtherDrive.of(swimmer, learn)
+
+
+def gain_of(swimmer: AnySwimmer) -> Float[np.ndarray, "2 2"] | None:
+    """Gain matrix of a swimmer [L per cycle]; None where it does not roll."""
+    propulsion = swimmer.propulsion
+    if not isinstance(propulsion, RollingPropulsion):
+        return None
+    return np.asarray(propulsion.matrix, float)
+
+
+def drive_numbers(fit: EvidenceFit) -> tuple[FreeNumber, ...]:
+    """The learned numbers of a drive, with what a fit says of them."""
+    rolls = gain_of(fit.model) is not None
+    known = {parameter.path: parameter.scale for parameter in ROLLING}
+    return tuple(
+        FreeNumber(path, _prior(estimate, known.get(path, Scale.PLAIN)))
+        for path, estimate in fit.constants.items()
+        if (path in known if rolls else path.startswith("propulsion."))
+    )
+
+
+def _prior(estimate: Estimate, scale: Scale) -> Normal | LogNormal:
+    value, sd = estimate.value, estimate.sd
+    if scale is Scale.LOG:
+        return LogNormal(median=value, deviation=max(sd / value, 1e-6))
+    return Normal(mean=value, deviation=max(sd, 1e-6))
 
 
 class RollingDrive(AbstractDrive):
@@ -75,50 +116,34 @@ class RollingDrive(AbstractDrive):
     """
 
     response: Int[Array, ""]
+    gain: Float[Array, "2 2"]
+    basis: Float[Array, "4 2 2"]
     parameters: tuple[Parameter, ...] = eqx.field(static=True, default=ROLLING)
 
     @classmethod
-    def of(cls, swimmer: Swimmer | OverdampedSwimmer) -> "RollingDrive":
+    def of(cls, swimmer: OverdampedSwimmer) -> "RollingDrive":
         """The drive of a swimmer."""
+        gain, basis = np.zeros((2, 2)), np.zeros((4, 2, 2))
+        if (known := gain_of(swimmer)) is not None:
+            propulsion: Any = swimmer.propulsion
+            numbers = gain_basis(np.ndim(propulsion.gain))
+            gain, basis[: len(numbers)] = known, numbers
+        # The propulsion is a force: what the gain moves passes through the mobility.
+        mobility = tensor_matrix(swimmer.mobility, jnp.zeros(2))
         place = list(RESPONSES).index(response_name(swimmer))
-        return cls(response=jnp.asarray(place))
+        return cls(
+            response=jnp.asarray(place), gain=mobility @ gain, basis=mobility @ basis
+        )
 
     def displacements(
         self, coordinates: Float[Array, "4"], blocks: Blocks
     ) -> Float[Array, "sample 2"]:
         along: Any = blocks  # as JAX arrays
         programme = actuation.HeldProgramme(along.times, along.frequency, along.heading)
-        return self.cycles(coordinates, programme)
-
-    def cycles(
-        self, coordinates: Float[Array, "4"], programme: actuation.HeldProgramme
-    ) -> Float[Array, "sample 2"]:
-        """Integral of the response along the heading, delayed and lagged."""
         corner, residual, delay, lag = coordinates
         response = SwitchedResponse(self.response, corner, residual)
         times = programme.times - delay
         return programme.lagged_integral(response, times, jnp.exp(lag))
-
-
-def open_gains(system: System) -> Float[np.ndarray, "4 2 2"]:
-    """Gain matrix by each number of an open gain, zeros where there are fewer."""
-    gains, propulsion = np.zeros((4, 2, 2)), system.swimmer.propulsion
-    if isinstance(propulsion, RollingPropulsion) and is_open(system, GAIN):
-        basis = gain_basis(np.ndim(propulsion.gain))
-        gains[: len(basis)] = basis
-    return gains
-
-
-def known_gain(system: System, mobility: Float[Array, "2 2"]) -> Float[Array, "2 2"]:
-    """Gain matrix that is not open, which a mobility makes a velocity of.
-
-    That of another propulsion than a rolling one is 1: its drive is a displacement.
-    """
-    propulsion = system.swimmer.propulsion
-    if isinstance(propulsion, RollingPropulsion) and not is_open(system, GAIN):
-        return mobility @ propulsion.matrix
-    rolls = isinstance(propulsion, RollingPropulsion | ZeroForce)
-    return jnp.zeros((2, 2)) if rolls else jnp.eye(2)
 
 
 def is_open(system: System, path: str) -> bool:
@@ -167,18 +192,31 @@ class OtherDrive(AbstractDrive):
 
     swimmer: OverdampedSwimmer
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
+    gain: Float[Array, "2 2"]
+    basis: Float[Array, "4 2 2"]
 
     @classmethod
-    def of(cls, system: System) -> "OtherDrive":
-        """The drive of a system."""
-        numbers = [n for n in system.learn if n.path.startswith("propulsion.")]
-        parameters = tuple(_parameter(number, system) for number in numbers)
+    def of(
+        cls, swimmer: OverdampedSwimmer, learn: Sequence[FreeNumber]
+    ) -> "OtherDrive":
+        """The drive of a swimmer, of which these numbers are open."""
+        numbers = [n for n in learn if n.path.startswith("propulsion.")]
+        parameters = tuple(_parameter(number, swimmer) for number in numbers)
+        propulsion = swimmer.propulsion
+        if isinstance(propulsion, AbstractCommandedForce):
+            # A programme runs on the clock of a trajectory, not on that of the track.
+            propulsion = dataclasses.replace(propulsion, programme=None)
         swimmer = eqx.tree_at(
-            lambda s: (s.environment, s.known_force, s.flow),
-            system.swimmer,
-            (ZeroForce(), ZeroForce(), ZeroFlow()),
+            lambda s: (s.propulsion, s.environment, s.known_force, s.flow),
+            swimmer,
+            (propulsion, ZeroForce(), ZeroForce(), ZeroFlow()),
         )
-        return cls(swimmer=swimmer, parameters=parameters)
+        return cls(
+            swimmer=swimmer,
+            parameters=parameters,
+            gain=jnp.eye(2),
+            basis=jnp.zeros((4, 2, 2)),
+        )
 
     def displacements(
         self, coordinates: Float[Array, " parameter"], blocks: Blocks
@@ -198,11 +236,11 @@ class OtherDrive(AbstractDrive):
         return integrate_between(driven, jumps, along.times, along.positions)
 
 
-def _parameter(number: FreeNumber, system: System) -> Parameter:
+def _parameter(number: FreeNumber, swimmer: OverdampedSwimmer) -> Parameter:
     """An open number, in the coordinate in which its prior is normal."""
     prior, path = number.prior, number.path
     known = isinstance(prior, Normal | LogNormal)
-    if np.ndim(number.pick(system.swimmer)) or not known:
+    if np.ndim(number.pick(swimmer)) or not known:
         raise InputError(
             f"learn: expected a prior Normal or LogNormal of {path!r}, a single "
             "number, because beside commands nothing else tells its scale"

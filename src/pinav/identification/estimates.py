@@ -12,7 +12,8 @@ from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.fitting import Estimate, EvidenceFit, Posterior, ravel_model
 from pinav.fitting.bayes.parameters import derive
 from pinav.fitting.engine.local_model import selected_entries
-from pinav.forces import RollingPropulsion, UniformFlow, heading_offset, mean_gain
+from pinav.forces import UniformFlow, heading_offset, mean_gain
+from pinav.identification.drive import drive_numbers, gain_of
 from pinav.identification.parameters import (
     ABOUT_GAIN,
     DRIFTS,
@@ -99,14 +100,6 @@ def entries(fit: EvidenceFit, path: str) -> Int[np.ndarray, " number"]:
     return np.flatnonzero(selected_entries(posterior.free, len(posterior.mean), pick))
 
 
-def gain_of(swimmer: OverdampedSwimmer) -> Float[np.ndarray, "2 2"]:
-    """Gain matrix of a swimmer [L per cycle]; zero without a propulsion."""
-    propulsion = swimmer.propulsion
-    if not isinstance(propulsion, RollingPropulsion):
-        return np.zeros((2, 2))
-    return np.asarray(propulsion.matrix, float)
-
-
 def drift_of(swimmer: OverdampedSwimmer) -> Float[np.ndarray, "2"]:
     """Drift of a swimmer [L T⁻¹]; zero without a uniform flow."""
     flow = swimmer.flow
@@ -116,13 +109,13 @@ def drift_of(swimmer: OverdampedSwimmer) -> Float[np.ndarray, "2"]:
 def estimates(fit: EvidenceFit) -> dict[str, Estimate]:
     """Quantities with a meaning, by name, with their standard deviations."""
     quantities: dict[str, Estimate] = {}
-    if isinstance(fit.model.propulsion, RollingPropulsion):
+    if gain_of(fit.model) is not None:
         rows = zip(ABOUT_GAIN, derive(fit.posterior, _about_gain), strict=True)
         quantities |= {one.name: estimate for one, estimate in rows}
     several = [(f"{one.path}[{index}]", one.name) for index, one in enumerate(DRIFTS)]
-    several += [(parameter.path, parameter.name) for parameter in PARAMETERS]
-    known = fit.constants
-    return quantities | {name: known[path] for path, name in several if path in known}
+    several += [(number.path, number.path) for number in drive_numbers(fit)]
+    names, known = dict(several) | {p.path: p.name for p in PARAMETERS}, fit.constants
+    return quantities | {names[path]: known[path] for path in names if path in known}
 
 
 def _about_gain(swimmer: OverdampedSwimmer) -> Float[Array, "3"]:

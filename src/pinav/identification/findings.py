@@ -19,7 +19,7 @@ from pinav.identification.candidates import (
     with_learned,
     with_response,
 )
-from pinav.identification.drive import RESPONSES, response_name
+from pinav.identification.drive import RESPONSES, gain_of, response_name
 from pinav.identification.estimates import estimates as estimates_of
 from pinav.identification.fit import fit_track
 from pinav.identification.parameters import DELAY
@@ -123,8 +123,13 @@ def delay_findings(track: Track, system: System, fit: EvidenceFit) -> DelayFindi
 def finding_sentences(
     selection: Selection, estimates: dict[str, Estimate], delays: DelayFindings | None
 ) -> list[str]:
-    """The verdict on one track."""
-    responses = RESPONSES if selection.train.commanded else ()
+    """The verdict on one track.
+
+    Args:
+        delays: none where nothing was commanded, or the chosen candidate rolls not.
+    """
+    commanded = selection.train.commanded
+    responses = RESPONSES if delays is not None else ()
     nats = {
         response: selection.evidence(with_response(gain_matrix(), response).name)
         for response in responses
@@ -132,17 +137,15 @@ def finding_sentences(
     response = response_name(selection.system.swimmer)
     rows = selection.row(selection.chosen), selection.row(LEAST_SQUARES)
     sentences = [choice(selection.chosen, response, nats), *shortcomings(*rows)]
-    if delays is None:
+    if not commanded:
         recorded = "frequency" in selection.train.pieces[0].commands
         idle = "The commands ask for no motion" if recorded else "No commands recorded"
         sentences.append(f"{idle}: gain, delay and heading cannot be known.")
         sentences.append(_restoring(selection))
     else:
-        sentences += [
-            _propulsion(selection),
-            _response(selection, estimates),
-            _delay(delays),
-        ]
+        sentences.append(_propulsion(selection))
+        if delays is not None:
+            sentences += [_response(selection, estimates), _delay(delays)]
         sentences.append(_gain(selection, "lag", "a lag of the heading"))
         sentences.append(_wandering(selection))
         sentences.append(extrapolation(selection.train, selection.held_out))
@@ -228,9 +231,12 @@ def _propulsion(selection: Selection) -> str:
         - selection.evidence(like(base, selection.system).name)
         for base in (drift_only(), scalar_gain())
     )
+    text = f"Propulsion by the command: {_words(gain)}."
+    if gain_of(selection.system.swimmer) is None:
+        return text
     return (
-        f"Propulsion by the command: {_words(gain)}. A gain matrix with drift, over "
-        f"one number and the heading as recorded: {_words(matrix)}."
+        f"{text} A gain matrix with drift, over one number and the heading as "
+        f"recorded: {_words(matrix)}."
     )
 
 

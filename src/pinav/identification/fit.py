@@ -137,19 +137,21 @@ class CandidateSearch:
         known = set() if start is None else {p.path for p in self._shared(start)}
         if start is not None:
             shared = [self.place[path] for path in known]
-            theta[shared] = fitted_coordinates(start)[shared]
+            fitted = fitted_coordinates(start, self.design.parameters)
+            theta[shared] = fitted[shared]
         several = [theta]
         if start is None:
             white, noise = theta.copy(), [self.place[path] for path in WHITE]
             white[noise] -= 2 * self.prior.sd[noise]
             several.append(white)
-        delay = self.place.get(DELAY)
-        if delay in self.places and DELAY not in known:
-            several = [
-                np.where(np.arange(len(one)) == delay, late, one)
-                for one in several
-                for late in STARTS
-            ]
+        for parameter in self.learned:
+            if parameter.path == DELAY and DELAY not in known:
+                chosen = np.arange(len(theta)) == self.place[DELAY]
+                several = [
+                    np.where(chosen, parameter.scale.coordinate(late), one)
+                    for one in several
+                    for late in STARTS
+                ]
         return [one[self.places] for one in several]
 
     def _shared(self, start: EvidenceFit) -> list[Parameter]:
@@ -160,7 +162,7 @@ class CandidateSearch:
         """Scale of each parameter: its sd in a simpler candidate, or of its prior."""
         sizes = self.prior.sd.copy()
         if start is not None:
-            coordinates = fitted_coordinates(start)
+            coordinates = fitted_coordinates(start, self.design.parameters)
             for parameter in self._shared(start):
                 place = self.place[parameter.path]
                 slope = parameter.scale.slope(coordinates[place])

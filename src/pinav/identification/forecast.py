@@ -1,6 +1,7 @@
 """Open-loop rollouts on the held-out part of a track: errors and bands."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -8,23 +9,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from pinav.actuation import HeldProgramme
 from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting import EvidenceFit
-from pinav.identification.drive import RollingDrive, gain_basis
-from pinav.identification.estimates import drift_of, entries, gain_of
+from pinav.identification.drive import AbstractDrive, drive_numbers, drive_of, gain_of
+from pinav.identification.estimates import drift_of, entries
 from pinav.identification.kalman import Disturbance, State, begin, predict, transitions
 from pinav.identification.likelihood import disturbance_of
 from pinav.identification.parameters import (
     DRIFT,
     GAIN,
-    ROLLING,
     Coordinates,
     coordinates_of,
     fitted_coordinates,
 )
-from pinav.identification.tracks import Track, commands_of, round_up_to
+from pinav.identification.tracks import Blocks, Track, commands_of, round_up_to
 from pinav.recordings.drive import command_vector
+from pinav.systems import FreeNumber
 from pinav.trajectories import Trajectory
 
 Vectors = Float[np.ndarray, "time 2"]
@@ -34,43 +34,62 @@ Displacement = Callable[[Trajectory], Vectors]
 """Predicted path of a segment, up to a constant [L]."""
 
 
-def programme_of(piece: Trajectory) -> HeldProgramme:
-    """The commands of a segment; none count as a frequency of 0.
-
-    The last one is repeated up to a round number of times, so that compiled code serves
-    other segments.
-    """
-    size = LEAST_SIZE
-    while size < len(piece.times):
-        size *= 2
-    more = size - len(piece.times)
-    # Lengths are powers of two, so that few programs are compiled; what follows the
-    # last command reaches no sample.
-    later = piece.times[-1] + 1.0 + np.arange(more)
-    held = [jnp.asarray(np.pad(v, (0, more), "edge")) for v in commands_of(piece)]
-    return HeldProgramme(jnp.asarray(np.concatenate([piece.times, later])), *held)
-
-
 LEAST_SIZE = 2048
 """Samples that are compiled for at least; for longer segments, twice as many and so
 on, since a program takes longer to compile than to run on twice the samples."""
 
 
-def cycles(
-    swimmer: OverdampedSwimmer,
-    piece: Trajectory,
-    coordinates: Coordinates | None = None,
-) -> Vectors:
-    """Integral of the delayed response of a rolling swimmer along the heading."""
-    if coordinates is None:
-        coordinates = coordinates_of(ROLLING, swimmer, {})
-    with jax.enable_x64(new_val=True):
-        # The response is chosen by its place, in one compiled program for all of them.
-        drive = RollingDrive.of(swimmer)
-        integral = eqx.filter_jit(RollingDrive.cycles)(
-            drive, jnp.asarray(coordinates), programme_of(piece)
-        )
-    return np.asarray(integral)[: len(piece.times)]
+class DrivenSwimmer(eqx.Module):
+    """A fitted swimmer, driven by the commands of segments.
+
+    Attributes:
+        numbers: coordinates of the parameters of its drive.
+    """
+
+    swimmer: OverdampedSwimmer
+    drive: AbstractDrive
+    numbers: Coordinates
+
+    @classmethod
+    def of(
+        cls, swimmer: OverdampedSwimmer, learn: Sequence[FreeNumber] = ()
+    ) -> "DrivenSwimmer":
+        """A swimmer of which these numbers are open."""
+        with jax.enable_x64(new_val=True):
+            drive = drive_of(swimmer, learn)
+        return cls(swimmer, drive, coordinates_of(drive.parameters, swimmer, {}))
+
+    @property
+    def gain(self) -> Float[np.ndarray, "2 2"]:
+        """Matrix that makes lengths of displacements."""
+        return np.asarray(self.drive.gain)
+
+    def displacements(
+        self, piece: Trajectory, numbers: Coordinates | None = None
+    ) -> Vectors:
+        """Displacements along a segment for a gain of 1, at these coordinates."""
+        size = LEAST_SIZE
+        while size < len(piece.times):
+            size *= 2
+        # What follows the last command reaches no sample.
+        blocks = Blocks.of(Track("", (piece,), math.inf, (size, 1)))
+        numbers = self.numbers if numbers is None else numbers
+        with jax.enable_x64(new_val=True):
+            along = _displacements(
+                self.drive, jnp.asarray(numbers), jax.tree.map(jnp.asarray, blocks)
+            )
+        return np.asarray(along)[: len(piece.times)]
+
+    def path(self, piece: Trajectory) -> Vectors:
+        """Displacements along a segment by gain and drift [L]."""
+        along = self.displacements(piece) @ self.gain.T
+        elapsed = piece.times - piece.times[0]
+        return along + np.outer(elapsed, drift_of(self.swimmer))
+
+
+@eqx.filter_jit
+def _displacements(drive: AbstractDrive, numbers: Array, blocks: Blocks) -> Array:
+    return drive.displacements(numbers, blocks)
 
 
 def integrate_held(velocity: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -81,12 +100,7 @@ def integrate_held(velocity: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 def path_of(swimmer: OverdampedSwimmer) -> Displacement:
     """Displacements by gain and drift alone."""
-
-    def displacement(piece: Trajectory) -> Vectors:
-        along = cycles(swimmer, piece) @ gain_of(swimmer).T
-        return along + np.outer(piece.times - piece.times[0], drift_of(swimmer))
-
-    return displacement
+    return DrivenSwimmer.of(swimmer).path
 
 
 def cache_by_segment(displacement: Displacement) -> Displacement:
@@ -246,35 +260,39 @@ class Predictor(eqx.Module):
 
     def forecast(self, piece: Trajectory) -> Forecast:
         """The forecast of a segment, computed once for all of its rollouts."""
-        slopes, covariance = self._slopes(piece)
-        swimmer, known = self.fit.model, self.wandering or self.fit
+        driven = DrivenSwimmer.of(self.fit.model, drive_numbers(self.fit))
+        slopes, covariance = self._slopes(piece, driven)
+        known = self.wandering or self.fit
         return Forecast(
             piece=piece,
-            path=path_of(swimmer)(piece),
+            path=driven.path(piece),
             slopes=slopes,
             covariance=covariance,
             beyond=self._beyond(piece),
             frame=self.jitter.variance(piece),
             disturbance=disturbance_of(jnp.asarray(fitted_coordinates(known))),
-            turned=cycles(swimmer, piece) @ np.array([1.0, 1.0j]),
+            turned=driven.displacements(piece) @ np.array([1.0, 1.0j]),
         )
 
-    def _slopes(self, piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    def _slopes(
+        self, piece: Trajectory, driven: DrivenSwimmer
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Slopes of a displacement by each unknown, and the covariance of these."""
-        known, swimmer = self.wandering or self.fit, self.fit.model
+        known, turned = self.wandering or self.fit, driven.displacements(piece)
         learned = {name.partition("[")[0] for name in known.constants}
-        drive, turned = coordinates_of(ROLLING, swimmer, {}), cycles(swimmer, piece)
-        columns = {}
-        for place, parameter in enumerate(ROLLING):
+        numbers, columns = driven.numbers, {}
+        for place, parameter in enumerate(driven.drive.parameters):
             if parameter.path in learned:
                 # A forward difference is enough: a band needs its slope to per milles.
-                moved = drive + STEP * (np.arange(len(drive)) == place)
-                slope = (cycles(swimmer, piece, moved) - turned) / STEP
-                slope = slope @ gain_of(swimmer).T
-                slope = slope / parameter.scale.slope(drive[place])
+                step = STEP * (1.0 if parameter.prior is None else parameter.prior[1])
+                moved = numbers + step * (np.arange(len(numbers)) == place)
+                slope = (driven.displacements(piece, moved) - turned) / step
+                slope = slope @ driven.gain.T
+                slope = slope / parameter.scale.slope(numbers[place])
                 columns[parameter.path] = slope[:, :, None]
-        if GAIN in learned:
-            basis = gain_basis(np.ndim(swimmer.propulsion.gain))
+        basis = np.asarray(driven.drive.basis)
+        basis = basis[np.any(basis, axis=(1, 2))]
+        if GAIN in learned and len(basis):
             columns[GAIN] = np.einsum("gab,tb->tag", basis, turned)
         if DRIFT in learned:
             elapsed = piece.times - piece.times[0]
@@ -284,12 +302,18 @@ class Predictor(eqx.Module):
         return np.concatenate([*columns.values()], axis=2), covariance
 
     def _beyond(self, piece: Trajectory) -> Vectors:
-        """Displacement by the excess of the frequency over all that was fitted [L]."""
+        """Displacement by the excess of the frequency over all that was fitted [L].
+
+        None where the swimmer does not roll: nothing is known of its slope at rest.
+        """
+        gain = gain_of(self.fit.model)
+        if gain is None:
+            return np.zeros_like(piece.states)
         frequency, heading = commands_of(piece)
         # Beyond the fastest command of the fit the response is extrapolated.
         excess = np.maximum(frequency - self.fastest, 0.0)
         along = integrate_held(command_vector(excess, heading), piece.times)
-        return DISCREPANCY * along @ gain_of(self.fit.model).T
+        return DISCREPANCY * along @ gain.T
 
 
 STEP = 1e-3

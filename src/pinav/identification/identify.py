@@ -11,10 +11,10 @@ from jaxtyping import Float
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import Estimate, EvidenceFit
-from pinav.forces import RollingPropulsion
 from pinav.identification.baselines import least_squares
 from pinav.identification.candidates import system_of
-from pinav.identification.estimates import estimates, gain_of
+from pinav.identification.drive import gain_of
+from pinav.identification.estimates import estimates
 from pinav.identification.findings import (
     DelayFindings,
     delay_findings,
@@ -214,7 +214,8 @@ def identify_track(
         candidate, held_out = selection.system, selection.held_out
         whole = fit_track(track, candidate, start=selection.best)
         commanded = selection.train.commanded
-        delays = delay_findings(track, candidate, whole) if commanded else None
+        rolls = commanded and gain_of(candidate.swimmer) is not None
+        delays = delay_findings(track, candidate, whole) if rolls else None
     except (InputError, FitError) as error:
         return IdentifiedTrack(track.name, track.duration, str(error)), None
     numbers, predictor = estimates(whole), selection.predictor
@@ -225,13 +226,12 @@ def identify_track(
         name=track.name,
         units=dict(recording.units),
     )
-    driven = isinstance(whole.model.propulsion, RollingPropulsion)
     result = IdentifiedTrack(
         name=track.name,
         duration=track.duration,
         chosen=selection.chosen,
         rows=tuple(selection.rows),
-        gain=gain_of(whole.model) if driven else None,
+        gain=gain_of(whole.model),
         estimates=numbers,
         coverage=coverage(held_out, rollouts, predictor),
         findings=tuple(finding_sentences(selection, numbers, delays)),
@@ -248,7 +248,7 @@ def identify_track(
         paths=paths,
         image_paths=paths.in_image(recording),
         growth=ErrorGrowth.of(held_out, predictor, baseline),
-        law=SpeedLaw.of(track, whole) if driven else None,
+        law=None if result.gain is None else SpeedLaw.of(track, whole),
     ), whole
 
 

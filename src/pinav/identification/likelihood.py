@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from pinav.identification.drive import AbstractDrive, drive_of, is_open, open_gains
+from pinav.identification.drive import AbstractDrive, drive_of, is_open
 from pinav.identification.kalman import (
     Disturbance,
     Innovations,
@@ -28,6 +28,7 @@ from pinav.identification.parameters import (
     BLOCK_NOISE,
     DISTURBANCE,
     DRIFT,
+    GAIN,
     NOISE_PLACES,
     Parameter,
 )
@@ -81,6 +82,7 @@ class Regressors(NamedTuple):
         cycles: integral of the response along the heading, delayed and lagged.
         begins: 1 where a segment begins with the block.
         gains: gain matrix by each number of an open gain, zero where absent.
+        known: gain matrix that is not open; zero where it is.
         drifts: drift by each number of an open drift, zero where absent.
     """
 
@@ -91,6 +93,7 @@ class Regressors(NamedTuple):
     counts: Float[Array, " block"]
     begins: Float[Array, " block"]
     gains: Float[Array, "4 2 2"]
+    known: Float[Array, "2 2"]
     drifts: Float[Array, "2 2"]
 
     @property
@@ -141,7 +144,8 @@ class Design(eqx.Module):
     @classmethod
     def of(cls, system: System, blocks: Blocks) -> "Design":
         """The design of the gain and drift that a system leaves open."""
-        drive = drive_of(system)
+        drive = drive_of(system.swimmer, system.learn)
+        gains = float(is_open(system, GAIN)) * drive.basis
         elapsed = (blocks.times - blocks.times[0])[:, None]
         samples = [elapsed, blocks.positions, blocks.frequency[:, None]]
         means = jnp.asarray(blocks.means(np.concatenate(samples, axis=1)))
@@ -152,7 +156,8 @@ class Design(eqx.Module):
             cycles=jnp.zeros_like(means[:, 1:3]),
             counts=jnp.asarray(blocks.counts),
             begins=jnp.asarray(blocks.begins),
-            gains=jnp.asarray(open_gains(system)),
+            gains=gains,
+            known=jnp.where(jnp.any(gains != 0), 0.0, drive.gain),
             drifts=float(is_open(system, DRIFT)) * jnp.eye(2),
         )
         return cls(jax.tree.map(jnp.asarray, blocks), still, drive)
@@ -194,13 +199,11 @@ class Field(eqx.Module):
 
     Attributes:
         offset: displacement by all that is known [L].
-        gain: known gain matrix; zero where it is fitted.
         drift: known drift; zero where it is fitted.
     """
 
     columns: Float[Array, "block 2 weight"]
     offset: Float[Array, "block 2"]
-    gain: Float[Array, "2 2"]
     drift: Float[Array, "2"]
 
     @classmethod
@@ -210,7 +213,6 @@ class Field(eqx.Module):
         return cls(
             columns=jnp.zeros((count, 2, 0)),
             offset=jnp.zeros((count, 2)),
-            gain=jnp.zeros((2, 2)),
             drift=jnp.zeros(2),
         )
 
@@ -289,7 +291,7 @@ def whiten(
     along, elapsed = regressors.cycles, regressors.times[:, None]
     field = Field.nothing(regressors) if field is None else field
     # What is known is taken from the positions before they are filtered.
-    known = along @ field.gain.T + elapsed * field.drift[None] + field.offset
+    known = along @ regressors.known.T + elapsed * field.drift[None] + field.offset
     observed = in_plane(regressors.positions - known)
     weights = in_plane(jnp.swapaxes(field.columns, 1, 2))
     given = jnp.concatenate([along, elapsed], axis=1).astype(weights.dtype)

@@ -226,10 +226,12 @@ def stated_noise(system: System) -> dict[str, float]:
     return {BLOCK_NOISE: float(system.observation.noise), **numbers}
 
 
-def fitted_coordinates(fit: EvidenceFit) -> Coordinates:
-    """Coordinates of a rolling swimmer that was fitted, and of the noise found."""
-    found = {name: one.value for name, one in fit.constants.items()}
-    return coordinates_of(PARAMETERS, fit.model, found)
+def fitted_coordinates(
+    fit: EvidenceFit, parameters: Sequence[Parameter] = PARAMETERS
+) -> Coordinates:
+    """Coordinates of a swimmer that was fitted, and of its noise."""
+    noise = {name: one.value for name, one in fit.constants.items()}
+    return coordinates_of(parameters, fit.model, noise)
 
 
 class Prior(NamedTuple):
@@ -267,7 +269,10 @@ class Prior(NamedTuple):
         }
         rows = [one.prior or table[one.name] for one in parameters]
         # A delay is not negative.
-        least = [0.0 if one.path == DELAY else -math.inf for one in parameters]
+        least = [
+            one.scale.coordinate(0.0) if one.path == DELAY else math.nan
+            for one in parameters
+        ]
         mean, sd = np.array(rows).T
         return cls(mean, sd, np.array(least))
 

@@ -52,8 +52,8 @@ def fit_residual(
 ) -> ResidualFit:
     """Fit the weights of an environment to what a candidate leaves."""
     with jax.enable_x64(new_val=True):
-        theta = jnp.asarray(fitted_coordinates(base))
         design = likelihood.Design.of(system, Blocks.of(track))
+        theta = jnp.asarray(fitted_coordinates(base, design.parameters))
         regressors = design.regressors(theta)
         whitened = likelihood.whiten(theta, regressors)
         present = np.any(np.asarray(whitened.rows) != 0, axis=0)

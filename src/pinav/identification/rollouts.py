@@ -8,8 +8,13 @@ from jaxtyping import Float, Int
 
 from pinav.evaluation import normal_quantile
 from pinav.fitting import EvidenceFit
-from pinav.identification.estimates import drift_of, gain_of, speeds
-from pinav.identification.forecast import Displacement, Forecast, Predictor, cycles
+from pinav.identification.estimates import drift_of, speeds
+from pinav.identification.forecast import (
+    Displacement,
+    DrivenSwimmer,
+    Forecast,
+    Predictor,
+)
 from pinav.identification.tracks import Track, commands_of
 from pinav.recordings import image_positions
 from pinav.recordings.drive import pairs_apart
@@ -294,8 +299,9 @@ class SpeedLaw(eqx.Module):
     def of(cls, track: Track, fit: EvidenceFit) -> "SpeedLaw":
         """The law of a fit to all of a track."""
         frequency, speed = [], []
+        driven = DrivenSwimmer.of(fit.model)
         for piece in track.pieces:
-            along = cycles(fit.model, piece) @ gain_of(fit.model).T
+            along = driven.displacements(piece) @ driven.gain.T
             drift = np.outer(piece.times - piece.times[0], drift_of(fit.model))
             some = slice(None, None, max(1, len(piece.times) // 400))
             first, last = (i[some] for i in pairs_apart(piece.times, track.width))

@@ -21,6 +21,7 @@ from pinav.forces import KernelForce, KernelPotential, NeuralForce
 from pinav.identification import forecast
 from pinav.identification.baselines import explained_variance, least_squares
 from pinav.identification.candidates import (
+    CANDIDATES,
     drift_only,
     gain_matrix,
     like,
@@ -29,7 +30,7 @@ from pinav.identification.candidates import (
     with_response,
     with_slow_drift,
 )
-from pinav.identification.drive import RESPONSES
+from pinav.identification.drive import drive_of, gain_of, is_open
 from pinav.identification.fit import fit_track
 from pinav.identification.parameters import DELAY, LAG
 from pinav.identification.residual_field import (
@@ -132,16 +133,21 @@ class Selection:
         self.chosen = self._fit(drift_only(), None)
         if self.train.commanded:
             self._fit(scalar_gain(), self.chosen)
-            matrix = self._fit(gain_matrix(), None)
-            for response in list(RESPONSES)[1:]:
-                self._fit(with_response(gain_matrix(), response), matrix)
-            self.chosen = self._response()
-            self._extend(with_learned(self.system, "delay", DELAY), needed=0.0)
-            self._extend(with_learned(self.system, "lag", LAG))
+            for candidate in CANDIDATES:
+                system = candidate()
+                extended = system.name.rpartition(" + ")[0]
+                self._fit(system, extended if extended in self.fits else None)
+            self.chosen = self._propulsion()
+            drive = drive_of(self.system.swimmer, self.system.learn)
+            for one in drive.parameters:
+                if one.path in (DELAY, LAG) and not is_open(self.system, one.path):
+                    needed = 0.0 if one.path == DELAY else DECISIVE
+                    self._extend(with_learned(self.system, one.name, one.path), needed)
         self._extend(with_slow_drift(self.system))
         if self.train.commanded:
             self._compare_with_simpler()
-            self._allow_for_wandering_gain()
+            if gain_of(self.system.swimmer) is not None:
+                self._allow_for_wandering_gain()
 
     def evidence(self, name: str) -> float:
         """Log evidence of a candidate on the training part [nats]."""
@@ -162,9 +168,9 @@ class Selection:
         self._add(name, fit.hyperparameters.log_evidence, begin, path)
         return fit
 
-    def _response(self) -> str:
-        """The response of highest evidence, if decisive; else the enclosing one."""
-        names = [with_response(gain_matrix(), response).name for response in RESPONSES]
+    def _propulsion(self) -> str:
+        """The candidate of highest evidence, if decisive; else the enclosing one."""
+        names = [candidate().name for candidate in CANDIDATES]
         kept = with_response(gain_matrix(), ENCLOSING).name
         best = max(names, key=self.evidence)
         return best if self.evidence(best) > self.evidence(kept) + DECISIVE else kept

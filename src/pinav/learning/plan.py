@@ -6,6 +6,7 @@ import os
 import re
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from pinav.errors import InputError
@@ -186,7 +187,11 @@ def plan_fit(
 def suitable_recipe(
     asked: Suited, model: str, system: System, *, thermal: bool
 ) -> Inferring | Matching:
-    """The recipe that suits the data."""
+    """The recipe that suits the data, with the options that were stated.
+
+    Raises:
+        InputError: it lacks one of them, or the system has no thermal noise.
+    """
     if thermal and system.order == 2:
         raise InputError(
             "the positions look like Brownian motion (second differences "
@@ -194,11 +199,20 @@ def suitable_recipe(
             "thermal noise; give a --system without inertia, or choose a --recipe "
             "to fit it all the same"
         )
-    if thermal or model in MATCHED_MODELS:
-        if asked.noise is not None:
-            raise InputError("--noise: only the recipe bayes uses it; drop --noise")
-        return Langevin() if thermal else Curriculum(asked.max_steps)
-    return Bayes(asked.noise, asked.structure, asked.max_steps, asked.budget)
+    suited = Curriculum() if model in MATCHED_MODELS else Bayes()
+    suited = Langevin() if thermal else suited
+    stated = {
+        name: getattr(asked, name)
+        for name in asked.__struct_fields__
+        if getattr(asked, name) != getattr(SUITED, name)
+    }
+    for name in stated:
+        if name not in suited.__struct_fields__:
+            raise InputError(
+                f"--{name.replace('_', '-')}: the recipe {name_of(suited)}, which "
+                "suits the data, has no such option; drop it, or choose a --recipe"
+            )
+    return msgspec.structs.replace(suited, **stated)
 
 
 def _with_stated(recipe: Langevin, system: System) -> Langevin:

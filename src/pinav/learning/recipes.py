@@ -5,7 +5,7 @@ This module imports no numerical library, so that `--help` is quick.
 
 from typing import Annotated, Literal
 
-from pinav.settings import Range, Settings
+from pinav.settings import MAX_STEPS, Range, Settings
 
 ModelName = Literal[
     "kernel-potential",
@@ -38,7 +38,7 @@ class Searching(Settings, frozen=True):
 
     noise: Annotated[float | None, Range(above=0)] = None
     structure: Literal["search", "free"] = "search"
-    max_steps: MaxSteps = 20
+    max_steps: MaxSteps = MAX_STEPS
     budget: Annotated[float | None, Range(above=0)] = None
 
 
@@ -97,7 +97,7 @@ class Curriculum(Settings, frozen=True, tag_field="recipe", tag="curriculum"):
         max_steps: Steps of each window at most.
     """
 
-    max_steps: MaxSteps = 20
+    max_steps: MaxSteps = MAX_STEPS
 
 
 class Paper(Settings, frozen=True, tag_field="recipe", tag="paper"):

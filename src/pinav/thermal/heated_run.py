@@ -52,6 +52,7 @@ class RadialBalance(eqx.Module):
     Attributes:
         inverse_capacity: one over the heat capacity of each cell [K J⁻¹].
         outside: temperatures behind both ends [°C].
+        metabolic: heat of metabolism and of given fluxes into each cell [W].
         shapes: of the sources in each cell.
         amplitudes: at which the levels of the sources are tabulated [A m⁻¹].
         levels: of the sources at these.

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 import tyro
 
 from pinav.commands.settings import (
-    Range,
+    MAX_STEPS,
+    MaxSteps,
     ResumableOptions,
     Settings,
     Several,
@@ -46,7 +47,7 @@ class CompareSettings(Settings, frozen=True):
     )
     noise: float | None = None
     system: SystemName = None
-    max_steps: Annotated[int, Range(1)] = 20
+    max_steps: MaxSteps = MAX_STEPS
 
 
 class CompareOptions(ResumableOptions, frozen=True):

@@ -265,7 +265,7 @@ def estimate_row(
     name: str, estimate: Estimate, units: dict[str, str]
 ) -> tuple[Cell, ...]:
     """A row of the table; a quantity that is not described there keeps its name."""
-    shown = ESTIMATED.get(name, Parameter(name, name, "1", scale=Scale.PLAIN))
+    shown = ESTIMATED.get(name, Parameter(name, name, scale=Scale.PLAIN))
     between = positive_interval if shown.scale is Scale.LOG else interval
     unit = unit_of(shown.dimension, {"L": units["x"], "T": units["t"]})
     title = shown.title or name

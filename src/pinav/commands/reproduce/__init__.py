@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pinav.commands.settings import Range, ResumableOptions, Settings, Several
+from pinav.commands.settings import MaxSteps, ResumableOptions, Settings, Several
+from pinav.learning.recipes import Curriculum, Paper
 
 
 class ReproduceSettings(Settings, frozen=True):
@@ -20,9 +21,9 @@ class ReproduceSettings(Settings, frozen=True):
 
     recipe: Literal["default", "paper"] = "default"
     seeds: Annotated[tuple[int, ...], Several()] = (42,)
-    max_steps: Annotated[int, Range(1)] = 20
-    adam_steps: Annotated[int, Range(1)] = 7500
-    lbfgs_steps: Annotated[int, Range(1)] = 500
+    max_steps: MaxSteps = Curriculum().max_steps
+    adam_steps: MaxSteps = Paper().adam_steps
+    lbfgs_steps: MaxSteps = Paper().lbfgs_steps
 
 
 class ReproduceOptions(ResumableOptions, frozen=True, kw_only=True):

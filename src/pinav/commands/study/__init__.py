@@ -7,6 +7,8 @@ import tyro
 
 from pinav.commands.settings import (
     ALONE,
+    MAX_STEPS,
+    MaxSteps,
     ModelName,
     Range,
     ResumableOptions,
@@ -51,7 +53,7 @@ class StudySettings(Settings, frozen=True):
     count: Annotated[int, Range(1)] = 8
     sigma: Annotated[float, Range(0)] = 0.02
     held_out: Annotated[int, Range(1)] = 64
-    max_steps: Annotated[int, Range(1)] = 20
+    max_steps: MaxSteps = MAX_STEPS
 
 
 class StudyOptions(ResumableOptions, frozen=True, kw_only=True):

@@ -32,6 +32,7 @@ from pinav.fitting.evidence.model_evidence import model_evidence
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.policy import POLICY
 from pinav.numerics import free_programs
+from pinav.settings import MAX_STEPS
 from pinav.trajectories import Trajectories, with_velocities
 
 
@@ -43,7 +44,7 @@ def fit_bayes(
     noise: float | None = None,
     solver: FixedStep | None = None,
     refine: Refinement | None = AS_FINE_AS_ASKED,
-    max_iterations: int = 20,
+    max_iterations: int = MAX_STEPS,
     on_step: Callable[[EvidenceProgress], None] | None = None,
     teacher: EvidenceFit | None = None,
     throw: bool = True,

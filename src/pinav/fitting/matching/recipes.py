@@ -30,6 +30,7 @@ from pinav.fitting.matching.state import (
     split_trainable,
 )
 from pinav.fitting.outcome import CONFIRMED, Outcome
+from pinav.settings import MAX_STEPS
 from pinav.trajectories import Trajectories, informative_samples
 
 
@@ -45,7 +46,7 @@ def paper_recipe(
 
 
 def curriculum(
-    trajectories: Trajectories, *, max_steps: int = 20, precision: float = 1e-7
+    trajectories: Trajectories, *, max_steps: int = MAX_STEPS, precision: float = 1e-7
 ) -> tuple[AbstractPhase, ...]:
     """Gauss-Newton from one-step matching to the full rollout.
 

@@ -13,7 +13,7 @@ export class Tissue {
     this.sources = this.shapes.length / this.count;
   }
 
-  /** Heat [W] of metabolism and sources in each cell at an amplitude. */
+  /** Heat [W] of metabolism, given fluxes and sources in each cell at an amplitude. */
   heating(amplitude, into) {
     into.set(this.metabolic);
     const [index, share] = between(this.amplitudes, amplitude);
