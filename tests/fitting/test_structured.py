@@ -225,7 +225,7 @@ def test_quick_swimmers_are_surveyed_about_the_first_steps_of_a_fit():
     truth, model, positions = drawn("elliptic", 43)
     with jax.enable_x64(new_val=True):
         begun, survey = survey_first_steps(fits_of(model, with_velocities(positions)))
-        (term,) = survey.propose(rotational=False)[0].terms
+        (term,) = survey.propose(survey.search(rotational=False))[0].terms
     assert begun.states is not None
     assert survey.is_begun
     assert survey.noise == pytest.approx(0.02, rel=0.1)

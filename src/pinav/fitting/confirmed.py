@@ -57,8 +57,8 @@ def _best_about_free(
         return fit_free(fits, rough)
     rough = fit_rough(fits)
     about, survey = survey_about(fits, rough, Survey.of(fits))
-    turns = not fits.kernels.is_conservative
-    proposals = survey.propose(rotational=turns) if survey.is_begun else []
+    search = survey.search(rotational=not fits.kernels.is_conservative)
+    proposals = survey.propose(search) if survey.is_begun else []
     return best_fit(about, proposals, rough)
 
 

@@ -162,17 +162,18 @@ def _search(fits: Fits, *, weigh_rotation: bool) -> StructuredFit:
         _weigh_in_survey(fits, survey) if weigh_rotation else SurveyedRotation(np.nan)
     )
     is_plain = asked.is_plain or not fits.kernels.is_conservative
-    turns, rough, proposals = is_plain or asked.is_needed, None, []
+    search = survey.search(rotational=is_plain or asked.is_needed)
+    rough, proposals = None, []
     if not (survey.is_begun or is_plain):
-        proposals = survey.propose(rotational=turns, singles_only=True)
+        proposals = survey.propose(search, singles_only=True)
         if not proposals:
             # Terms are sought about states that explain the data, as finer kernels do.
             with contextlib.suppress(FitError):
                 rough = fit_rough(fits)
                 fits, survey = survey_about(fits, rough, survey)
-            # what a potential explains needs no rotation
-            turns &= not survey.is_begun
-    proposals = proposals or survey.propose(rotational=turns)
+            if survey.is_begun:  # what a potential explains needs no rotation
+                search = survey.search(rotational=False)
+    proposals = proposals or survey.propose(search)
     if weigh_rotation and (asked.is_plain or _turns(proposals[:1])):
         turning = _fit_turning(fits, proposals)
         if turning is not None and turning.rotation > POLICY.decisive:

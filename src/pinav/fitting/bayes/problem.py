@@ -135,7 +135,9 @@ class BayesProblem(AbstractProblem):
         if learn is None:
             weights, rule, tolerance = NoWeights(), FullStep(), TOLERANCE
         else:
-            weights, rule, tolerance = _method(model, weights, bends=shaping.any())
+            weights, rule, tolerance = _method(
+                model, weights, bends=bool(shaping.any())
+            )
         residuals = (np.asarray(states) - trajectories.states)[trajectories.observed]
         return cls(
             parametric=parametric,

@@ -7,7 +7,6 @@ always the right ones.
 """
 
 import functools
-import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -32,7 +31,7 @@ from pinav.fitting.structure.scan import Atoms, Held
 from pinav.fitting.structure.starts import Region, ellipses, linear_term, obstacles_at
 from pinav.fitting.structure.trace import Trace
 from pinav.fitting.structure.trials import Proposal, Terms, polish
-from pinav.forces import CentralTerm, EllipticTerm, WallTerm
+from pinav.forces import AbstractTerm, CentralTerm, EllipticTerm, LinearTerm, WallTerm
 
 
 class Trial(NamedTuple):
@@ -65,26 +64,33 @@ class Search(eqx.Module):
 
     def run(self, *, singles_only: bool = False) -> list[Proposal]:
         """Proposals of different kinds, those preferred by the evidence first."""
-        linear, dictionary = linear_term(self.region), _Dictionary.of(self)
-        held = Held.of((linear,), self.response)
-        found = self._polished([Trial(0.0, (linear,))])
-        stages = (
-            lambda: dictionary.singles(linear, held),
-            lambda: dictionary.sums(linear, held),
-            lambda: itertools.chain.from_iterable(
-                dictionary.beside(one.terms)
-                for one in preferred(found)[: POLICY.parents]
-            ),
-        )
-        for stage in stages[:1] if singles_only else stages:
-            found += self._polished(list(stage()))
-            is_content = any(
-                one.noise < self.content * self.noise and one.log_evidence > self.least
-                for one in preferred(found)[:1]
-            )
-            if is_content or self.trace.is_over:
+        proposals = list(self._singles)
+        for stage in () if singles_only else (self._sums, self._beside_best):
+            best = preferred(proposals)[:1]
+            if any(map(self._is_content, best)) or self.trace.is_over:
                 break
-        return preferred(found)
+            proposals += self._polished(list(stage(proposals)))
+        return preferred(proposals)
+
+    @functools.cached_property
+    def _dictionary(self) -> "_Dictionary":
+        return _Dictionary.of(self)
+
+    @functools.cached_property
+    def _singles(self) -> list[Proposal]:
+        linear = self._polished([Trial(0.0, (self._dictionary.linear,))])
+        return linear + self._polished(list(self._dictionary.singles()))
+
+    def _sums(self, _: Sequence[Proposal]) -> Iterator[Trial]:
+        return self._dictionary.sums()
+
+    def _beside_best(self, proposals: Sequence[Proposal]) -> Iterator[Trial]:
+        for one in preferred(proposals)[: POLICY.parents]:
+            yield from self._dictionary.beside(one.terms)
+
+    def _is_content(self, proposal: Proposal) -> bool:
+        is_likely = proposal.log_evidence > self.least
+        return is_likely and proposal.noise < self.content * self.noise
 
     def _note(self, terms: Terms, made: Proposal | None, ended: str) -> None:
         numbers = () if made is None else (made.log_evidence, made.noise / self.noise)
@@ -116,6 +122,8 @@ class _Dictionary(eqx.Module):
     """All terms that are scanned, with their columns."""
 
     simple: list[Atoms]
+    linear: LinearTerm
+    held: Held
     region: Region
     response: ForceResponse
     summits: Float[np.ndarray, "place dim"]
@@ -128,15 +136,17 @@ class _Dictionary(eqx.Module):
         places = np.concatenate([region.places(), summits])
         kinds = simple_kinds(region, places, rotational=search.rotational)
         simple = [Atoms.of(terms, response) for terms in kinds]
-        return cls(simple, region, response, summits)
+        linear = linear_term(region)
+        held = Held.of((linear,), response)
+        return cls(simple, linear, held, region, response, summits)
 
-    def singles(self, linear: Any, held: Held) -> Iterator[Trial]:
+    def singles(self) -> Iterator[Trial]:
         """One term of each simple kind beside the linear force."""
         for atoms in self.simple:
             if has_shape(atoms.terms[0]):
-                yield from self._best_few(atoms, linear, held)
+                yield from self._best_few(atoms)
 
-    def sums(self, linear: Any, held: Held) -> Iterator[Trial]:
+    def sums(self) -> Iterator[Trial]:
         """Obstacles of one kind, ellipses, lattices, and all pairs of terms."""
         kinds = [
             atoms
@@ -146,17 +156,17 @@ class _Dictionary(eqx.Module):
         for atoms in kinds:
             first = atoms.terms[0]
             if isinstance(first, CentralTerm):
-                value, chosen = held.set_of_one_profile(atoms)
+                value, chosen = self.held.set_of_one_profile(atoms)
                 centers = jnp.asarray(_centers(atoms)[chosen])
-                yield Trial(value, (linear, obstacles_at(first, centers)))
+                yield Trial(value, (self.linear, obstacles_at(first, centers)))
         if self.region.is_planar:
-            yield from self._planar(linear, held)
+            yield from self._planar()
         if len(self.summits):
             last = POLICY.turns * len(self.summits)
             kinds.append(self.scanned[-len(POLICY.shears)][-last:])
         for index, first in enumerate(kinds):
             for second in kinds[index:]:
-                yield from _best_pair(first, second, linear, held)
+                yield from self._best_pair(first, second)
 
     def beside(self, terms: Terms) -> Iterator[Trial]:
         """The terms with one more, or with another in the place of one.
@@ -182,32 +192,39 @@ class _Dictionary(eqx.Module):
             return shaped
         dense = self.region.dense_places(POLICY.dense)
         places = np.concatenate([dense, self.summits])
-        kinds = [lattices(self.region)]
+        kinds: list[Sequence[AbstractTerm]] = [lattices(self.region)]
         for size in POLICY.shears:
             kinds.append(ellipses(self.region, places, turned_shears(size)))
         return shaped + [Atoms.of(terms, self.response) for terms in kinds]
 
-    def _planar(self, linear: Any, held: Held) -> Iterator[Trial]:
+    def _planar(self) -> Iterator[Trial]:
         """Lattices and ellipses, which are tried everywhere, also beside walls."""
         waves, *ellipses = self.scanned[-1 - len(POLICY.shears) :]
-        yield from self._best_few(waves, linear, held)
+        yield from self._best_few(waves)
         for atoms in ellipses:
-            yield from self._best_few(atoms, linear, held)
+            yield from self._best_few(atoms)
             for walls in self.simple:
                 if isinstance(walls.terms[0], WallTerm):
-                    yield from _best_pair(walls, atoms, linear, held)
+                    yield from self._best_pair(walls, atoms)
 
-    def _best_few(self, atoms: Atoms, linear: Any, held: Held) -> Iterator[Trial]:
+    def _best_few(self, atoms: Atoms) -> Iterator[Trial]:
         """The most likely term of a kind, and the most likely one elsewhere."""
-        values = held.beside(atoms)
+        values = self.held.beside(atoms)
         best = int(np.argmax(values))
-        yield Trial(float(values[best]), (linear, atoms.terms[best]))
+        yield Trial(float(values[best]), (self.linear, atoms.terms[best]))
         if isinstance(atoms.terms[0], CentralTerm | EllipticTerm):
             centers = _centers(atoms)
             gaps = np.linalg.norm(centers - centers[best], axis=1)
             values = np.where(gaps > 0.2 * self.region.core_extent, values, -np.inf)
             other = int(np.argmax(values))
-            yield Trial(float(values[other]), (linear, atoms.terms[other]))
+            yield Trial(float(values[other]), (self.linear, atoms.terms[other]))
+
+    def _best_pair(self, first: Atoms, second: Atoms) -> Iterator[Trial]:
+        values = self.held.pairs(first, second)
+        i, j = divmod(int(np.argmax(values)), values.shape[1])
+        if np.isfinite(values[i, j]):
+            terms = self.linear, first.terms[i], second.terms[j]
+            yield Trial(float(values[i, j]), terms)
 
 
 def _by_evidence(tried: Sequence[Tried]) -> list[Tried]:
@@ -230,13 +247,6 @@ def _unlike(trials: Sequence[Trial]) -> list[Trial]:
 def _centers(atoms: Atoms) -> Float[np.ndarray, "atom dim"]:
     terms: Sequence[Any] = atoms.terms
     return np.stack([np.asarray(term.center) for term in terms])
-
-
-def _best_pair(first: Atoms, second: Atoms, linear: Any, held: Held) -> Iterator[Trial]:
-    values = held.pairs(first, second)
-    i, j = divmod(int(np.argmax(values)), values.shape[1])
-    if np.isfinite(values[i, j]):
-        yield Trial(float(values[i, j]), (linear, first.terms[i], second.terms[j]))
 
 
 def preferred(proposals: Sequence[Proposal]) -> list[Proposal]:

@@ -103,14 +103,14 @@ class Survey(eqx.Module):
             return self.explains(proposal)
         return proposal.noise <= POLICY.hopeless * self.noise
 
-    def propose(
-        self, *, rotational: bool, singles_only: bool = False
-    ) -> list[Proposal]:
+    def propose(self, search: Search, *, singles_only: bool = False) -> list[Proposal]:
         """Proposals that are worth a fit, those preferred by the evidence first.
 
         About states of a fit that explains the data the right terms explain them, too.
+
+        Args:
+            search: of this survey.
         """
-        search = self.search(rotational=rotational)
         proposals = search.run(singles_only=singles_only)
         proposals = [one for one in proposals if self.is_worth_a_fit(one)]
         proposals[:1] = [self.simplify(one) for one in proposals[:1]]
