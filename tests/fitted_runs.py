@@ -12,6 +12,7 @@ fitted through a folder with a lock.
 
 import contextlib
 import dataclasses
+import io
 import shutil
 import tomllib
 from collections.abc import Callable
@@ -24,7 +25,7 @@ import tomli_w
 from filelock import FileLock
 from matplotlib.figure import Figure
 
-DATA, RUN = "data.npz", "run"
+DATA, RUN, TERMINAL = "data.npz", "run", "terminal.txt"
 POTENTIAL = ("--model", "kernel-potential")
 """Named, so that no mixture is fitted besides, which takes as long again."""
 
@@ -230,5 +231,9 @@ class FittedRuns:
         folder.mkdir(parents=True)
         with standard_promotion(), cheap_residual_fields(), blank_figures():
             words = RUNS[name](folder)
-            assert cli.run([*words, "--out", str(folder / RUN)]) == 0
+            with contextlib.redirect_stdout(io.StringIO()) as terminal:
+                assert cli.run([*words, "--out", str(folder / RUN)]) == 0
+        (folder / TERMINAL).write_text(
+            terminal.getvalue().replace(str(folder), "FOLDER")
+        )
         (folder / "done").touch()
