@@ -35,8 +35,18 @@ from validation.same_numbers import (
 FOLDER = Path(__file__).parent / "numbers"
 MODULES = ("tests/test_same_numbers.py", "tests/commands/test_every_command.py")
 
-TOLERANCE = 1e-6
-"""Relative difference up to which two numbers are the same."""
+TOLERANCE = 1e-3
+"""Relative difference up to which two numbers of a result are the same.
+
+Without the flags of tests/conftest.py, with two threads, or with the instructions of
+SSE4 alone, numbers of converged fits move by 1e-4 at most, most by less than 1e-6.
+"""
+
+CLOSED = 1e-5
+"""The same, of a computation that does not end by a tolerance of its own."""
+
+LOOSE = {"analyse": 0.02}
+"""Results that move more: influences are differences of what is nearly equal."""
 
 NOTHING = 1e-9
 """Numbers up to this size are zeros."""
@@ -44,12 +54,18 @@ NOTHING = 1e-9
 READ = {*READERS, ".npz", ".html"}
 """Kinds of files that are compared."""
 
-UNTOLD = re.compile(r"\.array$|:\.format$|\.csv:.*\.\d+$|(^|/)track-\d+\.json:")
+UNTOLD = re.compile(
+    r"\.array$|:\.format$|\.csv:.*\.\d+$|(^|/)track-\d+\.json:|tracks\[\d+\]\.rows"
+    r"|\.screened\["
+)
 """Numbers that tell nothing new.
 
 The shapes of arrays that are looked at themselves, numbers among the words of a table,
-and the tracks of an identification one by one.
+the tracks of an identification one by one; and the criterion of laws that do not fit.
 """
+
+ROUNDING = re.compile(r"\d[\d.]* × 10⁻¹\d")
+"""Numbers in texts that are zeros but for rounding."""
 
 EMBEDDED = re.compile(r'(?s)<script type="application/json"[^>]*>(.*?)</script>')
 """Numbers that a page brings for its own scripts."""
@@ -80,6 +96,7 @@ def summarise(numbers: Numbers, text: str = "") -> Summary:
     """The summary of numbers and of what is printed with them."""
     kept = {**numbers.scalars, **{p: _moments(a) for p, a in numbers.arrays.items()}}
     kept = {path: kept[path] for path in sorted(kept) if not UNTOLD.search(path)}
+    text = ROUNDING.sub("0", text)
     lines = [line.rstrip() for line in text.splitlines() if line.strip()]
     return Summary(_rounded(kept), lines)
 
@@ -257,7 +274,7 @@ class StoredNumbers:
             file.write_text(_document(found))
             return
         stored = Summary(**json.loads(file.read_text()))
-        lines = list(differences(stored, found, tolerance))
+        lines = list(differences(stored, found, LOOSE.get(name, tolerance)))
         if lines:
             more = [f"and {len(lines) - LISTED} more"] * (len(lines) > LISTED)
             pytest.fail("\n".join([f"{name}:", *lines[:LISTED], *more]), pytrace=False)

@@ -1,8 +1,9 @@
-"""What the shared runs hold and say is what they held and said before."""
+"""Shared runs and small computations give the numbers that they gave before."""
 
 import pytest
+from tests.computations import COMPUTATIONS
 from tests.fitted_runs import RUNS, TERMINAL
-from tests.stored_numbers import contents, result_of
+from tests.stored_numbers import CLOSED, contents, numbers_in, result_of, summarise
 
 
 @pytest.mark.parametrize("name", RUNS)
@@ -10,3 +11,10 @@ def test_a_shared_run_holds_the_numbers_that_are_kept(name, fitted_run, same_num
     folder = fitted_run(name)[0].parent
     printed = (folder / TERMINAL).read_text()
     same_numbers.check(name, result_of(contents([folder]), printed, [folder]))
+
+
+@pytest.mark.parametrize("name", COMPUTATIONS)
+def test_a_computation_gives_the_numbers_that_are_kept(name, same_numbers):
+    found = summarise(numbers_in(COMPUTATIONS[name]()))
+    assert found.numbers
+    same_numbers.check(f"library/{name}", found, CLOSED)
