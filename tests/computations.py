@@ -315,7 +315,8 @@ def closed_loops() -> Any:
     swum = run(task, worlds.AHEAD, key=jax.random.key(3))
     inert = worlds.open_water(inert=True, noise=0.1, start=(0.0, 0.0, 0.5, 0.2))
     many = run_many(task, worlds.AHEAD, jax.random.split(jax.random.key(1), 4))
-    return swum, run(inert, worlds.ASIDE, key=jax.random.key(4)), many
+    turned = run(inert, worlds.ASIDE, key=jax.random.key(4))
+    return [dataclasses.replace(one, compute=()) for one in (swum, turned, many)]
 
 
 @kept

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from tests.drawn import write_drawn
 from tests.fitted_runs import blank_figures
 from tests.heat_cases import small
 from tests.stored_numbers import contents, result_of
@@ -73,15 +74,15 @@ def little_work(monkeypatch):
     monkeypatch.setattr(discovery, "discover_law", few)
     monkeypatch.setattr(law_regression, "MOST_TERMS", 1)
     monkeypatch.setattr(effects, "LYAPUNOV_POINTS", 5)
-    with blank_figures():
-        yield
+    with blank_figures() as figures:
+        yield figures
 
 
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in WORDS]
 )
 def test_a_command_writes_and_says_what_is_kept(
-    name, tmp_path, tmp_path_factory, fitted_run, printed, same_numbers
+    name, tmp_path, fitted_run, printed, same_numbers, little_work
 ):
     words = words_of(name, tmp_path, fitted_run)
     folders = [
@@ -90,8 +91,9 @@ def test_a_command_writes_and_says_what_is_kept(
     ]
     before = contents(folders)
     text = printed(*words)
+    write_drawn(little_work.values(), tmp_path)
     changed = {f for f, held in contents(folders).items() if before.get(f) != held}
-    same_numbers.check(name.replace(" ", "-"), result_of(changed, text, folders))
+    same_numbers.check(name.replace(" ", "-"), result_of(changed, folders, text))
 
 
 @pytest.mark.parametrize("command", SHARED)
