@@ -5,7 +5,6 @@ import equinox as eqx
 import numpy as np
 import pytest
 from matplotlib.mathtext import MathTextParser
-from tests.fitted_runs import trap_system
 from tests.samples import sample
 
 from pinav import analysis
@@ -18,7 +17,6 @@ from pinav.forces.laws import ProfileLaw, latex
 from pinav.forces.profiles import Yukawa
 from pinav.report import sections_text
 from pinav.runs import RunFolder
-from pinav.systems import Observation, UniformStarts, write_system
 
 
 def constant(name, value, sd=np.inf):
@@ -131,27 +129,6 @@ def test_a_discovery_comes_back_as_it_was(folder):
 def test_every_formula_can_be_drawn(law):
     parsed = MathTextParser("path").parse(f"${latex(law)}$")
     assert parsed.width > 10
-
-
-@pytest.mark.slow
-def test_the_law_of_a_swimmer_without_inertia_is_a_force(tmp_path, printed):
-    trap = trap_system(
-        stiffness=2.0,
-        center=[1.0, -0.5],
-        observation=Observation(noise=0.01),
-        rule=UniformStarts((-2.0, -2.0), (3.0, 3.0), count=6),
-        times=np.linspace(0.0, 3.0, 61),
-    )
-    write_system(trap, tmp_path / "trap.toml")
-    data, run = tmp_path / "trap.npz", tmp_path / "run"
-    printed("simulate", tmp_path / "trap.toml", "--out", data)
-    printed("fit", data, "--out", run)
-    printed("discover", run, "--refits", "2")
-    best = RunFolder.open(tmp_path / "run").load("laws", analysis.Discovery).best
-    assert best.name == "harmonic"
-    stiffness = best.constants[0]
-    assert stiffness.low < 2.0 < stiffness.high
-    assert stiffness.unit == "F L⁻¹"
 
 
 @pytest.mark.slow
