@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from tests.analysis.sensitivity import test_sobol as sobol
+from tests.evaluation import test_process_noise as wander
+from tests.fitting.environments import test_gradient_matching as rates
 from tests.fitting.evidence import test_evidence as weights
 from tests.fitting.evidence import test_hyperparameter_uncertainty as shapes
 from tests.fitting.evidence import test_model_evidence as priors
@@ -21,11 +23,13 @@ from tests.fitting.langevin import test_known_laws as thermal
 from tests.fitting.matching import test_fit as matching
 from tests.fitting.problems import in_a_trap, quadratic_of
 from tests.fitting.rugged import test_hills as rugged
+from tests.fitting.structure import test_laws as laws
 from tests.fitting.structure import test_moves as moves
 from tests.fitting.structure import test_rotation as rotation
 from tests.fitting.structure import test_scan as scan
 from tests.fitting.structure import test_search as search
-from tests.forces.examples import FORCES, KEY, TENSORS, T, V, X
+from tests.forces.examples import FORCES, KEY, TENSORS, TERMS, T, V, X
+from tests.forces.test_priors import LEARNED, STILL
 from tests.identification import test_kalman as kalman
 from tests.identification.running.test_running_fit import run as run_drive
 from tests.identification.running.test_running_fit import small_grid
@@ -36,11 +40,23 @@ from tests.navigation.adaptive import test_adaptive as adapting
 from tests.navigation.belief import test_belief as beliefs
 from tests.navigation.control.test_control import METHODS, aim
 from tests.navigation.design import test_campaign as campaigns
+from tests.thermal import test_solve as bodies
+from tests.trajectories import test_degradation as degraded
 from validation.heat.checks import AMPLITUDE, reference_model
 
-from pinav import analysis, fitting, navigation
+from pinav import actuation, analysis, evaluation, fitting, navigation
 from pinav.dynamics import Swimmer
-from pinav.forces import KernelAxis, LinearDrag, ZeroForce
+from pinav.evaluation.coverage import wandering_variance
+from pinav.fitting import LearnedObservation
+from pinav.fitting.structure.starts import central_term, wall_term
+from pinav.forces import (
+    KernelAxis,
+    LinearDrag,
+    StructuredForce,
+    ZeroForce,
+    ring_barrier,
+    soft_wall,
+)
 from pinav.identification.running import RunningFit
 from pinav.identification.running.forecast import estimate, forecast, gain_at, locate
 from pinav.live.estimators import DriveEstimator
@@ -52,11 +68,12 @@ from pinav.navigation.design.campaign import decide
 from pinav.navigation.design.candidates import GridDesign, RandomDesign
 from pinav.navigation.task.catalogue import TASKS
 from pinav.navigation.task.task import Disc
+from pinav.navigation.trials import metrics
 from pinav.navigation.trials.closed_loop import run, run_many
 from pinav.scenarios import SCENARIOS, scenario
 from pinav.thermal.boundaries import Robin, outer
 from pinav.thermal.dose import LIVER_DAMAGE, SKIN_DAMAGE, cem43_segment
-from pinav.thermal.grids import RadialGrid
+from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import (
     LANG,
     RegionalPerfusion,
@@ -70,7 +87,7 @@ from pinav.thermal.sources import LinearResponse, LogNormalSizes, eddy_power
 from pinav.thermal.starts import find_steady_state
 from pinav.thermal.steppers import Rosenbrock
 from pinav.thermal.tissues import PRESETS, Blood, mix, preset
-from pinav.trajectories import simulate
+from pinav.trajectories import degrade, simulate
 
 COMPUTATIONS: dict[str, Callable[[], Any]] = {}
 
@@ -316,7 +333,8 @@ def closed_loops() -> Any:
     inert = worlds.open_water(inert=True, noise=0.1, start=(0.0, 0.0, 0.5, 0.2))
     many = run_many(task, worlds.AHEAD, jax.random.split(jax.random.key(1), 4))
     turned = run(inert, worlds.ASIDE, key=jax.random.key(4))
-    return [dataclasses.replace(one, compute=()) for one in (swum, turned, many)]
+    runs = [dataclasses.replace(one, compute=()) for one in (swum, turned, many)]
+    return runs, metrics.summary(many, task)
 
 
 @kept
@@ -437,13 +455,86 @@ def fitted_paths() -> Any:
 
 @kept
 def langevin_field() -> Any:
-    """Drift and a diffusion that varies, along a line, with the checks of the fit."""
+    """Drift and diffusion along a line: a diffusion that varies; blur and error."""
     rng, times = np.random.default_rng(0), 0.05 * np.arange(80)
     path = in_a_trap(rng, times, (4, 1), 1.0, 0.5).swapaxes(0, 1)
-    data = thermal.tracks(times, path)
-    field = fitting.KernelDiffusion((KernelAxis(0),), across=4)
-    fit = thermal.path_of(data, KernelAxis(0), across=4, diffusion=field)
-    return fit.thermal, fit.hyperparameters, fit.model.environment
+    data, axis = thermal.tracks(times, path), KernelAxis(0)
+    field, camera = fitting.KernelDiffusion((axis,), across=4), LearnedObservation()
+    return [
+        (fit.thermal, fit.hyperparameters, fit.model.environment)
+        for fit in (
+            thermal.path_of(data, axis, across=4, diffusion=field),
+            thermal.path_of(data, axis, across=4, observation=camera),
+        )
+    ]
+
+
+@kept
+def priors_of_forces() -> Any:
+    """Covariances of the weights of all learned forces, and their slopes."""
+    found = {}
+    beside = {name: StructuredForce((make(),), STILL) for name, make in TERMS.items()}
+    for name, force in (LEARNED | beside).items():
+        prior = force.prior()
+        covariance = prior.covariance(prior.start + 0.1)
+        pull = np.cos(np.arange(covariance.size)).reshape(covariance.shape)
+        slopes = prior.pullback(prior.start + 0.1, pull + pull.T)
+        found[name] = covariance, slopes, prior.start, prior.bounds
+    return found
+
+
+@kept
+def matched_kernels() -> Any:
+    """Rates along a path, the force that they leave, its region, and its kernels."""
+    data, truth = rates.observe(rates.TRUTH), rates.TRUTH
+    observed = rates.rates_of(data)
+    left = rates.residual_forces(truth.without_environment(), observed)
+    region = rates.force_region(observed, left)
+    return observed, left, region, rates.match_kernels(truth, observed)
+
+
+@kept
+def worsened_data() -> Any:
+    """Data with noise, blur and losses; what each response makes of frequencies."""
+    data, steps = degraded.smooth(2, 12), degraded.STEPS.items()
+    worse = [(name, degrade(data, [step], key=KEY)) for name, step in steps]
+    kinds = actuation.SaturatingResponse(3.0), actuation.SlippingResponse(2.0, 0.3)
+    asked = jnp.array([0.5, 2.0, 2.6, 7.0])
+    answers = [kind(asked) for kind in (*kinds, actuation.StepOutResponse(2.2))]
+    return {name: (one.states, one.observed) for name, one in worse}, answers
+
+
+@kept
+def doubt_of_rollouts() -> Any:
+    """Variance of a wandering swimmer, whiteness, and bands that are calibrated."""
+    piece = next(iter(wander.recording(wander.paths(1, wander.TIMES, 0), wander.TIMES)))
+    mean, swimmer = 0.9 * piece.states, wander.model()
+    variance = wandering_variance(swimmer, wander.WANDERING, piece, mean, 5)
+    series = np.cos(np.arange(40.0) ** 2).reshape(1, 20, 2)
+    white = evaluation.whiteness(series, np.ones((1, 20, 2), bool), ("x", "y"), 4)
+    scores = evaluation.calibrate(np.arange(1.0, 40.0) ** 2, 0.1)
+    return variance, white, scores, evaluation.normal_quantile(0.9)
+
+
+@kept
+def heat_in_the_plane() -> Any:
+    """A tumour in muscle, with eddies and a film: its energy and its temperatures."""
+    found = []
+    for grid in (CartesianGrid.cubes((8, 6), 4e-3), RadialGrid.cylinder(0.03, 12)):
+        model = bodies.heated_tumour(grid, Robin(15.0, 25.0))
+        protocol = Piecewise.ramp((0, 60, 120), [0.0, 1.1e4, 0.9e4], 1e5)
+        run = solve(model, protocol)
+        found.append((run.final.temperature, run.energy, grid.volumes))
+    return found
+
+
+@kept
+def structure_laws() -> Any:
+    """The law that the profile of a ring follows, and the one of a wall."""
+    ring, wall = ring_barrier(2.0, laws.CENTER, 3.0, 0.8), soft_wall(4.0, 0.7, 7.0, 0.8)
+    start = central_term(laws.REGION, np.array([4.0, 6.0]))
+    begun = start, wall_term(laws.REGION, 0.7)
+    return [laws.lawful(*pair) for pair in zip((ring, wall), begun, strict=True)]
 
 
 @kept
