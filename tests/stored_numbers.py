@@ -56,7 +56,7 @@ READ = {*READERS, ".npz", ".html", ".txt"}
 
 UNTOLD = re.compile(
     r"\.array$|:\.format$|\.csv:.*\.\d+$|(^|/)track-\d+\.json:|tracks\[\d+\]\.rows"
-    r"|\.screened\["
+    r"|\.screened\[|\.computing\."
 )
 """Numbers that tell nothing new.
 
@@ -64,8 +64,8 @@ The shapes of arrays that are looked at themselves, numbers among the words of a
 the tracks of an identification one by one; and the criterion of laws that do not fit.
 """
 
-ROUNDING = re.compile(r"\d[\d.]* × 10⁻¹\d")
-"""Numbers in texts that are zeros but for rounding."""
+UNSTEADY = re.compile(r"\d[\d.]* × 10⁻¹\d|\d[\d.]* ms, the first one \d[\d.]* s")
+"""Numbers in texts that are zeros but for rounding, or that the machine decides."""
 
 EMBEDDED = re.compile(r'(?s)<script type="application/json"[^>]*>(.*?)</script>')
 """Numbers that a page brings for its own scripts."""
@@ -96,7 +96,7 @@ def summarise(numbers: Numbers, text: str = "") -> Summary:
     """The summary of numbers and of what is printed with them."""
     kept = {**numbers.scalars, **{p: _moments(a) for p, a in numbers.arrays.items()}}
     kept = {path: kept[path] for path in sorted(kept) if not UNTOLD.search(path)}
-    text = ROUNDING.sub("0", text)
+    text = UNSTEADY.sub("0", text)
     lines = [line.rstrip() for line in text.splitlines() if line.strip()]
     return Summary(_rounded(kept), lines)
 
