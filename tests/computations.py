@@ -67,6 +67,7 @@ from pinav.navigation.control.controller import Observation
 from pinav.navigation.design.campaign import decide
 from pinav.navigation.design.candidates import GridDesign, RandomDesign
 from pinav.navigation.task.catalogue import TASKS
+from pinav.navigation.task.steering import all_directions
 from pinav.navigation.task.task import Disc
 from pinav.navigation.trials import metrics
 from pinav.navigation.trials.closed_loop import run, run_many
@@ -194,7 +195,8 @@ def evidence_of_weights() -> Any:
         white = weights.Whitened.of(data, prior.covariance(np.full(1, 0.4)))
         slope = weights.shape_slope(data, white, chosen, prior)
         found.append((chosen, posterior, slope))
-    return found, reduced, rest, quadratic
+    scales = weights.evidence_of_scales(data, prior.covariance(np.full(1, 0.4)))
+    return found, reduced, rest, quadratic, scales(0.7, 0.2)
 
 
 @kept
@@ -347,7 +349,7 @@ def tasks() -> Any:
             0.7 * task.limits.max_frequency, jnp.full(task.dim - 1, 0.4)
         )
         found[name] = task, task.truth(0.3, task.start, command)
-    return found
+    return found, all_directions(5, 3)
 
 
 @kept
@@ -527,7 +529,8 @@ def heat_in_the_plane() -> Any:
         protocol = Piecewise.ramp((0, 60, 120), [0.0, 1.1e4, 0.9e4], 1e5)
         run = solve(model, protocol)
         found.append((run.final.temperature, run.energy, grid.volumes))
-    return found
+    plane = CartesianGrid.cubes((8, 6), 4e-3)
+    return found, plane.ball(0.006, center=(0.013, 0.011))
 
 
 @kept
