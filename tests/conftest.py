@@ -25,6 +25,7 @@ import jax
 import jaxtyping
 import pytest
 from tests.fitted_runs import FittedRuns
+from tests.stored_numbers import StoredNumbers
 
 jax.config.update("jax_enable_x64", val=True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -117,6 +118,7 @@ def pytest_addoption(parser):
     parser.addoption(
         "--extras", action="store_true", help="fail where a package is missing"
     )
+    parser.addoption("--renew", action="store_true", help="write tests/numbers anew")
 
 
 def pytest_runtest_setup(item):
@@ -182,6 +184,12 @@ def fitted_run(fitted_runs, tmp_path_factory):
 def tiny_fit(fitted_runs, tmp_path_factory):
     """The run `network` and its data, to be read alone."""
     return fitted_runs.copy("network", tmp_path_factory.mktemp("fit"))
+
+
+@pytest.fixture(scope="session")
+def same_numbers(request):
+    """The comparison of results with tests/numbers (tests/stored_numbers.py)."""
+    return StoredNumbers(renew=request.config.getoption("--renew"))
 
 
 @pytest.fixture

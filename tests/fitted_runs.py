@@ -12,6 +12,7 @@ fitted through a folder with a lock.
 
 import contextlib
 import dataclasses
+import io
 import shutil
 import tomllib
 from collections.abc import Callable
@@ -23,8 +24,9 @@ import pytest
 import tomli_w
 from filelock import FileLock
 from matplotlib.figure import Figure
+from tests.drawn import write_drawn
 
-DATA, RUN = "data.npz", "run"
+DATA, RUN, TERMINAL = "data.npz", "run", "terminal.txt"
 POTENTIAL = ("--model", "kernel-potential")
 """Named, so that no mixture is fitted besides, which takes as long again."""
 
@@ -196,10 +198,15 @@ def cheap_residual_fields():
 
 @contextlib.contextmanager
 def blank_figures():
-    """Make every figure, but draw nothing in its files: tests/figures draws them."""
+    """Make every figure, but draw nothing in its files; those that would be drawn."""
+    figures = {}
+
+    def note(figure, renderer):
+        figures[id(figure)] = figure
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Figure, "draw", lambda figure, renderer: None)
-        yield
+        patch.setattr(Figure, "draw", note)
+        yield figures
 
 
 @dataclasses.dataclass(frozen=True)
@@ -228,7 +235,11 @@ class FittedRuns:
 
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        with standard_promotion(), cheap_residual_fields(), blank_figures():
+        with standard_promotion(), cheap_residual_fields(), blank_figures() as drawn:
             words = RUNS[name](folder)
-            assert cli.run([*words, "--out", str(folder / RUN)]) == 0
+            with contextlib.redirect_stdout(io.StringIO()) as terminal:
+                assert cli.run([*words, "--out", str(folder / RUN)]) == 0
+        said = terminal.getvalue().replace(str(folder), "FOLDER")
+        (folder / TERMINAL).write_text(said, encoding="utf-8")
+        write_drawn(drawn.values(), folder)
         (folder / "done").touch()

@@ -125,7 +125,7 @@ def dimension_of(part: Any, path: str) -> str:
         part: a module, or its class.
         path: from the module to the number, such as `terms[0].height`.
     """
-    stated = "?"
+    stated: Any = "?"
     for place, name in STEPS.findall(path):
         if name:
             kind = part if isinstance(part, type) else type(part)

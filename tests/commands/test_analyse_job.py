@@ -1,11 +1,9 @@
-import csv
 import json
 
 import numpy as np
 import pytest
 from tests.fitted_runs import trap_system
 
-from pinav import cli
 from pinav.analysis import (
     Analysis,
     EntropyProduction,
@@ -19,7 +17,6 @@ from pinav.errors import InputError
 from pinav.evaluation import FieldMap, Regions
 from pinav.fitting import Estimate
 from pinav.learning.learned import Learned
-from pinav.runs import RunFolder
 from pinav.systems import write_system
 
 SMALL = ["--points", "21", "--draws", "4", "--samples", "8"]
@@ -30,50 +27,6 @@ def few_starts():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(effects, "LYAPUNOV_POINTS", 5)
         yield
-
-
-@pytest.fixture(scope="module")
-def inferred(fitted_runs, tmp_path_factory):
-    """A run with a posterior, damping learned with the force."""
-    run, _ = fitted_runs.copy("kernel", tmp_path_factory.mktemp("analyse"))
-    assert cli.run(["analyse", str(run), *SMALL]) == 0
-    return run
-
-
-@pytest.mark.slow
-def test_the_analysis_of_a_posterior_is_whole(inferred):
-    found = RunFolder.open(inferred).load("analysis", Analysis)
-    assert not found.left_out
-    split = found.split
-    fractions = split.least_fraction, split.rotational_fraction, split.greatest_fraction
-    assert list(fractions) == sorted(fractions)
-    assert split.least_fraction < 0.01  # a potential was learned
-    assert found.is_potential_learned
-    assert [row.trajectory for row in found.influence] == [0, 1, 2, 3]
-    assert all(row.leverage > 0 for row in found.influence)
-    learned = {row.constant: row.learned for row in found.constants}
-    assert learned == {"damping": True, "gain": False}
-    assert {"final x", "final y", "least distance"} <= set(found.sobol.outcomes)
-    assert found.lyapunov.horizon == pytest.approx(5.0)
-
-
-@pytest.mark.slow
-def test_tables_and_figures_say_what_the_result_says(inferred):
-    found = RunFolder.open(inferred).load("analysis", Analysis)
-    counts = {"influence": 4, "constants": 2, "sobol": found.sobol.total.size}
-    for name, count in counts.items():
-        with open(inferred / f"analysis-{name}.csv", newline="") as file:
-            rows = list(csv.reader(file))
-        assert len(rows) == 1 + count
-    with open(inferred / "analysis-influence.csv", newline="") as file:
-        cells = [float(row["Cook's distance"]) for row in csv.DictReader(file)]
-    assert cells == [row.cook for row in found.influence]
-    page = (inferred / "report.html").read_text(encoding="utf-8")
-    for title in ("was learned", "the field depends on", "a rollout depends on"):
-        assert f"What {title}" in page
-    names = ("helmholtz", "potential", "influence", "constants", "lyapunov", "sobol")
-    for name in names:
-        assert (inferred / "figures" / f"analysis-{name}.png").stat().st_size > 0
 
 
 @pytest.mark.slow

@@ -5,15 +5,12 @@ import equinox as eqx
 import numpy as np
 import pytest
 from matplotlib.mathtext import MathTextParser
-from tests.fitted_runs import trap_system
 from tests.samples import sample
 
 from pinav import analysis
 from pinav.analysis.discovery.candidates import POTENTIALS
 from pinav.commands import DISCOVER
 from pinav.commands.discover.job import central_sentence, sections, sentences
-from pinav.commands.results import sections_of
-from pinav.figures.images import save_pictures
 from pinav.fitting import Outcome
 from pinav.forces.geometries import Center
 from pinav.forces.law_library import GAUSSIAN, GAUSSIAN_SWIRL, SADDLE
@@ -124,16 +121,6 @@ def test_a_discovery_comes_back_as_it_was(folder):
     assert eqx.tree_equal(found, FOUND)
     assert [one.law for one in found.candidates] == [c.law for c in FOUND.candidates]
     assert text(found) == text(FOUND)
-
-
-def test_report_section_holds_figure_and_tables(folder):
-    assert sections_of(DISCOVER, folder) == []
-    folder.store(DISCOVER.file, FOUND)
-    (section,) = sections_of(DISCOVER, folder)
-    assert section.heading == "The law behind the force"
-    save_pictures(section, folder.path)
-    for name in ("laws", "law-0", "law-1"):
-        assert (folder.path / "figures" / f"{name}.svg").is_file()
 
 
 @pytest.mark.parametrize(

@@ -1,39 +1,12 @@
-import json
-
-import jax
 import numpy as np
 import pytest
 
 from pinav import cli
 from pinav.errors import InputError
-from pinav.evaluation import evaluate, field_map, force_errors
-from pinav.learning.learned import Learned
 from pinav.learning.plan import plan_fit
 from pinav.learning.recipes import Bayes
-from pinav.scenarios import barrier_crossings, scenario
+from pinav.scenarios import scenario
 from pinav.trajectories import Trajectories, load, save
-
-
-def test_fit_learns_and_reports_what_was_asked(tiny_fit):
-    run, _ = tiny_fit
-    fit = Learned.open(run)
-    assert fit.losses.values[0, -1] < fit.losses.values[0, 0]
-    assert fit.outcome == "completed"
-    assert fit.findings.constants.keys() == {"damping"}
-    damping = fit.findings.constants["damping"]
-    assert damping.value != pytest.approx(0.36, abs=1e-6)
-    assert np.isnan(damping.sd)
-
-
-@pytest.mark.slow
-def test_evaluate_scores_the_stored_model(tiny_fit, printed):
-    run, data = tiny_fit
-    rmse = json.loads(printed("evaluate", run, data, "--json"))["rmse"]["model"]
-    fitted = Learned.open(run).findings.rmse
-    assert {name: rmse[name] for name in fitted} == fitted
-    lines = printed("evaluate", run, data).splitlines()
-    (heading,) = (line for line in lines if line.startswith("RMSE"))
-    assert heading.split()[:5] == ["RMSE,", "training", "error", "x", "y"]
 
 
 def test_resume_refuses_other_data(tiny_fit, tmp_path, refused):
@@ -81,28 +54,6 @@ def inferred(fitted_runs, tmp_path_factory):
     return fitted_runs.copy("positions", tmp_path_factory.mktemp("noisy"))[0]
 
 
-@pytest.mark.slow
-def test_positions_alone_give_a_force_and_its_uncertainty(inferred):
-    found = Learned.open(inferred).findings
-    assert (found.model, found.recipe) == ("kernel-potential", "bayes")
-    assert found.noise == pytest.approx(0.02, rel=0.15)
-    damping = found.constants["damping"]
-    assert abs(damping.value - 0.36) < 4 * damping.sd < 0.1
-    assert damping.low < damping.value < damping.high
-    assert found.rmse["position"] == pytest.approx(0.02, rel=0.2)
-    truth = barrier_crossings().truth.environment
-    true = field_map(truth, load(inferred / "data.npz"))
-    learned = found.force.learned
-    np.testing.assert_array_equal(learned.distance, true.distance)
-    assert force_errors(learned, true)["visited"] < 0.1
-    near = true.distance < 0.35
-    miss = np.abs(learned.force - true.force)[near]
-    assert np.mean(miss < 3 * found.force.sd[near]) > 0.8
-    page = (inferred / "report.html").read_text()
-    assert "What the evidence chose" in page
-    assert "Constants learned" in page
-
-
 def test_an_inferred_run_is_resumed_without_fitting_again(inferred, capsys):
     config = ["--config", str(inferred / "config.toml"), "--resume"]
     data = inferred.parent / "data.npz"
@@ -111,15 +62,6 @@ def test_an_inferred_run_is_resumed_without_fitting_again(inferred, capsys):
     assert cli.run(["fit", str(data), "--out", str(inferred), *config]) == 0
     assert "step/s" not in capsys.readouterr().err
     assert (inferred / "metrics.json").read_bytes() == before
-
-
-@pytest.mark.slow
-def test_a_fit_says_the_force_error_where_the_truth_is_known(fitted_run, printed):
-    run, data = fitted_run("kernel")
-    config = ["--config", run / "config.toml", "--resume"]
-    out = printed("fit", data, "--out", run, *config)
-    assert "visited (%)  near (%)" in out
-    assert "Relative L2 error of the force against the system's truth" in out
 
 
 @pytest.mark.parametrize(
@@ -132,15 +74,3 @@ def test_physics_of_another_kind_is_refused(name, drag):
     message = f"--train damping: system {name} has no .* its drag is {drag}"
     with pytest.raises(InputError, match=message):
         plan_fit(system, data, recipe=Bayes(), train=("damping",))
-
-
-@pytest.mark.slow
-def test_an_evaluation_has_physics_alone_beside_its_models(tiny_fit):
-    run, data = tiny_fit
-    with jax.numpy_dtype_promotion("standard"):
-        scores = evaluate(Learned.open(run), load(data))
-    for table in (scores.rmse, scores.rollouts, scores.force):
-        assert list(table) == ["model", "physics-only"]
-    for region in scores.force["physics-only"].values():
-        assert region.error == pytest.approx(1.0)
-        assert np.isnan(region.cosine)

@@ -1,6 +1,5 @@
 """`pinav heat`: cases from files, their refusal, and what a run leaves behind."""
 
-import csv
 import json
 
 import jax.numpy as jnp
@@ -8,36 +7,10 @@ import numpy as np
 import pytest
 from tests.heat_cases import EXAMPLES, GONE, PLANE, run, small
 
-from pinav.runs import RunFolder
 from pinav.thermal.case import read_case
 from pinav.thermal.design import Run
 from pinav.thermal.planned_run import PlanTask
 from pinav.thermal.setup import Setup
-
-
-@pytest.mark.slow
-def test_simulate_leaves_metrics_figures_and_a_report(tmp_path, printed, refused):
-    case, out = small("tumour", tmp_path), tmp_path / "run"
-    words = ["heat", "simulate", case, "--out", out]
-    said = printed(*words)
-    assert "D90 of the tumour" in said
-    assert "Synthetic data of a research code" in said
-    metrics = json.loads((out / "metrics.json").read_text())["value"]
-    assert metrics["imbalance"] < 1e-10
-    assert 44 < metrics["T_max"] < 48
-    assert metrics["T90"] < metrics["T50"] < metrics["T10"] <= metrics["T_max"]
-    page = (out / "report.html").read_text()
-    assert "nothing here is medical advice" in page
-    assert "heat-" not in page  # images are embedded
-    figures = {p.stem for p in (out / "figures").glob("*.svg")}
-    assert figures == {"heat-fields", "heat-protocol", "heat-probes"}
-    config = RunFolder.open(out).config()
-    assert config["run"]["command"] == "heat"
-    assert config["case"]["title"] == "A heated sphere"
-    rows = list(csv.DictReader((out / "probes.csv").read_text().splitlines()))
-    assert [float(row["t"]) for row in rows[::4]] == [10.0 * k for k in range(1, 181)]
-    refused(words, "already holds a run")
-    assert printed("report", out)
 
 
 @pytest.mark.slow
@@ -56,31 +29,6 @@ def test_simulate_in_the_plane_with_particles(tmp_path, printed):
     (warning,) = metrics["warnings"]
     assert "strained 2.81 times" in warning
     assert metrics["Hf"] == pytest.approx(1e9)
-
-
-@pytest.mark.slow
-def test_learn_compares_with_constant_perfusion(tmp_path, capsys):
-    case, out = small("learn", tmp_path), tmp_path / "run"
-    assert run("learn", case, "--out", out) == 0
-    metrics = json.loads((out / "metrics.json").read_text())["value"]
-    assert metrics["residual"] < 0.7 * metrics["constant_residual"]
-    assert metrics["noise"] == pytest.approx(0.1, rel=0.1)
-    assert {row["power"] for row in metrics["held_out"]} == {1.3, 0.6}
-    assert "residual of the best constant perfusion" in capsys.readouterr().out
-    assert (out / "figures" / "heat-perfusion.svg").exists()
-
-
-@pytest.mark.slow
-def test_optimise_names_what_binds(tmp_path, capsys):
-    times = [0, 450, 900, 1350, 1800]
-    changes = {"field.times": times, "field.amplitudes": [1e4] * 4}
-    case, out = small("optimise", tmp_path, changes), tmp_path / "run"
-    assert run("optimise", case, "--out", out) == 0
-    metrics = json.loads((out / "metrics.json").read_text())["value"]
-    names = {own["name"]: own["active"] for own in metrics["constraints"]}
-    assert names == {"maximum temperature": True, "Hergt-Dutz limit": False}
-    assert metrics["result"]["D90"] > metrics["start_D90"]
-    assert "maximum temperature [°C]" in capsys.readouterr().out
 
 
 def test_a_ramp_stays_a_ramp_in_a_plan(tmp_path):

@@ -38,33 +38,6 @@ def run(tmp_path_factory):
         return identify_file(circling(), folder)
 
 
-@pytest.mark.slow
-def test_the_table_has_every_candidate_and_baseline(run):
-    result = RunFolder.open(run).load("metrics", identification.Identification)
-    (track,) = result.tracks
-    expected = {"drift only", "scalar gain", "gain matrix and drift", "least squares"}
-    expected |= {"+ slipping", "+ delay", "+ lag", "+ time-dependent drift"}
-    assert expected | {"+ network"} <= {row.label for row in track.rows}
-    ours = result.summary["chosen"].over(10.0).relative
-    assert ours < 0.05
-    assert ours < result.summary["drift only"].over(10.0).relative
-    assert abs(track.estimates["heading offset"].value) < 0.1
-    assert any("Propulsion by the command: supported" in s for s in track.findings)
-    assert track.system.swimmer.propulsion.gain.shape == (2, 2)
-
-
-@pytest.mark.slow
-def test_the_page_says_what_it_is_about(run):
-    page = (run / "report.html").read_text(encoding="utf-8")
-    assert "nothing here is a claim about tissue" in page
-    assert "µm" in page
-    assert (run / "candidates.csv").read_text().startswith("track,model,log_evidence")
-    for name in ("track-0", "growth-0", "speed-0", "horizons"):
-        assert (run / "figures" / f"{name}.svg").is_file()
-    assert "gain (um per turn)" in page
-    assert "median end-point error over the path" in page
-
-
 def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys):
     out = identify_file(circling(driven=False), tmp_path, "--max-tracks", "0")
     assert "The commands ask for no motion: gain" in capsys.readouterr().out

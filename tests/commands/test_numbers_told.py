@@ -7,28 +7,13 @@ import numpy as np
 import pytest
 from tests.samples import sample, stand_in
 
-from pinav.analysis.analysis import Analysis
 from pinav.analysis.discovery.force_sample import CentralTest
-from pinav.analysis.effects import Doubt
-from pinav.analysis.entropy import EntropyProduction
-from pinav.analysis.helmholtz import HelmholtzSplit
-from pinav.analysis.sensitivity.lyapunov import LyapunovMap
-from pinav.analysis.sensitivity.sobol import SobolIndices
-from pinav.commands.analyse import job as analyse
 from pinav.commands.compare import job as compare
 from pinav.commands.design import job as design
 from pinav.commands.discover import job as discover
-from pinav.commands.export.job import SpotTable, napari_csv, trackmate_csv
 from pinav.commands.fit import job as fit
-from pinav.commands.heat import job as heat
-from pinav.commands.identify import job as identify
 from pinav.commands.navigate import sections as navigate
-from pinav.evaluation import FieldMap, Regions
-from pinav.fitting import Estimate
 from pinav.fitting.evidence.model_evidence import DECISIVE, ModelEvidence
-from pinav.identification.identify import Identification, IdentifiedTrack
-from pinav.identification.rollouts import Coverage, Errors
-from pinav.identification.selection import Row
 from pinav.navigation.adaptive.flight import FlightOutcome
 from pinav.navigation.comparison import (
     ComputingTimes,
@@ -39,19 +24,8 @@ from pinav.navigation.comparison import (
 from pinav.navigation.design.campaign import CampaignSummary, Decision, DesignResult
 from pinav.navigation.design.candidates import Suggestion
 from pinav.navigation.trials.metrics import Interval, Quantiles, Summary
-from pinav.thermal.heated_run import HeatedRun
-from pinav.thermal.learned_tissue import (
-    Forecast,
-    HeldOut,
-    LearnedTissue,
-)
-from pinav.thermal.planned_run import Judgement
 
 UNITS = {"x": "um", "t": "s"}
-
-
-def rows_of(table):
-    return dict(zip([row[0] for row in table.rows], table.rows, strict=True))
 
 
 def column(table, name):
@@ -181,69 +155,6 @@ def test_flights_are_told_in_milliseconds_and_megabytes():
     ]
 
 
-def test_an_analysis_tells_fractions_in_percent():
-    field = stand_in(FieldMap, regions=Regions(0.2, 0.5))
-    split = stand_in(
-        HelmholtzSplit,
-        rotational_fraction=0.25,
-        least_fraction=0.1,
-        greatest_fraction=0.4,
-    )
-    found = stand_in(
-        Analysis,
-        split=split,
-        doubt=stand_in(Doubt, rotational=0.02),
-        field=field,
-        units=UNITS,
-    )
-    text = analyse.rotation_sentence(found)
-    for words in (
-        "25.00% ± 2.00% (sd)",
-        "within 0.500 um",
-        "leave 10.00%",
-        "rotational 40.00%",
-    ):
-        assert words in text, words
-    current = np.array([[3.0, 4.0], [0.0, 0.0]])
-    for sd, verdict in ((0.51, "not excluded"), (0.49, "out of equilibrium")):
-        entropy = stand_in(EntropyProduction, rate=Estimate(1.0, sd), current=current)
-        text = analyse.entropy_sentence(entropy)
-        assert verdict in text
-        assert "velocity 3.54 (rms)" in text
-    growth = LyapunovMap(
-        x=np.arange(2.0),
-        y=np.arange(1.0),
-        separation=np.array([[math.e, math.e**3]]),
-        final=np.zeros((1, 2, 2)),
-        horizon=2.0,
-    )
-    text = analyse.growth_sentence(growth, "s")
-    assert f"by {(math.e + math.e**3) / 2:.3g} (median) to {math.e**3:.3g}" in text
-    assert "over 2.00 s; median finite-time Lyapunov exponent 1 per" in text
-    numbers = np.array([[0.1, 0.2]])
-    indices = SobolIndices(
-        ("a", "b"),
-        ("x",),
-        numbers,
-        np.stack([numbers - 0.01, numbers + 0.02], -1),
-        numbers + 0.5,
-        np.stack([numbers + 0.4, numbers + 0.6], -1),
-        0.9,
-        np.array([7.0]),
-    )
-    (_, table) = analyse._sobol(
-        stand_in(
-            Analysis,
-            sobol=indices,
-            landmark=(1.0, 2.0),
-            reference=0,
-            relative=0.1,
-            shift=0.2,
-        )
-    )
-    assert np.allclose(table.rows[1][2:], [0.2, 0.19, 0.22, 0.7, 0.6, 0.8, 7.0])
-
-
 @pytest.mark.parametrize(
     ("gain", "words"),
     [
@@ -338,131 +249,3 @@ def test_a_design_tells_what_was_saved_and_what_comes_next():
             assert "now 0.5, should then be 0.2" in line
             none = stand_in(DesignResult, **vars(known) | {"next": None})
             assert "no candidate trajectory" in design.sentences(none)[0]
-
-
-def test_heat_is_told_in_minutes():
-    run = stand_in(
-        HeatedRun,
-        T_max=45.0,
-        heated=120.0,
-        T10=44.0,
-        T50=43.0,
-        T90=42.0,
-        V43=0.5,
-        D90=9.0,
-        time_to_therapy=90.0,
-        CEM43T90=8.0,
-        healthy_dose=0.1,
-        Hf=1e9,
-        imbalance=1e-12,
-        dead_target=0.9,
-        dead_outside=0.01,
-    )
-    assert [row[1] for row in heat.run_table(run).rows] == [
-        45.0,
-        2.0,
-        44.0,
-        43.0,
-        42.0,
-        0.5,
-        9.0,
-        1.5,
-        8.0,
-        0.1,
-        1e9,
-        1e-12,
-        0.9,
-        0.01,
-    ]
-    times, values = np.array([60.0, 120.0]), np.array([[40.0], [41.0]])
-    later = Forecast(times, values, np.full((2, 1), 0.2), 60.0, values + 0.1, 0.7)
-    tissue = stand_in(
-        LearnedTissue,
-        relative=False,
-        residual=0.3,
-        noise=0.2,
-        iterations=5,
-        laws={},
-        quantities={"power [W]": Estimate(2.0, 0.1)},
-        true={"power [W]": 2.1},
-        constants={},
-        forecast=later,
-        held_out=(HeldOut(1.5, 0.4, 0.8),),
-    )
-    told = {row[0]: row[1] for row in heat.fit_table(tissue).rows}
-    assert told["residual, root mean square [K]"] == 0.3
-    assert told["noise, estimated [K]"] == 0.2
-    assert told["power [W]"] == "2 ± 0.1; true 2.1"
-    assert told["fitted until [min]"] == 1.0
-    assert told["later: residual [K]"] == 0.7
-    assert told["later: truth in the 95 % band"] == 1.0
-    assert told["largest error at power 1.5, not fitted [K]"] == 0.4
-    assert told["largest error at power 1.5, not fitted [K], constant perfusion"] == 0.8
-    judged = heat.judgement_table(Judgement(7.0, 8.0, 46.0, np.ones(2)))
-    assert [row[1] for row in judged.rows] == [7.0, 8.0, 46.0]
-
-
-def test_tracks_are_told_with_their_gain_and_their_bands():
-    by_horizon = {f"{h:g}": Errors(0.01 * h, 0.1 * h, 3) for h in (1, 5, 10, 30)}
-    rows = tuple(Row(n, 5.0, 2.0, by_horizon, 0.8) for n in ("gain", "least squares"))
-    track = IdentifiedTrack(
-        "a",
-        10.0,
-        chosen="gain",
-        rows=rows,
-        gain=np.array([[1.0, 2.0], [3.0, 4.0]]),
-        coverage=Coverage(0.87, 0.75, 4),
-        findings=("It moves.",),
-    )
-    result = Identification({"x": "um", "t": "s"}, None, (track,), {"gain": rows[0]})
-    (row,) = identify._tracks(result).rows
-    assert list(row) == ["a", "gain", "1 2; 3 4", 0.1, 0.1, "87 %"]
-    (row,) = identify._summary(result).rows
-    assert list(row) == ["gain", 1, 5.0, 0.8, 0.01, 0.05, 0.1, 0.3, 1.0, 2.0]
-    blocks = identify._track(0, track, UNITS)
-    assert (
-        "hold 87.0 % of the held-out positions, 75.0 % at the end of 4"
-        in blocks[1].text
-    )
-
-
-SPOTS = SpotTable(
-    np.array([0, 1]),
-    np.array([3, 4]),
-    np.array([0.3, 0.4]),
-    np.array([[1.0, 2.0], [5.0, 6.0]]),
-    np.array([[3.0, 4.0], [6.0, 8.0]]),
-    np.array([[0.1, 0.2], [np.nan, 0.3]]),
-    ("um", "s", "pN"),
-)
-
-
-def test_spots_are_written_as_other_programs_read_them():
-    head, first, second = napari_csv(SPOTS).splitlines()
-    assert head.split(",") == [
-        "ID",
-        "T",
-        "Y",
-        "X",
-        "time",
-        "force_x",
-        "force_y",
-        "force",
-        "force_x_sd",
-        "force_y_sd",
-    ]
-    assert [float(c) for c in first.split(",")] == [0, 3, 2, 1, 0.3, 3, 4, 5, 0.1, 0.2]
-    assert second.split(",")[-2:] == ["", "0.3"]
-    names, *_, units, first, _ = trackmate_csv(SPOTS).splitlines()
-    told = dict(
-        zip(
-            names.split(","),
-            zip(units.split(","), first.split(","), strict=True),
-            strict=True,
-        )
-    )
-    assert told["POSITION_X"] == ("(um)", "1.0")
-    assert told["POSITION_T"] == ("(s)", "0.3")
-    assert told["FORCE_Y"] == ("(pN)", "4.0")
-    assert told["FORCE"] == ("(pN)", "5.0")
-    assert told["TRACK_ID"][1] == "0"

@@ -21,7 +21,6 @@ from pinav.commands.study.job import (
 from pinav.commands.sweep import Sweep
 from pinav.errors import FitError
 from pinav.evaluation import Agreement, RolloutSummary
-from pinav.figures.errors import scaling_figure
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import load
@@ -100,26 +99,6 @@ def noise_study(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_study_ends_in_a_table_and_a_figure(noise_study, capsys):
-    out, argv = noise_study
-    fits = RunFolder.open(out).load("metrics", Study).fits
-    table = {(fit.model, fit.sigma): fit for fit in fits}
-    assert len(table) == 4
-    for sigma in (0.01, 0.1):
-        physics = table["physics-only", sigma]
-        assert physics.force_error("visited") == pytest.approx(1.0)
-        assert physics.outcome == "nothing to fit"
-    kernel = [
-        table["kernel-potential", sigma].force_error("visited") for sigma in (0.01, 0.1)
-    ]
-    assert 0 < kernel[0] < kernel[1] < 0.5
-    assert (out / "figures" / "noise.svg").exists()
-    page = (out / "report.html").read_text()
-    assert "Noise on barrier-crossings" in page
-    assert (out / "study.csv").read_text().startswith("model,seed,trajectories,sigma,")
-
-
-@pytest.mark.slow
 def test_workers_make_the_same_table_as_one_does(noise_study, tmp_path, capsys):
     out, argv = noise_study
     words = [str(tmp_path) if word == str(out) else word for word in argv]
@@ -154,18 +133,3 @@ def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
     broken = eqx.tree_at(lambda s: s.swimmer.drag.damping, barrier_crossings(), nan)
     with pytest.raises(FitError, match="diverged"):
         fit_model("kernel-potential", broken, clean, seed=0, max_steps=2)
-
-
-def test_no_noise_stands_left_of_all_noise():
-    points = [(0.0, 0.01), (0.01, 0.02), (0.1, 0.3)]
-    figure = scaling_figure(
-        {"ude": points, "nn-only": []}, {"ude": points}, quantity="noise"
-    )
-    left = figure.axes[0]
-    places, labels = left.get_xticks(), [t.get_text() for t in left.get_xticklabels()]
-    assert labels == ["0", "0.01", "0.1"]
-    assert 0 < places[0] < places[1] < places[2]
-    assert left.get_xscale() == left.get_yscale() == "log"
-    line = left.get_lines()[0]
-    assert_allclose(line.get_ydata(), [1.0, 2.0, 30.0])
-    assert any("none" in str(each.get_label()) for each in left.get_lines())

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pinav import figures
-from pinav.analysis import LyapunovMap, SobolIndices, helmholtz_split
+from pinav.analysis import LyapunovMap, helmholtz_split
 from pinav.evaluation import FieldMap
 from pinav.figures.maps import POTENTIAL, above_least, map_panel, trust_map
 from pinav.figures.style import with_unit
@@ -82,51 +82,6 @@ def test_maps_have_equal_axes_and_units(draw, count, label):
     assert all(ax.get_aspect() == 1.0 for ax in drawn)
     assert drawn[0].get_ylabel() == "$y$ [µm]"
     assert bars(figure)[0] == label
-
-
-def test_titles_tell_fractions_and_the_most_influential_trajectories():
-    titles = [ax.get_title(loc="left") for ax in maps(parts())]
-    split = helmholtz_split(field())
-    assert titles[0] == f"(a) gradient: {split.gradient_fraction:.1%} ± 1.0%"
-    assert titles[1] == f"(b) rotational: {split.rotational_fraction:.1%} ± 1.0%"
-    titles = [ax.get_title(loc="left") for ax in maps(influence())]
-    assert titles == ["without trajectory 1", "without trajectory 2"]
-
-
-def test_growth_is_on_a_logarithmic_scale_with_plain_labels():
-    figure = exponents()
-    figure.canvas.draw()
-    (bar,) = (ax for ax in figure.axes if ax.get_xlabel().startswith("growth"))
-    assert bar.get_xscale() == "log"
-    labels = [text.get_text() for text in bar.get_xticklabels()]
-    assert {"1", "10"} <= set(labels)
-    assert (
-        maps(figure)[0].get_title(loc="left") == "Growth of separations, $T$ = 20 [s]"
-    )
-
-
-def test_bars_have_intervals_and_leave_out_what_does_not_vary():
-    first = np.array([[0.5, 0.2], [np.nan, np.nan]])
-    interval = np.stack([first - 0.1, first + 0.1], axis=-1)
-    indices = SobolIndices(
-        factors=("damping", "gain"),
-        outcomes=("final x", "arrival"),
-        first=first,
-        first_interval=interval,
-        total=first + 0.1,
-        total_interval=interval + 0.1,
-        confidence=0.9,
-        variance=np.array([1.0, 0.0]),
-    )
-    figure = figures.sobol_figure(indices).draw()
-    shown = [ax for ax in figure.axes if ax.get_visible()]
-    assert [ax.get_title(loc="left") for ax in shown] == ["final x"]
-    widths = [bar.get_width() for bar in shown[0].patches]
-    assert np.allclose(widths, [0.5, 0.2, 0.6, 0.3])
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
-        "first order, with 90% interval",
-        "total, with 90% interval",
-    ]
 
 
 def test_the_unit_of_a_force_is_that_of_the_dynamics():

@@ -1,4 +1,3 @@
-import dataclasses
 import subprocess
 import sys
 from functools import partial
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 
 from pinav import figures
-from pinav.evaluation import NEAR, VISITED, Decomposition, FieldMap, Regions
+from pinav.evaluation import Decomposition, FieldMap
 from pinav.evaluation.scores import Whiteness
 from pinav.figures.errors import residual_autocorrelation
 from pinav.figures.maps import ERROR, FORCE
@@ -115,10 +114,6 @@ def legend_texts(ax):
     return [text.get_text() for text in ax.get_legend().get_texts()]
 
 
-def levels_of(ax):
-    return [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
-
-
 def line_labelled(ax, label):
     (line,) = [line for line in ax.get_lines() if line.get_label() == label]
     return line
@@ -143,18 +138,6 @@ def test_dimensionless_channels_print_no_bracket():
     assert figures.decomposition(budget(), units=bare_length).get_ylabel() == (
         "$a_x$ [s⁻²]"
     )
-
-
-def test_trajectory_marks_start_end_and_barrier():
-    path = states()[:, :2]
-    ax = figures.trajectory(path, {}, barrier=([1.0, 2.0], 0.5))
-    assert [text.get_text() for text in ax.texts] == ["start", "end"]
-    assert_allclose(ax.texts[0].xy, path[0])
-    assert_allclose(ax.texts[1].xy, path[-1])
-    (circle,) = ax.patches
-    assert tuple(circle.get_center()) == (1.0, 2.0)
-    assert circle.get_radius() == 0.5
-    assert "barrier (1σ)" in legend_texts(ax)
 
 
 def test_models_have_one_look_everywhere():
@@ -202,21 +185,6 @@ def test_model_that_never_was_finite_leaves_the_truth():
     assert np.isfinite(ax.get_xlim()).all()
 
 
-def test_loss_is_logarithmic_with_a_line_for_each_seed():
-    ax = loss_panel()
-    assert ax.get_yscale() == "log"
-    markers = [line.get_xdata()[0] for line in ax.get_lines()[1:]]
-    assert markers == [75]
-    (top,) = ax.child_axes
-    assert [tick.get_text() for tick in top.get_xticklabels()] == ["Adam", "L-BFGS"]
-    assert_allclose(top.get_xticks(), [37.5, 87.5])
-    ax = figures.loss_curve(losses(4), PHASES)
-    bold, *thin = ax.get_lines()[:4]
-    assert_allclose(bold.get_ydata(), losses(4)[0])
-    assert all(line.get_linewidth() < bold.get_linewidth() for line in thin)
-    assert legend_texts(ax) == ["first seed", "3 more"]
-
-
 @pytest.mark.parametrize("gap", [range(3, 6), range(101)])
 def test_loss_leaves_a_gap_where_it_is_no_positive_number(gap):
     values = losses()[0]
@@ -225,27 +193,6 @@ def test_loss_leaves_a_gap_where_it_is_no_positive_number(gap):
     drawn = ax.get_lines()[0].get_ydata()
     assert np.flatnonzero(np.isnan(drawn)).tolist() == [*gap]
     ax.figure.draw_without_rendering()
-
-
-def test_force_map_marks_visited_ground_and_scales_by_what_is_near():
-    ax = force_map(field(), path=np.zeros((2, 2)))
-    furthest = field().distance.max()
-    assert levels_of(ax) == [[NEAR, furthest], [NEAR, furthest], [VISITED], [NEAR]]
-    assert legend_texts(ax)[0] == "trajectory"
-    assert "no data: extrapolation" in legend_texts(ax)
-    bare = force_map(field(), shade=False)
-    assert levels_of(bare) == [[VISITED], [NEAR]]
-    regions = Regions(visited=0.2, near=0.9)
-    shown = dataclasses.replace(field(), regions=regions)
-    ax = force_map(shown, shade=False, units={"x": "um", "y": "um"})
-    assert levels_of(ax) == [[0.2], [0.9]]
-    assert "visited (within 0.2 µm)" in legend_texts(ax)
-    spread = field()
-    magnitude = np.linalg.norm(spread.force, axis=-1)
-    near = magnitude[spread.distance <= NEAR].max()
-    assert force_map(spread).collections[0].get_clim() == (0.0, near)
-    shared = force_map(spread, limits=(0.0, 7.0))
-    assert shared.collections[0].get_clim() == (0.0, 7.0)
 
 
 @pytest.mark.parametrize("limit", [0.0143, 0.143, 1.43, 14.3, 143.0])
@@ -258,77 +205,12 @@ def test_a_colour_bar_has_few_labels(limit):
     assert 2 <= len([label for label in shown if label.get_text()]) <= 6
 
 
-def test_force_error_map_shows_the_size_of_the_difference():
-    ax = error_map(field(1.5))
-    values = ax.collections[0].get_array()
-    expected = 0.5 * np.linalg.norm(field().force, axis=-1)
-    assert_allclose(np.ravel(values), np.ravel(expected))
-
-
 @pytest.mark.parametrize("value", [0.0, np.nan])
 def test_force_map_without_a_finite_force_still_draws(value):
     flat = FieldMap(
         field().x, field().y, np.full_like(field().force, value), field().distance
     )
     force_map(flat).figure.draw_without_rendering()
-
-
-def titles_of(figure):
-    titles = [ax.get_title(loc="left") for ax in figure.axes]
-    return [title for title in titles if title]
-
-
-SHOWN = {
-    "force_comparison": ["(a) true", "(b) learned", "(c) error"],
-    "force and deviation": ["(a) learned", "(b) standard deviation"],
-    "all of the force": [
-        *("(a) true", "(b) learned", "(c) error", "(d) standard deviation")
-    ],
-}
-
-
-@pytest.mark.parametrize(("name", "panels"), SHOWN.items())
-def test_a_comparison_shows_what_is_known(name, panels):
-    assert titles_of(FIGURES[name]()) == panels
-
-
-def test_observed_paths_leave_gaps_and_mark_every_start():
-    seen = states()[:, :2].copy()
-    seen[3] = np.nan
-    ax = figures.observed_paths([seen, seen + 2.0], [states()[:, :2]] * 2, units=UNITS)
-    assert legend_texts(ax) == ["observed", "model", "start"]
-    assert ax.get_xlabel() == "$x$ [µm]"
-    dots, line, _, _, starts = ax.get_lines()
-    assert np.isnan(dots.get_xydata()[3]).all()
-    assert np.isfinite(line.get_xydata()).all()
-    assert len(starts.get_xydata()) == 2
-
-
-def test_comparison_shares_the_scale_of_the_true_force():
-    maps = [ax for ax in FIGURES["force_comparison"]().axes if ax.get_title(loc="left")]
-    true, learned, _ = (ax.collections[0].get_clim() for ax in maps)
-    assert true == learned == (0.0, np.linalg.norm(field().force, axis=-1).max())
-
-
-def test_decomposition_adds_up():
-    ax = figures.decomposition(budget(), 1, true=budget(2.0))
-    total = line_labelled(ax, "sum").get_ydata()
-    terms = ("propulsion", "environment, learned", "drag")
-    parts = [line_labelled(ax, name).get_ydata() for name in terms]
-    assert_allclose(total, sum(parts))
-    assert_allclose(line_labelled(ax, "environment, true").get_ydata(), 2.0 * parts[1])
-
-
-def test_figure1_has_the_panels_of_the_paper():
-    assert sorted(titles_of(paper_figure())) == [
-        "(a) truth and untrained UDE",
-        "(b) truth and trained UDE",
-        "(c) training loss",
-        "(d) truth and untrained UDE",
-        "(e) truth and trained UDE",
-    ]
-    other = titles_of(paper_figure(model="nn-only"))
-    assert "(b) truth and trained NN only" in other
 
 
 @pytest.mark.slow

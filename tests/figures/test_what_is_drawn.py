@@ -3,32 +3,22 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from matplotlib.patches import Circle, Rectangle
 from tests.samples import stand_in
 
-from pinav.analysis.discovery.discovery import Candidate, Discovery
-from pinav.analysis.sensitivity.lyapunov import LyapunovMap
 from pinav.evaluation import FieldMap
 from pinav.evaluation.coverage import normal_quantile
 from pinav.evaluation.force_fields import ForceLine, Regions
-from pinav.evaluation.rollouts import ErrorCurve
-from pinav.evaluation.scores import Whiteness
-from pinav.figures import analysis, errors, fits, heat, learned_tissue, maps, navigation
-from pinav.figures import identification as identified
-from pinav.figures.recordings import positions_over_time
-from pinav.figures.style import new_figure, scale_log
-from pinav.identification.rollouts import Paths, SpeedLaw
+from pinav.figures import fits, heat, learned_tissue, maps, navigation
+from pinav.figures.style import new_figure
 from pinav.learning.findings import Findings, ForceMaps
 from pinav.learning.thermal import ThermalFindings
 from pinav.navigation.adaptive.flight import ShownFlight
 from pinav.navigation.comparison import Navigation, OnlineNavigation, PlannedWay
 from pinav.navigation.design.campaign import Decision, DesignResult
 from pinav.navigation.task.task import Course
-from pinav.thermal.heated_run import HeatedRun
 from pinav.thermal.learned_tissue import FOLLOWED, Forecast
 from pinav.thermal.learning import PerfusionCurve
-from pinav.thermal.protocols import Piecewise
 
 Z95 = normal_quantile(0.95)
 UNITS = {"x": "um", "y": "um", "t": "s"}
@@ -61,19 +51,6 @@ def ends_of_bands(ax):
     return [(box.y0, box.y1) for box in boxes]
 
 
-def test_a_radius_is_drawn_in_millimetres_with_the_edge_of_the_tumour():
-    radius = np.array([0.5e-3, 1.5e-3, 2.5e-3])
-    ax = panel()
-    curves = {"1 min": radius * 1e4 + 37, "2 min": radius * 2e4 + 37}
-    heat.profiles(radius, curves, edge=2e-3, ax=ax)
-    assert drawn(ax, [0.5, 1.5, 2.5], [42, 52, 62])
-    assert drawn(ax, [0.5, 1.5, 2.5], [47, 67, 87])
-    assert drawn(ax, [2.0, 2.0], [0, 1])
-    heat.dose_curves(radius, {"": np.array([0.0, 1e-3, 2.0])}, ["k"], ("x", "y"), ax=ax)
-    assert np.isnan(lines(ax)[-1][:2, 1]).all()
-    assert ax.get_yscale() == "log"
-
-
 def test_contours_lie_on_the_cells_of_the_image():
     spacing = 1e-3, 2e-3
     x = (np.arange(6) + 0.5)[:, None] * np.ones(4)
@@ -91,30 +68,6 @@ def test_contours_lie_on_the_cells_of_the_image():
     heat.plane_map(10.0**x, spacing, levels=[1e3], label="D", logarithmic=True, ax=ax)
     assert np.allclose(ax.images[0].get_array(), x.T)
     assert np.allclose(ax.collections[0].get_paths()[0].vertices[:, 0], 3.0)
-
-
-def test_a_protocol_is_drawn_over_minutes_in_its_own_units():
-    times = np.array([0.0, 60.0, 120.0])
-    run = stand_in(
-        HeatedRun,
-        title="",
-        protocol=Piecewise.constant([0, 60, 120], [2e3, 4e3], 1e5),
-        times=times,
-        temperatures={"hottest": times / 10 + 37, "T50": times / 20 + 37},
-        above=times / 120,
-        doses={"D90": times + 1, "outside": times + 2},
-        points=np.array([[0.01, 0.02]]),
-        probes=times[:, None] + 30,
-    )
-    field, temperature, volume, dose = heat.protocol_figure(run, 47.0).draw().axes
-    assert drawn(field, [0, 1, 1, 2], [2, 2, 4, 4])
-    assert drawn(temperature, [0, 1, 2], [37, 43, 49])
-    assert drawn(temperature, [0, 1], [47, 47])
-    assert drawn(volume, [0, 1, 2], [0, 0.5, 1])
-    assert drawn(dose, [0, 1, 2], [1, 61, 121])
-    (ax,) = heat.probes_figure(run).draw().axes
-    assert drawn(ax, [0, 1, 2], [30, 90, 150])
-    assert ax.get_lines()[0].get_label() == "10, 20 mm"
 
 
 def test_a_forecast_has_bands_of_ninety_five_percent():
@@ -181,23 +134,6 @@ def flat_map(force=(3.0, 4.0)):
     return FieldMap(
         x, y, there, np.broadcast_to(x / 6, (5, 7)).copy(), Regions(0.2, 0.6)
     )
-
-
-def test_the_ends_of_a_colour_bar_tell_what_is_beyond_it():
-    field = flat_map()
-    size = np.linspace(1.0, 2.0, 35).reshape(5, 7)
-    look = maps.Look("viridis", "q", None)
-    for limits, extend in {
-        (1.0, 2.0): "neither",
-        (1.0, 1.9): "max",
-        (1.1, 2.0): "min",
-        (1.1, 1.9): "both",
-    }.items():
-        ax = maps.map_panel(field, size, look, limits=limits)
-        assert ax.collections[0].colorbar.extend == extend
-    lifted = maps.above_least(size, field)
-    assert np.isclose(lifted.min(), 0.0)
-    assert np.isclose(lifted.max(), 1.0)
 
 
 def test_trust_is_size_over_deviation_and_arrows_fill_their_cells():
@@ -287,108 +223,3 @@ def test_bounds_are_percents_over_trajectories():
     assert drawn(ax, *(way + 1).T)
     assert navigation.greatest_force(shown) == 5.0
     assert ax.collections[0].get_clim() == (0.0, np.hypot(0.3, 0.3))
-
-
-def test_noise_is_judged_by_the_channel_with_the_fewest_samples():
-    test = stand_in(
-        Whiteness,
-        channels=("x", "y"),
-        autocorrelation=np.array([[0.1, 0.2], [0.3, 0.4]]),
-        counts=(400, 100),
-    )
-    ax = errors.residual_autocorrelation(test)
-    (shade,) = [p for p in ax.patches if p.get_label() == "95 % of white noise"]
-    assert np.allclose([shade.get_y(), shade.get_height()], [-0.1 * Z95, 0.2 * Z95])
-    assert drawn(ax, [0.94, 1.94], [0.1, 0.2])
-    assert drawn(ax, [1.06, 2.06], [0.3, 0.4])
-
-
-def test_errors_over_time_have_their_quantiles():
-    curve = ErrorCurve(*np.array([[1.0, 2.0], [0.1, 0.2], [0.3, np.inf], [0.0, 0.5]]))
-    ax = errors.error_over_time({"model": curve}, horizon=1.5)
-    assert drawn(ax, [1, 2], [0.1, 0.2])
-    assert drawn(ax, [1, 2], [0.3, np.nan])
-    assert drawn(ax, [1.5, 1.5], [0, 1])
-    points = {"ude": [(0.0, 0.4), (0.1, 0.2), (0.1, 0.4)]}
-    left, right = errors.scaling_figure(points, points, quantity="noise").axes
-    assert drawn(left, [0.05, 0.1], [40, 30])
-    assert drawn(right, [0.05, 0.1], [0.4, 0.3])
-
-
-def test_laws_are_compared_with_ninety_five_percent():
-    sample = SimpleNamespace(
-        force=np.array([[1.0, 2.0], [3.0, 4.0]]), sd=np.full((2, 2), 0.5)
-    )
-    found = stand_in(
-        Discovery,
-        sample=sample,
-        best_force=sample.force + 0.1,
-        units={},
-        candidates=[
-            stand_in(Candidate, name=n, delta_bic=d, extends_best=False)
-            for n, d in (("a", 0.0), ("b", 9.0), ("c", np.nan))
-        ],
-    )
-    ax = analysis.law_agreement(found)
-    for column, container in enumerate(ax.containers):
-        bars = container.lines[2][0].get_segments()
-        for row, bar in enumerate(bars):
-            y = sample.force[row, column]
-            assert np.allclose(bar[:, 1], [y - 0.5 * Z95, y + 0.5 * Z95])
-            assert np.allclose(bar[:, 0], y + 0.1)
-    ax = analysis.law_ranking(found)
-    assert [bar.get_x() + bar.get_width() for bar in ax.patches] == [0.5, 9.0]
-    assert ax.patches[0].get_facecolor() != ax.patches[1].get_facecolor()
-    (ax,) = analysis.evidence_bars({"a": -5.0, "b": -2.0, "c": None}).axes
-    assert [bar.get_width() for bar in ax.patches] == [3.0, 0.0]
-
-
-def test_the_speed_of_a_robot_has_a_band_of_ninety_percent():
-    law = stand_in(
-        SpeedLaw,
-        frequency=np.array([1.0, 2.0]),
-        speed=np.array([3.0, 5.0]),
-        places=np.array([0.0, 1.0]),
-        fitted=np.array([1.0, 3.0]),
-        sd=np.array([0.5, 0.5]),
-    )
-    ax = identified.speed_law(law)
-    z = normal_quantile(0.9)
-    assert np.allclose(ends_of_bands(ax), [(1 - 0.5 * z, 3 + 0.5 * z)])
-    assert drawn(ax, law.frequency, law.speed)
-    assert ax.get_ylabel() == "speed along the command [µm/s]"
-    paths = stand_in(
-        Paths,
-        whole=(np.zeros((2, 2)),),
-        rollouts=(
-            SimpleNamespace(
-                observed=np.ones((2, 2)),
-                predicted=np.full((2, 2), 2.0),
-                sd=np.array([0.5, 1.0]),
-            ),
-        ),
-    )
-    ax = identified.rollout_paths(paths, units=UNITS)
-    (ends,) = ax.collections
-    # The ellipse holds 90 % of each coordinate: so far to each side.
-    assert np.allclose([ends._widths[0], ends._heights[0]], [0.5 * z, 1.0 * z])
-    assert np.allclose(ends.get_offsets(), 2.0)
-
-
-def test_positions_and_growth_are_drawn_as_they_are():
-    times = [np.arange(2.0)]
-    ax = positions_over_time(times, [np.ones(2)], [np.zeros(2)], labels=("t", "x"))
-    assert drawn(ax, [0, 1], 1)
-    assert drawn(ax, [0, 1], 0)
-    separation = np.full((3, 3), 2.0)
-    growth = stand_in(
-        LyapunovMap, x=np.arange(3.0), y=np.arange(3.0), separation=separation
-    )
-    separation[0, 0] = 0.0
-    path = np.array([[0.5, 0.5], [1.0, 2.0]])
-    ax = analysis.growth_map(growth, path=path)
-    assert ax.collections[0].get_clim() == pytest.approx((1.8, 2.2))
-    assert drawn(ax, *path.T)
-    linear = panel()
-    scale_log(linear, np.array([0.0, -1.0, np.inf]))
-    assert linear.get_yscale() == "linear"
