@@ -5,6 +5,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 from matplotlib.mathtext import MathTextParser
+from tests.fitted_runs import trap_system
 from tests.samples import sample
 
 from pinav import analysis
