@@ -1,9 +1,16 @@
 from benchmarks._sweep import measurements
-from benchmarks.fields.cells import Measurement, cell_of, measure
-from benchmarks.fields.table import Options, cells
+from benchmarks.fields.cells import COLUMNS, Measurement, cell_of, measure
+from benchmarks.fields.table import Options, cells, draw, line, summary
 from tests.sweeps.here import here
 
 from pinav.sweeps import CellStore, map_cells
+
+
+def measurement(**changes):
+    values = {"family": "ring", "key": 4, "column": "structured", "seconds": 9.0}
+    found = {"outcome": "converged", "structure": ("central",), "gain": 31.2}
+    scores = {"error": {"visited": 0.015, "near": 0.017, "unvisited": None}}
+    return Measurement(**(values | found | scores | changes))
 
 
 def test_even_keys_are_for_development_and_odd_ones_for_judging():
@@ -11,6 +18,18 @@ def test_even_keys_are_for_development_and_odd_ones_for_judging():
     first, second = ({cell.seed for cell in cells(options)} for options in both)
     assert (first, second) == ({0, 2, 4}, {1, 3, 5})
     assert {cell.seed for cell in cells(Options(keys=(3,)))} == {3}
+
+
+def test_the_table_says_what_was_found_and_whether_rightly(tmp_path):
+    wrong = measurement(key=6, structure=("wall",))
+    assert "central (31 nats)" in line(measurement())
+    assert "1 of 2" in summary([measurement(), wrong])
+    draw([measurement(), wrong], tmp_path)
+    assert (tmp_path / "fields.svg").is_file()
+    assert {"network", "ude"} <= set(Options().columns) < set(COLUMNS)
+    for column in ("structured", "network", "ude", "neural-potential"):
+        assert "1 of 1" in summary([measurement(column=column)])
+    assert "1 of 1" not in summary([measurement(column="free")])
 
 
 def test_a_crash_is_a_result_and_a_finished_cell_is_not_run_again(

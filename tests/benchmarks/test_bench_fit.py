@@ -1,5 +1,6 @@
 """The table of fits: its arithmetic, what is run again, and every contestant once."""
 
+import csv
 import json
 import subprocess
 import time
@@ -10,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from benchmarks.fit import compare, contestants, problem, scores, table
-from benchmarks.fit.contestants import BY_NAME, Effort
+from benchmarks.fit.contestants import BY_NAME, CONTESTANTS, Effort
+from benchmarks.fit.convergence import convergence
 
 from pinav.errors import InputError
 from pinav.forces import paper_force
@@ -47,6 +49,22 @@ def test_rows_hold_spreads_and_ratios_of_medians():
     ours = table.row(BY_NAME["positions-learn"], [measurement(force=0.01)])
     sfi = table.row(BY_NAME["sfi"], [measurement(force=0.04, rmse=7.0)])
     assert table.ratios(sfi, ours).error == pytest.approx(4.0)
+
+
+def test_tables_hold_every_figure_and_mark_extrapolated_times():
+    cut = measurement(full_seconds=100.0, note="cut short: 1 of 2 steps were run")
+    row = table.row(BY_NAME["paper-torch"], [cut])
+    assert row.fit_seconds.median == 100.0
+    assert row.cold_seconds.median == 102.0
+    printed = table.text([row], {})
+    assert "~100.0" in printed
+    assert "~102.0" in printed
+    assert "~ extrapolated" in printed
+    assert "cut short" in printed
+    rows = [table.row(BY_NAME["ude"], [measurement()])]
+    (values,) = csv.DictReader(table.as_csv(rows).splitlines())
+    assert float(values["rmse_worst"]) == 1e-5
+    assert float(values["cold_seconds_median"]) == 8.0
 
 
 def test_a_pace_extrapolates_without_the_first_step():
@@ -127,6 +145,12 @@ def test_missing_and_failing_contestants_get_a_row(monkeypatch, tmp_path, capsys
     assert not list(tmp_path.glob("ude-*.json"))
 
 
+def test_every_contestant_names_a_function():
+    names = [contestant.train for contestant in CONTESTANTS]
+    assert len(set(names)) == len(names) == len(BY_NAME)
+    assert set(contestants.OURS.values()) <= set(BY_NAME)
+
+
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
     folder = tmp_path_factory.mktemp("problems")
@@ -199,3 +223,12 @@ def test_torch_trains(data):
     trained = torch_adam.train(data["paper"], 0, Effort(adam_steps=1, lbfgs_steps=1))
     assert trained.iterations == 2
     assert trained.arrays["weight0"].shape == (32, 3)
+
+
+def test_error_falls_along_the_axes_of_the_figure():
+    ax = convergence({"ude": np.array([[1.0, 1.0], [10.0, 1e-5]])})
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert "[s]" in ax.get_xlabel()
+    assert ax.get_ylabel() == "total RMSE"
+    heights = [line.get_ydata()[0] for line in ax.get_lines()]
+    assert 0.015 in heights

@@ -3,14 +3,73 @@
 import jax
 import numpy as np
 import pytest
+from benchmarks.roofline import HEADER, Machine, Work, bioheat, evidence, recording
 
-from benchmarks import growth, heat, start
+from benchmarks import accelerator, growth, heat, roofline, start
 from pinav.errors import FitError
+
+
+def test_the_table_of_work_side_by_side_has_a_line_for_each_number(
+    monkeypatch, tmp_path, capsys
+):
+    def row(number, *_):
+        return accelerator.Row("work", number, 2.0, 0.5, 1.25, "result")
+
+    monkeypatch.setattr(accelerator, "loops", row)
+    monkeypatch.setattr(accelerator, "fits", row)
+    words = ["--cells", "--fits", "1", "--loops", "5", "10"]
+    accelerator.main([*words, "--out", str(tmp_path)])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("device: ")
+    assert [line.split()[1:5] for line in lines[2:]] == [
+        ["5", "2.00", "0.500", "100.00"],
+        ["10", "2.00", "0.500", "50.00"],
+        ["1", "2.00", "0.500", "500.00"],
+    ]
+    table = (tmp_path / "accelerator.csv").read_text().splitlines()
+    assert [line.split(",")[2] for line in table[1:]] == ["5", "10", "1"]
+
+
+def test_bioheat_prints_what_its_own_processes_found(monkeypatch, capsys):
+    found = heat.Measured(361, 4e-3, 9e-3, 2.0, 30.0, 20.0)
+    monkeypatch.setattr(heat, "in_own_process", lambda name: found)
+    heat.main(["--cases", "radial", "space"])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["grid", "radial", "space"]
+    assert lines[1].split()[1:6] == ["361", "0.0040", "0.005", "0.0090", "0.01"]
+    calls = []
+    value, *times = accelerator.twice(lambda: calls.append(0) or len(calls))
+    assert value == 2
+    assert min(times) >= 0
 
 
 @pytest.mark.parametrize("name", ["radial", "plane"])
 def test_the_tumour_is_that_of_every_grid(name):
     assert heat.tumour(heat.CASES[name].grid()).perfusion.boxes
+
+
+def test_the_roofline_has_a_row_for_each_work_and_its_least_time(capsys, monkeypatch):
+    machine = Machine(operations=1e9, traffic=1e8)
+    copies = Work("copies", 1e6, 1e9, 20.0)
+    assert machine.least_time(Work("sums", 1e9, 1e6, 2.0)) == pytest.approx(1.0)
+    assert machine.least_time(copies) == pytest.approx(10.0)
+    assert copies.row(machine).split()[-2:] == ["50", "%"]
+    assert len(HEADER.split()) == 9
+    monkeypatch.setattr(Machine, "measure", classmethod(lambda cls: cls(1e10, 1e10)))
+    monkeypatch.setattr(roofline, "works", lambda: [Work("nothing", 1.0, 1.0, 1.0)])
+    roofline.main([])
+    assert "nothing" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_small_pieces_of_work_are_measured():
+    with jax.numpy_dtype_promotion("standard"):
+        machine = Machine.measure(side=200, length=2**20)
+        small = [bioheat(8), evidence(16), recording(32)]
+    for work in small:
+        assert work.seconds > 0
+        # Bounds that are beaten would be counted wrongly; caches may help a little.
+        assert machine.least_time(work) < 3 * work.seconds
 
 
 PHASES = start.Phases(12.0, 10.0, 4.0, 3.0, 2.0, 20)

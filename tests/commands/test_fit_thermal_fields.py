@@ -189,3 +189,21 @@ def test_a_ring_is_fitted_with_its_period_and_known_blur(tmp_path, printed):
     assert isinstance(fitted.model.mobility, KernelTensor)
     again = fitted.posterior.force_sd(np.asarray(places))
     np.testing.assert_array_less(0, again)
+
+
+@pytest.mark.slow
+def test_a_wall_is_fitted_with_a_tensor_and_a_reference(tmp_path, printed):
+    data, run = tmp_path / "data.npz", tmp_path / "run"
+    printed("simulate", "wall", "--count", "1", "--out", data)
+    wall = ["--diffusion", "tensor", "--coordinates", "z", "--warp", "z"]
+    options = ["--observation", "learn", "--reference", "z", *wall]
+    printed("fit", data, "--out", run, *options)
+    checks = Learned.open(run).findings.thermal
+    along, normal = checks.observed
+    assert (along.channels, normal.channels) == (("x", "y"), ("z",))
+    assert 0.05 < along.low < along.high < 0.142 * 1.2
+    assert normal.high < along.high
+    assert checks.einstein
+    assert checks.reference.axis == 2
+    rising = checks.lines["z"].values[:, 2]
+    assert rising[5] < rising[25] < rising[50]

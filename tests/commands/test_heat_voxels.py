@@ -1,5 +1,6 @@
 """`pinav heat` on images of voxels: what is read, what is refused, what is written."""
 
+import json
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -76,6 +77,17 @@ def test_a_target_of_any_shape_from_a_file(tmp_path):
     setup = Setup.read(path)
     assert float(jnp.sum(setup.body.target)) == 1.25
     assert list(setup.body.fractions) == ["muscle", "fat", "tumour"]
+
+
+@pytest.mark.slow
+def test_a_plane_of_voxels_runs(tmp_path, capsys):
+    plane = LABELS[:, :, 1]
+    path = write(tmp_path, {"grid.size": [2e-3, 2e-3], "step": 20.0}, labels=plane)
+    assert run("simulate", path, "--out", tmp_path / "run", "--json") == 0
+    metrics = json.loads(capsys.readouterr().out)
+    assert metrics["T90"] > 38.0
+    assert metrics["imbalance"] < 1e-10
+    assert not list((tmp_path / "run").glob("*.nii.gz"))
 
 
 # NIfTI itself

@@ -8,14 +8,65 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.fitted_runs import trap_system
+from tests.samples import sample
 
 from pinav import forces, navigation
 from pinav.commands.navigate.job import online_task, with_prior
+from pinav.commands.navigate.sections import online_sections
 from pinav.dynamics import OverdampedSwimmer, paper_black_box
 from pinav.errors import InputError
 from pinav.learning.learned import Learned
 from pinav.navigation.belief.belief import Frame
+from pinav.report import sections_text
 from pinav.systems import UniformStarts, Units, write_system
+
+
+def found(units):
+    learning = sample(
+        navigation.FlightOutcome,
+        regret=navigation.Interval(1.14, 1.1, np.inf),
+        changed=3.0,
+        memory=1e6,
+    )
+    return sample(
+        navigation.OnlineNavigation,
+        position_noise=0.02,
+        time_limit=30.0,
+        own_limit=30.0,
+        units=units,
+        controllers={"oracle": sample(navigation.FlightOutcome), "visit 1": learning},
+        paths=dict.fromkeys(("oracle", "visit 1"), (np.zeros((3, 2)),)),
+    )
+
+
+def test_the_words_name_what_was_known_and_what_it_took():
+    words = sections_text(online_sections(found({})))
+    assert "1.140 (1.100–∞)" in words
+    assert "nothing is known of the force beforehand" in words
+    assert "The safety filter changed 3 commands in a flight." in words
+    assert "takes 1 MB" in words
+    assert "after 30.0; the task's own limit is 30.0." in words
+    stated = {"x": "um", "y": "um", "t": "s", "order": "1"}
+    words = sections_text(online_sections(found(stated)))
+    assert "arrival [s]" in words
+    assert "least clearance [µm]" in words
+    assert "an error of 0.0200 um" in words
+    assert "after 30.0 s; the task's own limit is 30.0 s." in words
+
+
+@pytest.mark.slow
+def test_a_task_is_learned_from_no_data_to_a_report(tmp_path, printed):
+    out = tmp_path / "out"
+    words = ["navigate", "--learn-online", "vortex", "--seeds", "1", "--visits", "1"]
+    rows = json.loads(printed(*words, "--json", "--out", out))["controllers"]
+    assert rows["oracle"]["success"]["value"] == 1.0
+    assert rows["visit 1"]["success"]["value"] == 1.0
+    assert rows["visit 1"]["regret"]["value"] < 1.4
+    assert rows["visit 1"]["force_error"] < 0.15
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "data:image/gif;base64," in page
+    for figure in ("belief", "bands", "paths", "regret"):
+        assert (out / "figures" / f"learn-online-{figure}.svg").exists()
 
 
 @pytest.mark.slow

@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from pinav import actuation, forces, navigation
+from pinav.commands import NAVIGATE
 from pinav.commands.navigate import NavigateSettings
 from pinav.commands.navigate.job import navigation_problem
+from pinav.commands.results import keep, sections_of
 from pinav.commands.settings import numbers
 from pinav.commands.steering import system_task
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
+from pinav.figures.images import save_pictures
 from pinav.fitting.environments.summary import ModelChoice
 from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
@@ -174,6 +177,21 @@ def test_a_run_in_space_gives_a_task_in_space(tmp_path):
 def test_places_of_another_dimension_are_refused(tmp_path, change, message):
     with pytest.raises(InputError, match=message):
         navigation_problem(NavigateSettings(**(IN_SPACE | change)), space_run(tmp_path))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
+def test_a_fit_in_space_is_navigated_from_plan_to_report(tmp_path):
+    folder = RunFolder.create(
+        tmp_path / "there", {"run": {"command": "navigate"}}, overwrite=True
+    )
+    way = navigation.Way((0.0, 0.0, 0.0), (2.0, 1.0, 1.0), time_limit=8.0, noise=0.02)
+    result = navigation.navigate(space_run(tmp_path), way, seeds=2)
+    assert result.controllers["learned"].success.value == 1.0
+    keep(NAVIGATE, folder, result)
+    drawn = [save_pictures(s, folder.path) for s in sections_of(NAVIGATE, folder)]
+    assert [section.heading for section in drawn] == ["Outcome", "Closed loop"]
+    assert (folder.path / "figures" / "navigate-closed-loop.png").exists()
 
 
 def test_a_way_has_the_dimension_of_the_fit(tmp_path):

@@ -18,6 +18,7 @@ from pinav.fitting.structure.survey import Survey
 from pinav.fitting.structure.trace import Trace
 from pinav.fitting.structured import survey_first_steps
 from pinav.forces import (
+    AbstractProfileTerm,
     KernelMixture,
     KernelPotential,
     StructuredForce,
@@ -254,3 +255,37 @@ def test_a_fit_whose_time_is_over_is_the_best_so_far():
     assert np.isnan(fit.gain)
     assert any(one.ended.startswith("its fit") for one in fit.trace)
     assert not any("free kernels" in one.ended for one in fit.trace)
+
+
+def fitted_law(family, key, kind):
+    """A system, the force fitted to its positions, and the law of its only term."""
+    truth, model, positions = drawn(family, key)
+    result = fit_structured(model, positions)
+    assert result.structure is not None
+    (term,) = result.structure.terms
+    assert isinstance(term, AbstractProfileTerm)
+    assert term.law.name == kind
+    return truth.environment, result.force, term.law
+
+
+def relative_error(force, truth, places):
+    times = jnp.zeros(len(places))
+    true, learned = (forces_at(one, times, places) for one in (truth, force))
+    return jnp.linalg.norm(learned - true) / jnp.linalg.norm(true)
+
+
+@pytest.mark.slow
+def test_a_hill_that_ends_follows_its_law_beyond_the_data():
+    truth, force, law = fitted_law("compact", 42, "hill")
+    np.testing.assert_allclose(law.constants()["tail"], -1 / 3, atol=0.02)
+    places = jnp.asarray(np.random.default_rng(1).uniform(0.0, 10.0, (200, 2)))
+    assert relative_error(force, truth, places) < 0.01
+
+
+@pytest.mark.slow
+def test_a_well_that_swimmers_circle_is_found():
+    """About smoothed states the right centre leaves four times the noise."""
+    _, model, positions = drawn("lorentzian", 59)
+    result = fit_structured(model, positions)
+    assert result.structure is not None
+    assert [term.kind for term in result.structure.terms] == ["central"]

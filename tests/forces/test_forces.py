@@ -171,6 +171,33 @@ def test_a_force_with_a_stream_function_has_no_divergence_and_its_curl(make):
         np.testing.assert_allclose(curl, -laplacian, rtol=1e-12)
 
 
+def test_barrier_pushes_out_and_a_trap_pulls_in():
+    hill, outward = barrier(), X - jnp.array(MIDDLE)
+    trap = forces.GaussianBarrier(height=-2.0, center=MIDDLE, width=1.5)
+    assert hill(T, X, V) @ outward > 0 > trap(T, X, V) @ outward
+    np.testing.assert_allclose(hill.potential(T, jnp.array(MIDDLE)), 2.0)
+
+
+def test_paper_thrust_is_constant_along_y():
+    thrust = jax.vmap(lambda t: propulsion()(t, X, V))(jnp.linspace(0.0, 5.0, 23))
+    np.testing.assert_allclose(thrust, jnp.full((23, 2), 0.3) * jnp.array([[0, 1.0]]))
+
+
+def test_thrust_varies_where_the_moment_is_not_normal_to_the_field():
+    tilted = propulsion(moment=(1.0, 0.0, 0.0), axis=(0.6, 0.8))
+    ts = jnp.linspace(0.0, 5.0, 23)
+    thrust = jax.vmap(lambda t: tilted(t, X, V))(ts)
+    size = 0.2 * 1.5 * jnp.abs(jnp.sin(2.0 * ts))
+    expected = size[:, None] * jnp.array([[0.6, 0.8]])
+    np.testing.assert_allclose(thrust, expected, atol=1e-14)
+
+
+def test_network_sees_centred_and_scaled_inputs():
+    force = FORCES["network of position"]()
+    inputs = jnp.array([(4.2 - 5.0) / 2.0, (5.5 - 4.0) / 3.0])
+    np.testing.assert_allclose(force(T, X, V), 0.7 * force.network(inputs))
+
+
 def test_paper_network_has_the_printed_shape_and_sees_time():
     force = forces.paper_force(KEY)
     shapes = [layer.weight.shape for layer in force.network.layers]

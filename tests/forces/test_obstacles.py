@@ -176,6 +176,19 @@ def test_random_fields_depend_on_their_key_alone_and_keep_apart():
     assert gaps.min() > 3.0
 
 
+def test_random_fibres_have_the_asked_shape():
+    fibres = forces.random_fibres(SQUARE, 5, key=KEY, **FIBRES)
+    assert len(fibres.terms) == 5
+    for fibre in fibres.terms:
+        height, x, y, aspect, angle, size = np.asarray(fibre.constants)
+        assert 1.0 <= height <= 2.0
+        assert 0.0 <= angle <= np.pi
+        like = forces.gaussian_ridge(height, [x, y], 3.0, 0.6, angle)
+        np.testing.assert_allclose([aspect, size], like.constants[jnp.array([3, 5])])
+    expected = forces.SumForce(fibres.terms)(T, X, V)
+    np.testing.assert_allclose(fibres(T, X, V), expected, rtol=1e-12)
+
+
 test_bad_arguments_are_named = refusals(
     (lambda: ridge(length=0.0), r"gaussian_ridge length: expected > 0, got 0.0"),
     (

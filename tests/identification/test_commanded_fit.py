@@ -110,6 +110,19 @@ def test_a_field_is_found_beside_commands_and_wandering(trapped):
     assert fit.constants["propulsion.delay"].value == pytest.approx(DELAY, abs=0.12)
 
 
+def test_the_wandering_velocity_leaves_the_field_its_part(trapped):
+    data, system, fit = trapped
+    alone = identification.fit_commanded(system, data, None)
+    assert evidence(fit) - evidence(alone) > 20
+    (with_field, without) = (
+        [f.constants[f"wandering.{name}"].value for name in ("still", "driven")]
+        for f in (fit, alone)
+    )
+    assert min(with_field) >= 0
+    assert np.hypot(*with_field) < 0.8 * np.hypot(*without)
+    assert np.hypot(*with_field) == pytest.approx(0.5, rel=0.35)
+
+
 def evidence(fit):
     return fitting.model_evidence(fit.linear, fit.hyperparameters).log_evidence
 

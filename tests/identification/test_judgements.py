@@ -13,9 +13,12 @@ from pinav.evaluation.coverage import normal_quantile
 from pinav.fitting import Estimate, EvidenceFit
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.identification import candidates, selection
+from pinav.identification.baselines import least_squares
 from pinav.identification.candidates import system_of
 from pinav.identification.drive import RESPONSES
 from pinav.identification.findings import (
+    DelayFindings,
+    finding_sentences,
     interval,
     positive_interval,
     turning_rate,
@@ -49,6 +52,7 @@ from pinav.identification.rollouts import (
 from pinav.identification.running import DriveGrid, RunningFit
 from pinav.identification.running.bank import Bank, rows, wandering
 from pinav.identification.running.forecast import estimate, gain_at
+from pinav.identification.selection import LEAST_SQUARES as LEAST
 from pinav.identification.selection import Row, Selection
 from pinav.identification.tracks import Track
 from pinav.recordings.drive import pairs_apart
@@ -145,6 +149,18 @@ def test_errors_grow_as_those_of_each_length():
     assert [one.start for one in shown] == [0.0, 5.0, 10.0]
     assert np.allclose(shown[1].predicted, [15.0, 0.0])
     assert np.allclose(shown[1].sd, np.sqrt([10.0, 40.0]))
+
+
+def test_least_squares_find_gain_and_drift():
+    # Velocities are differences over a second, so that a slow change is needed.
+    times = np.arange(0, 60, 0.05)
+    heading, frequency = 0.02 * times, 1 + 0.01 * times
+    command = frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    steps = 0.05 * (command @ MATRIX.T + DRIFT)
+    states = np.concatenate([[[0, 0]], np.cumsum(steps[:-1], axis=0)])
+    track = track_of((times, states, frequency, heading))
+    displacement = least_squares(track)
+    assert np.allclose(displacement(track.pieces[0]), states, atol=0.05)
 
 
 def test_scales_are_their_own_inverse_and_slope():
@@ -298,6 +314,11 @@ def test_the_system_of_a_fit_has_the_priors_of_its_estimates():
     assert {name: getattr(system.wandering, name) for name in NOISE} == NOISE
 
 
+def fit_of(log_evidence):
+    chosen = SimpleNamespace(log_evidence=log_evidence)
+    return stand_in(EvidenceFit, hyperparameters=chosen, model=None)
+
+
 NAMES = {
     r: candidates.with_response(candidates.gain_matrix(), r).name for r in RESPONSES
 }
@@ -337,6 +358,53 @@ def test_more_is_chosen_only_where_the_evidence_is_decisive(
     assert choice.wandering is not None
     assert choice.train.span[1] < 70 <= choice.held_out.span[0]
     assert {row.name for row in choice.rows} >= set(NAMES.values())
+
+
+def test_sentences_tell_differences_of_evidence_and_intervals():
+    track = track_of(driven())
+    bases = (candidates.drift_only(), candidates.scalar_gain())
+    system = candidates.with_response(candidates.gain_matrix(), "slipping")
+    simpler = [candidates.like(base, system).name for base in bases]
+    evidence = {**dict.fromkeys(NAMES.values(), -1.0), SLIPPING: DECISIVE}
+    evidence[NAMES["linear"]] = 0.0
+    evidence |= dict(zip(simpler, (2 * DECISIVE + 0.1, DECISIVE - 1.0), strict=True))
+    lag = f"{SLIPPING} + lag"
+    known = stand_in(
+        Selection,
+        train=track,
+        held_out=track,
+        rows=[
+            row_of(n, e) for n, e in ((SLIPPING, DECISIVE), (lag, 0.5), (LEAST, 0.0))
+        ],
+        candidates={SLIPPING: system},
+        chosen=SLIPPING,
+        wandering=None,
+        fits={name: fit_of(value) for name, value in evidence.items()},
+    )
+    numbers = {"corner": Estimate(4.0, 0.4), "residual": Estimate(0.3, 0.1)}
+    free, offset = Estimate(0.2, 0.1), Estimate(0.1, 0.01)
+    delays = DelayFindings(
+        free, offset, Estimate(0.5, 0.02), free, 2.0, confounded=False
+    )
+    text = " ".join(finding_sentences(known, numbers, delays))
+    nats = DECISIVE + 0.1
+    assert (
+        f"Propulsion by the command: not supported, {nats:.1f} nats against it" in text
+    )
+    assert "the heading as recorded: undecided (+1.0 nats)" in text
+    assert f"(slipping): supported, by {DECISIVE:.1f} nats" in text
+    assert "corner 4 Hz (3.3 to 4.9)" in text
+    assert "residual gain 0.3 ± 0.2" in text
+    assert "Delay 0.2 ± 0.2 s with the heading offset free (5.7 ± 0.6 degrees)" in text
+    assert f"lag of the heading: undecided ({0.5 - DECISIVE:+.1f} nats)" in text
+    steady = DelayFindings(
+        free, offset, Estimate(0.5, 0.02), None, 2.0, confounded=True
+    )
+    text = " ".join(finding_sentences(known, numbers, steady))
+    assert (
+        "constant rate (115 degrees/s): without delay the offset is 28.6 ± 1.1" in text
+    )
+    assert "every 0.1 s of delay turns it by 11.5" in text
 
 
 def test_the_gain_of_a_bank_has_the_spread_within_and_between_its_members():

@@ -15,8 +15,12 @@ from pinav.identification import (
     fit_track,
     gain_matrix,
     path_of,
+    select_model,
     tracks,
+    with_response,
 )
+from pinav.identification.findings import _wandering
+from pinav.identification.parameters import WANDERING_GAIN
 from pinav.identification.selection import split
 
 GAIN, WANDER, MEMORY = 5.0, 0.5, 5.0
@@ -122,3 +126,48 @@ def test_bands_of_a_wandering_gain_hold():
         rollouts = Rollouts.of(held_out, 10.0)
         inside.append(coverage(held_out, rollouts, predictor).inside)
     assert 0.8 < np.mean(inside) < 0.98
+
+
+@pytest.mark.slow
+def test_the_selection_allows_for_a_wandering_gain_in_the_bands_alone():
+    selection = select_model(robot(WANDER))
+    assert selection.wandering is not None
+    paths = {parameter.path for parameter in WANDERING_GAIN}
+    assert not paths & {*selection.best.constants}
+    row = selection.row(f"{selection.chosen} + wandering gain")
+    assert row.log_evidence == evidence(selection.wandering)
+    sentence = _wandering(selection)
+    assert "of the gain with a memory of" in sentence
+    assert sentence.endswith("the bands allow for it.")
+
+
+@pytest.mark.slow
+def test_bands_hold_where_the_test_part_is_faster_and_slips():
+    """Trained up to 4 Hz, where nothing slips yet; at 5 Hz the robot loses grip."""
+    inside = []
+    for seed in range(3):
+        times, path, commands = slipping_robot(seed)
+        train, held_out = split(as_track(times, path, commands), 0.6)
+        fit = fit_track(train, with_response(gain_matrix(), "slipping"))
+        predictor = Predictor.of(train, fit)
+        assert predictor.fastest <= 4
+        rollouts = Rollouts.of(held_out, 10.0)
+        inside.append(coverage(held_out, rollouts, predictor).inside)
+        forecast = predictor.forecast(held_out.pieces[0])
+        beyond = np.abs(forecast.beyond[-1]).max()
+        assert beyond > 0
+        slower = dict(commands, frequency=np.minimum(commands["frequency"], 3.9))
+        same = split(as_track(times, path, slower), 0.6)[1]
+        assert not predictor.forecast(same.pieces[0]).beyond.any()
+    assert np.mean(inside) > 0.75
+
+
+def slipping_robot(seed):
+    """Commands of 1 to 4 Hz and then of 5; the speed falls behind above 4 Hz."""
+    random = np.random.default_rng(seed)
+    times = np.arange(0, 200.0, 0.1)
+    frequency = np.where(times < 120, 2.5 + 1.5 * np.sin(times / 6), 5.0)
+    heading = np.cumsum(random.normal(0, 0.15, len(times)))
+    gain = np.where(frequency > 4, 0.94 * GAIN, GAIN)
+    path = seen(gain, frequency, heading, 0.5, random, times)
+    return times, path, {"frequency": frequency, "heading": heading}

@@ -45,6 +45,23 @@ def test_an_unknown_robot_reaches_the_goal_around_a_disc():
     assert math.isfinite(again.reserve.until)
 
 
+@pytest.mark.slow
+def test_a_robot_that_answers_no_more_is_given_up():
+    pilot = RollerPilot(np.array([700.0, 20.0]), 3.0, DISC)
+    robot = Robot(drift=(0.0, 0.0))
+    _, session, _ = fly(pilot, 110, robot)
+    begun = session.pilot
+    assert begun.stalls == 0
+    where = np.array([robot.x, robot.y])
+    modes = []
+    for _ in range(6):
+        begun = begun._watch_progress(where, 1e3 * (len(modes) + 1))
+        modes.append(begun.stalls)
+    assert modes[-1] > 3
+    _, advice = begun.after(session.estimator, HELLO, session.last.t)
+    assert advice.intent is Intent.GIVE_UP
+
+
 def test_before_the_robot_is_seen_nothing_moves():
     pilot = RollerPilot(np.array([70.0, 20.0]), 3.0, DISC)
     session = Session(estimator(), pilot).after(line(HELLO)).session

@@ -68,6 +68,14 @@ def test_perfusion_of_temperature_comes_back_within_its_band(learned):
     assert learned.hyperparameters.noise == pytest.approx(0.05, rel=0.15)
 
 
+@pytest.mark.slow
+def test_the_band_widens_where_the_data_say_nothing(learned):
+    """Near the arterial temperature perfusion has no effect, above none was."""
+    curve = curve_at(learned, np.array([37.2, 43.0]))
+    assert curve.sd[0] > 3 * curve.sd[1]
+    assert curve.inside.tolist() == [True, True]
+
+
 @pytest.mark.parametrize(
     "law",
     [
@@ -96,8 +104,22 @@ def test_untrained_kernels_are_their_level():
     assert found.tolist() == pytest.approx([0.8, 0.8])
 
 
+@pytest.mark.slow
+def test_a_network_learns_too(readings):
+    law = neural_perfusion(0.47, (37.0, 46.0), key=jax.random.key(0), width=6)
+    fit = fitted(muscle(law=law), readings, laws=lambda m: (m.perfusion,))
+    assert fit.hyperparameters.noise == pytest.approx(0.05, rel=0.3)
+
+
 def scale(model):
     return model.sources[0].scale
+
+
+@pytest.mark.slow
+def test_the_scale_of_the_power_is_learned_from_steps(readings):
+    (found,) = fitted(muscle(2e5), readings, constants=scale).constants.values()
+    assert found.value == pytest.approx(0.8, abs=4 * found.sd)
+    assert found.sd < 0.01
 
 
 @pytest.mark.slow

@@ -17,7 +17,8 @@ from pinav.fitting import Outcome
 from pinav.thermal import design
 from pinav.thermal.grids import RadialGrid
 from pinav.thermal.optimise import optimise
-from pinav.thermal.protocols import Piecewise
+from pinav.thermal.protocols import HfLimit, Piecewise
+from pinav.thermal.sources import LinearResponse, ParticleSource
 from pinav.thermal.steppers import Rosenbrock
 
 pytestmark = pytest.mark.slow
@@ -112,6 +113,28 @@ def tumour(power=4e5):
     return reference_model(grid, power * target, perfusion=0.5), target
 
 
+def test_what_binds_is_named():
+    """A tight field limit binds in place of the temperature, and the other way."""
+    model, target = tumour()
+    kept = {}
+    for product in (5e8, 5e9):
+        found = improve(
+            half_power(model),
+            design.free_amplitudes(1e4, COUNT, 0.3),
+            maximise=design.log_d90(target),
+            subject_to=[
+                design.max_temperature(46.0),
+                design.limit_constraint(HfLimit(product, "own limit")),
+                design.healthy_dose(50.0, 1 - target),
+            ],
+        )
+        kept[product] = {own.name: own.active for own in found.constraints}
+    assert kept[5e8]["own limit"]
+    assert not kept[5e8]["maximum temperature"]
+    assert kept[5e9]["maximum temperature"] or kept[5e9]["healthy tissue dose"]
+    assert not kept[5e9]["own limit"]
+
+
 def test_placement_of_the_particles_gains_dose_at_equal_power():
     model, target = tumour(1.5e5)
     total = float(jnp.sum(1.5e5 * target * model.grid.volumes))
@@ -129,6 +152,23 @@ def test_placement_of_the_particles_gains_dose_at_equal_power():
     assert placed.value > alone.value + 0.1
     field = placed.run.model.sources[0].power
     assert float(jnp.sum(field * model.grid.volumes)) == pytest.approx(total)
+
+
+def test_a_pattern_of_bursts_can_be_scaled():
+    model, target = tumour()
+    particles = ParticleSource(3.0 * target, LinearResponse(14e-9))
+    found = improve(
+        design.Run(
+            eqx.tree_at(lambda m: m.sources, model, (particles,)),
+            Piecewise.on_off(5e3, 1e5, on=100.0, off=100.0, duration=600.0),
+        ),
+        design.free_scale(2.0, 0.5),
+        maximise=design.log_d90(target),
+        subject_to=[design.limit_constraint(HfLimit(1e9))],
+    )
+    assert found.constraints[0].active
+    pattern = np.asarray(found.run.protocol.starts)
+    assert pattern[1::2] == pytest.approx(0.0)
 
 
 def test_what_cannot_be_kept_or_freed_is_said():

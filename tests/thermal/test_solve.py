@@ -128,6 +128,26 @@ def test_a_run_is_differentiated_in_blocks_or_whole(monkeypatch, kept, cells):
 
 
 @pytest.mark.slow
+def test_reverse_mode_in_the_plane():
+    """Through the stages of RKL2, in blocks."""
+    model = heated_tumour(CartesianGrid.cubes((12, 12), 2.5e-3), Robin(20.0, 25.0))
+    protocol = Piecewise.constant((0.0, 100.0), [1.2e4], 1e5)
+    options = {"stepper": RKL2(5), "observe": jnp.max}
+    schedule = plan_steps(protocol, 20.0)
+
+    def outcome(power):
+        own = eqx.tree_at(lambda m: m.sources[0].scale, model, power)
+        found = run(own, protocol, schedule, **options)
+        return jnp.log(jnp.sum(found.final.dose)) + found.observed[-1]
+
+    reverse, forward = (
+        float(jax.jit(mode(outcome))(jnp.asarray(1.1)))
+        for mode in (jax.grad, jax.jacfwd)
+    )
+    assert reverse == pytest.approx(forward, rel=1e-10)
+
+
+@pytest.mark.slow
 def test_exact_sensitivities_at_second_order():
     """By k, W, R and Q within 1e-3 at some 400 cells, far from the outer wall.
 

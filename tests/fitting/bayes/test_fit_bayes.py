@@ -12,7 +12,11 @@ from pinav.dynamics import FixedStep, rollout
 from pinav.errors import FitError, InputError
 from pinav.evaluation.force_fields import exact_forces, force_error_at_samples
 from pinav.fitting import Outcome, fit_bayes, kernel_environment
-from pinav.forces import AbstractForce, KernelForce, KernelPotential
+from pinav.fitting.bayes.neural import FitSpecification
+from pinav.fitting.rugged.pieces import fit_pieces
+from pinav.fitting.structure.fits import Fits
+from pinav.fitting.structure.trace import Trace
+from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
 from pinav.forces.priors import WeightPrior
 from pinav.systems import Observation
 from pinav.trajectories import Trajectories, simulate
@@ -118,6 +122,28 @@ def test_the_band_of_a_rollout_is_the_spread_of_sampled_rollouts(fitted, data):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("missing", [[2, 3], [3]], ids=["velocities", "vy"])
+def test_positions_alone_suffice(untrained, scenario, data, missing):
+    observed = data.observed.copy()
+    observed[..., missing] = False
+    found = fit_bayes(untrained, observing(data, observed))
+    assert found.outcome is Outcome.CONVERGED
+    assert error(found, scenario, data) < 0.12
+    assert found.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
+
+
+@pytest.mark.slow
+def test_damping_is_learned_within_its_interval(untrained, data):
+    start = eqx.tree_at(lambda m: m.drag.damping, untrained, 0.1)
+    found = fit_bayes(start, data, learn=lambda m: m.drag.damping)
+    (damping,) = found.constants.values()
+    assert list(found.constants) == ["drag.damping"]
+    assert abs(damping.value - 0.36) < 2.5 * damping.sd
+    assert damping.sd < 0.01
+    assert float(found.model.drag.damping) == pytest.approx(damping.value)
+
+
+@pytest.mark.slow
 def test_holes_and_trajectories_of_different_lengths_are_no_obstacle(
     untrained, scenario, data
 ):
@@ -138,12 +164,37 @@ def test_holes_and_trajectories_of_different_lengths_are_no_obstacle(
 
 
 @pytest.mark.slow
+def test_data_without_noise_converge_to_little_noise(untrained, scenario, exact):
+    found = fit_bayes(untrained, exact, throw=False)
+    assert found.outcome is Outcome.CONVERGED
+    assert found.hyperparameters.noise < 1e-3
+    assert error(found, scenario, exact) < 1e-3
+
+
+@pytest.mark.slow
 def test_iterations_that_run_out_are_a_stall(untrained, data):
     with pytest.raises(FitError, match="stalled: its iterations ran out"):
         fit_bayes(untrained, data, max_iterations=1)
     found = fit_bayes(untrained, data, max_iterations=1, throw=False)
     assert found.outcome is Outcome.STALLED
     assert np.all(np.isfinite(found.posterior.mean))
+
+
+@pytest.mark.slow
+def test_pieces_of_trajectories_tell_the_force_of_a_fit_that_diverged(
+    untrained, fitted, scenario, data
+):
+    """A right model leaves the same noise in halves, which are long enough then."""
+    specification = FitSpecification(untrained, data, lambda _: (), None, FixedStep())
+    diverged = dataclasses.replace(fitted, outcome=Outcome.DIVERGED)
+    with jax.enable_x64():
+        fits = Fits(specification, 20, None, throw=False, trace=Trace())
+        pieces = fit_pieces(fits, diverged)
+    assert pieces.outcome is Outcome.MISFIT
+    assert pieces.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
+    assert error(pieces, scenario, data) < 0.1
+    assert pieces.states.shape == data.states.shape
+    assert np.std((pieces.states - data.states)[data.observed]) < 1.1 * NOISE
 
 
 def test_rates_that_are_not_finite_are_a_divergence(untrained, data):
@@ -237,3 +288,19 @@ def test_a_wide_envelope_is_no_envelope_and_a_narrow_one_fades():
     narrow = prior.covariance(np.array([np.log(1.5), 0.0, 1.0]))
     expected = np.exp(-(((axis[:, 0] - 2.0) / 2.0) ** 2))
     np.testing.assert_allclose(np.diag(narrow), expected)
+
+
+@pytest.mark.slow
+def test_two_obstacles_are_learned_with_a_wide_envelope(scenario):
+    """Where the field does not fade away from one place the evidence notices."""
+    hill, pit = (
+        GaussianBarrier(4.0, [2.0, 3.0], 1.5),
+        GaussianBarrier(-3.0, [8, 6], 2.0),
+    )
+    two = scenario.with_truth(hill + pit)
+    seen = simulate(two, key=jax.random.key(3))
+    kernels = kernel_environment(KernelPotential, seen)
+    found = fit_bayes(scenario.swimmer.with_environment(kernels), seen)
+    assert found.outcome is Outcome.CONVERGED
+    assert error(found, two, seen) < 0.1
+    assert found.hyperparameters.shape[1] > 0.5

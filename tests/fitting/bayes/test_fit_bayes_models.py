@@ -9,8 +9,9 @@ from tests.fitting.problems import Drifter, observing
 
 from pinav.dynamics import AbstractDynamics, FixedStep, rollout
 from pinav.errors import InputError
+from pinav.evaluation.force_fields import force_error_at_samples
 from pinav.fitting import Outcome, fit_bayes, kernel_environment, model_evidence
-from pinav.forces import GaussianBarrier, KernelPotential
+from pinav.forces import GaussianBarrier, KernelForce, KernelPotential
 from pinav.trajectories import Trajectories
 
 pytestmark = pytest.mark.slow
@@ -115,6 +116,26 @@ def test_a_known_model_has_the_evidence_of_its_noise_and_starts(drifts):
         - 0.5 * np.sum(residuals**2) / noise**2
         - 0.5 * starts.size * np.log(samples)
     )
+
+
+def test_known_kernels_stay_as_they_are(drifts):
+    truth, data = drifts
+    kernels = kernel_environment(KernelPotential, data, dim=2)
+    known = truth.with_environment(kernels)
+    found = fit_bayes(known, data, learn=None)
+    nothing = truth.without_environment()
+    expected = fit_bayes(nothing, data, learn=None)  # untrained kernels are no force
+    np.testing.assert_allclose(found.states, expected.states, atol=1e-9)
+    assert found.model.environment.weights.shape == kernels.weights.shape
+
+
+@pytest.mark.parametrize("kind", [KernelForce, KernelPotential])
+def test_kernels_are_fitted_to_dynamics_of_first_order(drifts, kind):
+    truth, data = drifts
+    found = fit_bayes(truth.with_environment(kernel_environment(kind, data)), data)
+    assert found.outcome is Outcome.CONVERGED
+    assert found.hyperparameters.noise == pytest.approx(NOISE, rel=0.15)
+    assert force_error_at_samples(found.model.environment, BARRIER, data) < 0.1
 
 
 def test_positions_are_no_velocities_of_each_other(drifts):

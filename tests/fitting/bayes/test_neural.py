@@ -12,6 +12,7 @@ from pinav.dynamics import FixedStep
 from pinav.errors import InputError
 from pinav.evaluation import exact_forces
 from pinav.fitting import (
+    Outcome,
     fit_bayes,
     kernel_environment,
     model_evidence,
@@ -31,6 +32,8 @@ from pinav.forces import (
 from pinav.trajectories import Trajectories
 
 pytestmark = pytest.mark.slow
+
+NOISE = 0.02
 
 
 def damping_of(model):
@@ -147,6 +150,39 @@ def errors(fitted, scenario, data):
     return miss, fitted.posterior.force_sd(points), true
 
 
+def test_a_network_learns_the_force_from_noisy_crossings(fitted, errors):
+    assert fitted.outcome is Outcome.CONVERGED
+    assert fitted.iterations <= 10
+    assert fitted.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
+    miss, sd, true = errors
+    assert np.linalg.norm(miss) < 0.08 * np.linalg.norm(true)
+    assert np.mean(np.abs(miss) < 1.96 * sd) > 0.85
+    assert isinstance(fitted.model.environment, NeuralPotential)
+
+
+def test_a_constant_is_learned_beside_a_network(fitted):
+    assert list(fitted.constants) == ["drag.damping"]
+    damping = fitted.constants["drag.damping"]
+    assert abs(damping.value - 0.36) < 3.0 * damping.sd
+    assert damping.sd < 0.05
+
+
+def test_networks_drawn_from_the_posterior_spread_about_it(fitted):
+    models = fitted.posterior.samples(5, key=jax.random.key(0))
+    point = np.array([[5.0, 5.0]])
+    draws = np.stack([exact_forces(model.environment, point) for model in models])
+    assert np.all(np.isfinite(draws))
+    assert np.all(draws.std(axis=0) > 0)
+    band = fitted.posterior.rollout_band(fitted.states[0, 0], np.linspace(0.0, 1.0, 11))
+    assert np.all(np.isfinite(band.sd))
+
+
+def test_the_bands_of_a_network_are_as_wide_as_its_errors(errors):
+    """A prior of one variance for all weights makes them five times too wide."""
+    miss, sd, _ = errors
+    assert 0.4 < np.sqrt(np.mean((miss / sd) ** 2)) < 2.0
+
+
 def test_the_prior_is_made_again_from_what_a_run_keeps(fitted, data):
     used = fitted.linear.weights
     request = FitSpecification(fitted.model, data, damping_of, None, FixedStep())
@@ -185,3 +221,10 @@ def test_a_taught_network_costs_what_its_prior_cost_its_teacher(fitted, scenario
     assert ours.correction > 1
     gap = theirs.log_evidence - ours.log_evidence  # what so small a network misses
     assert -5 < gap < 100
+
+
+def test_a_network_that_sees_the_time_has_independent_weights(scenario, data):
+    model = scenario.truth.with_environment(network_in_time(6))
+    found = fit_bayes(model, data, max_iterations=1, throw=False)
+    assert found.hyperparameters.shape.size == 0
+    assert found.hyperparameters.amplitude > 0

@@ -1,5 +1,6 @@
 """Kernels are laid anew where the evidence finds them too coarse, and only there."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from pinav.fitting import (
     changing_environment,
     fit_bayes,
     kernel_environment,
+    neural_environment,
 )
 from pinav.fitting.environments.kernels import MOST_WEIGHTS, OFTEN, num_weights
 from pinav.fitting.environments.refinement import WORTH
@@ -23,6 +25,7 @@ from pinav.forces import (
     KernelMixture,
     KernelPotential,
     KernelStream,
+    NeuralForce,
     ZeroForce,
 )
 from pinav.trajectories import Trajectories
@@ -86,6 +89,44 @@ def test_narrow_bumps_get_finer_kernels(rough, refined):
     assert error(refined, truth, data) < 0.2 * error(coarse, truth, data)
     better = refined.hyperparameters.log_evidence - coarse.hyperparameters.log_evidence
     assert better > 10
+
+
+@pytest.mark.slow
+def test_the_result_is_that_of_a_fit_on_the_finer_grid(rough, refined):
+    environment = refined.model.environment
+    across = round(float(np.ptp(rough[1].states)) / environment.width)
+    direct = fit_bayes(untrained(*rough, KernelGrid(across=across)), rough[1])
+    np.testing.assert_allclose(direct.posterior.mean, refined.posterior.mean)
+    assert direct.iterations == refined.iterations
+
+
+@pytest.mark.slow
+def test_a_network_is_taught_by_kernels_as_fine_as_asked(rough, refined):
+    truth, data = rough
+    network = neural_environment(
+        NeuralForce, data, key=jax.random.key(0), width=4, depth=1, dim=1
+    )
+    found = fit_bayes(
+        truth.with_environment(network),
+        data,
+        refine=Refinement(factor=2.0),
+        max_iterations=1,
+        throw=False,
+    )
+    process = found.linear.weights.process
+    begun = kernel_environment(KernelForce, data, dim=1)
+    assert process.kernels.width < begun.width / 1.8
+    noise = refined.hyperparameters.noise
+    assert process.chosen.noise == pytest.approx(noise, rel=0.05)
+
+
+@pytest.mark.slow
+def test_wide_bumps_keep_their_kernels():
+    truth, data = drifts(bumps(1.0))
+    model = untrained(truth, data)
+    found = fit_bayes(model, data)
+    kept = fit_bayes(model, data, refine=None)
+    np.testing.assert_array_equal(found.posterior.mean, kept.posterior.mean)
 
 
 @pytest.mark.slow

@@ -141,6 +141,20 @@ def test_the_likelihood_knows_what_the_diffusion_changes_in_terms_of_second_orde
     assert np.abs(slopes).max() > 1e-3
 
 
+@pytest.mark.slow
+def test_terms_of_second_order_lower_the_bias_of_long_steps():
+    tau = 0.3
+    data = trapped(tau)
+    short = path_of(data, KernelAxis(0))
+    long = path_of(data, KernelAxis(0), observation=fitting.Observation())
+    first, second = number(short).value, number(long).value
+    of_one_lag = -np.expm1(-2 * RATE * tau) / (2 * RATE * tau)
+    assert first == pytest.approx(of_one_lag * DIFFUSION, rel=0.05)
+    assert abs(second - DIFFUSION) < 0.5 * abs(first - DIFFUSION)
+    assert pull(short) == pytest.approx(-np.expm1(-RATE * tau) / tau, rel=0.08)
+    assert abs(pull(long) - RATE) < abs(pull(short) - RATE)
+
+
 def mobile(x):
     """Diffusion that varies round a ring: its logarithm by 0.6 sin x."""
     return DIFFUSION * np.exp(0.6 * np.sin(x))
@@ -263,6 +277,30 @@ def test_irregular_times_and_lost_frames_in_space():
     sd = fit.posterior.force_sd(points)[:, 2]
     assert np.mean(np.abs(drift(fit, points)[:, 2] + RATE * heights) < 2.5 * sd) > 0.8
     assert not drift(fit, points)[:, :2].any()
+
+
+@pytest.mark.slow
+def test_a_drift_that_turns_in_the_plane():
+    """A trap with a rotation: no potential has such a force."""
+    matrix = np.array([[-RATE, -1.5], [1.5, -RATE]])
+    times, seen = film(
+        lambda time, x: x @ matrix.T,
+        lambda x: DIFFUSION,
+        np.zeros((16, 2)),
+        10 * np.arange(1, 401),
+        exposed=5,
+        error=0.03,
+    )
+    data = tracks(times, seen)
+    axes, seen = (KernelAxis(0), KernelAxis(1)), fitting.LearnedObservation()
+    fit = path_of(data, *axes, across=4, observation=seen)
+    diffusion = number(fit)
+    assert abs(diffusion.value - DIFFUSION) < 3 * diffusion.sd
+    angles = np.linspace(0, TURN, 16, endpoint=False)
+    points = 0.7 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    miss = drift(fit, points) - points @ matrix.T
+    assert np.mean(np.abs(miss) < 2.5 * fit.posterior.force_sd(points)) > 0.8
+    assert np.linalg.norm(miss) < 0.4 * np.linalg.norm(points @ matrix.T)
 
 
 def test_the_warp_begins_where_steps_are_short():

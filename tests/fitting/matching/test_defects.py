@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -90,6 +91,22 @@ def test_a_step_that_lowers_nothing_stays():
     assert step.theta.tolist() == [1.0, 1.0, 1.0]
     assert step.damping == pytest.approx(50.0)
     assert step.left == 1.0
+
+
+@pytest.mark.slow
+def test_the_recipe_finds_the_constants_of_exact_data(data):
+    start = eqx.tree_at(lambda m: m.environment.height, TRUTH, 1.0)
+    result = fitting.fit(
+        start,
+        data,
+        fitting.defect_recipe(data, precision=1e-9),
+        trainable=lambda m: (m.environment, m.drag.damping),
+        objective=OBJECTIVE,
+        dtype=jnp.float64,
+    )
+    assert result.outcome is fitting.Outcome.CONVERGED
+    assert result.model.environment.height == pytest.approx(2.0, rel=1e-6)
+    assert [name for name, _ in result.phases] == ["Defects, L = 1", "Defects, L = 30"]
 
 
 def test_bad_requests_are_refused(data):

@@ -85,6 +85,14 @@ def fitted(data):
     return fitting.fit(network_swimmer(0), data, RECIPE, **ASKED)
 
 
+def test_a_network_learns_the_force(fitted, data):
+    assert fitted.outcome is fitting.Outcome.COMPLETED
+    assert fitted.losses[-1] < 1e-3 * fitted.losses[0]
+    final = OBJECTIVE(fitted.model, Observations.of(data, jnp.float32))
+    assert final == pytest.approx(fitted.losses[-1], rel=1e-5)
+    assert fitted.phases == (("Adam", 0), ("L-BFGS", 300))
+
+
 def test_only_the_selected_leaves_change(fitted):
     before, after = fitted.initial_model, fitted.model
     assert eqx.tree_equal(before.drag, after.drag)
@@ -177,6 +185,15 @@ def test_many_fits_are_the_single_fits_each_with_data_of_its_own(data, at_once):
         alone = fitting.fit(model, mine, recipe, **EXACTLY)
         np.testing.assert_allclose(found.losses, alone.losses, rtol=1e-7)
     assert len({float(one.losses[-1]) for one in many}) == 3
+
+
+def test_gauss_newton_runs_in_float32_and_on_resamples(data):
+    models = [network_swimmer(seed) for seed in range(2)]
+    draws = [data.select([0, 0]), data.select([1, 0])]
+    recipe = fitting.curriculum(data, max_steps=6)
+    for found in fitting.fit_many(models, draws, recipe, dtype=jnp.float32, **ASKED):
+        assert found.model.environment.network.layers[0].weight.dtype == jnp.float32
+        assert found.losses[-1] < 1e-4 * found.losses[0]
 
 
 def test_damping_and_gain_can_be_learned_with_the_barrier_known(data):

@@ -16,6 +16,7 @@ from pinav.dynamics import (
 )
 from pinav.errors import InputError
 from pinav.fitting.matching.damped_steps import low_rank
+from pinav.fitting.matching.fit import run_chunk
 from pinav.fitting.matching.state import split_trainable
 from pinav.fitting.matching.windows import Windows
 from pinav.forces import (
@@ -170,6 +171,16 @@ def data():
 
 
 @pytest.mark.slow
+def test_the_curriculum_fits_kernels_and_compiles_once(data):
+    compiled = run_chunk._cached._cache_size()
+    found = learn(kernel_swimmer(data), data, fitting.curriculum(data))
+    assert found.losses[-1] < 1e-8 * found.losses[0]
+    assert len(found.losses) - 1 <= 20
+    assert [name for name, _ in found.phases] == ["L = 1", "L = 5", "L = 25", "L = 30"]
+    assert run_chunk._cached._cache_size() == compiled + 1
+
+
+@pytest.mark.slow
 def test_barrier_and_damping_are_found_exactly(data):
     start = eqx.tree_at(
         lambda s: (s.environment.height, s.drag.damping), TRUTH, (1.0, 0.2)
@@ -184,6 +195,21 @@ def test_barrier_and_damping_are_found_exactly(data):
     assert found.environment.height == pytest.approx(2.0, rel=1e-7)
     np.testing.assert_allclose(found.environment.center, [1.0, 0.2], rtol=1e-6)
     assert found.drag.damping == pytest.approx(0.5, rel=1e-7)
+
+
+@pytest.mark.slow
+def test_the_default_recipe_finds_barrier_and_mobility_without_inertia():
+    data = with_gaps(observe(30, 30, 30, irregular=True, truth=FIRST_ORDER))
+    wrong = OverdampedSwimmer(
+        FIRST_ORDER.propulsion, GaussianBarrier(0.5, [0.0, 0.2], 0.8), 1.1
+    )
+    learned, finer = (
+        MODELS["barrier and mobility"][1],
+        fitting.TrajectoryLoss(FixedStep(substeps=2)),
+    )
+    result = learn(wrong, data, fitting.curriculum(data), learned, finer)
+    found, true = (ravel_pytree(learned(m))[0] for m in (result.model, FIRST_ORDER))
+    np.testing.assert_allclose(found, true, rtol=1e-5)
 
 
 def test_a_phase_that_is_done_stays_where_it_is(data):

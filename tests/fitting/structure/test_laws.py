@@ -3,9 +3,10 @@ import pytest
 from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.fitting.structure.laws import follow_laws
-from pinav.fitting.structure.starts import Region, central_term, wall_term
+from pinav.fitting.structure.starts import Region, central_term, linear_term, wall_term
 from pinav.fitting.structure.trials import with_profiles
 from pinav.forces import (
+    LinearForce,
     PlaneWaves,
     SumForce,
     compact_hill,
@@ -84,6 +85,16 @@ def test_stripes_follow_a_wave_of_their_period(period):
     wave = lawful(PlaneWaves([1.5], along, [0.4]), wall_term(REGION, 0.7))
     assert wave.law.name == "wave"
     np.testing.assert_allclose(wave.law.constants()["period"], period, rtol=0.01)
+
+
+@SLOW
+def test_the_law_of_a_term_in_a_sum_is_found():
+    saddle = LinearForce(np.array([[0.2, 0.05], [0.05, -0.2]]), [5.0, 5.0])
+    truth = SumForce((power_hill(3.0, CENTER, 1.5, 1.0), saddle))
+    centre = central_term(REGION, np.array([4.03, 6.02]))
+    term = lawful(truth, linear_term(REGION), centre)
+    assert term.law.name == "hill"
+    np.testing.assert_allclose(term.law.constants()["tail"], 1.0, atol=0.15)
 
 
 def test_a_profile_that_follows_no_law_keeps_its_kernels():

@@ -2,11 +2,14 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from benchmarks.fields.families import random_system
 
 from pinav.dynamics import FixedStep
 from pinav.fitting import (
+    Outcome,
+    fit_bayes,
     fit_structured,
     is_network,
     is_worth_a_search,
@@ -21,6 +24,7 @@ from pinav.forces import (
     NeuralForce,
     NeuralPotential,
     PositionTimeFeatures,
+    StructuredForce,
     forces_at,
     spread_weights,
     tanh_network,
@@ -93,8 +97,36 @@ def test_a_network_is_worth_a_search_where_its_data_are():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("kind", [NeuralPotential, NeuralForce])
+def test_a_network_is_nearly_as_good_as_the_structured_fit_that_teaches_it(kind):
+    truth, data = hill()
+    found = fit_structured(network_in(truth, data, kind), data)
+    assert found.fit.outcome is Outcome.CONVERGED
+    assert isinstance(found.force, kind)
+    assert found.structure is not None
+    assert [term.kind for term in found.structure.terms] == ["central"]
+    process = found.fit.linear.weights.process
+    assert isinstance(process.kernels, StructuredForce)
+    theirs = error(found.teacher.model, truth, data)
+    assert error(found.fit.model, truth, data) < theirs + 0.01
+
+
+@pytest.mark.slow
 def test_a_network_that_sees_the_time_has_the_process_that_explains_a_still_force():
     truth, data = hill()
     found = fit_structured(sees_the_time(truth), data)
     assert isinstance(found.fit.linear.weights, TangentWeights)
     assert error(found.fit.model, truth, data) < 0.02
+
+
+@pytest.mark.slow
+def test_few_data_are_fitted_as_without_a_search():
+    truth, _ = hill()
+    few = hill(2)[1]
+    model = network_in(truth, few, NeuralPotential)
+    found = fit_structured(model, few, throw=False)
+    assert found.teacher is None
+    assert np.isnan(found.gain)
+    assert found.structure is None
+    alone = fit_bayes(model, few, throw=False)
+    np.testing.assert_allclose(found.fit.posterior.mean, alone.posterior.mean)

@@ -1,6 +1,7 @@
 """Learning while steering: strategies, plans from old values, the safety filter."""
 
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
@@ -174,6 +175,20 @@ def safety_case(adaptive, x, heading, force=(0.0, 0.0), *, disc=True):
         2.0,
     )
     return wanted, verdict
+
+
+@pytest.mark.slow
+def test_a_command_into_a_disc_is_changed_and_no_other(adaptive):
+    wanted, verdict = safety_case(adaptive, 1.5, 0.0, disc=False)
+    np.testing.assert_array_equal(verdict.command, wanted)
+    assert not verdict.changed
+    assert verdict.margin > 0
+    wanted, verdict = safety_case(adaptive, 4.93, 0.0)
+    assert verdict.changed
+    assert np.cos(float(verdict.command[1])) < 0  # away from the disc
+    _, away = safety_case(adaptive, 4.93, math.pi)
+    assert not away.changed
+    assert wanted[1] == 0.0
 
 
 def test_no_thrust_is_no_refuge_where_a_current_pushes(adaptive):

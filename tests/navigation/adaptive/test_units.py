@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from pinav import navigation
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
+from pinav.navigation.adaptive.flight import fly
+from pinav.navigation.adaptive.steering import AdaptiveController
 
 
 def barrier_task(length, time, *, inertial):
@@ -39,6 +42,29 @@ def barrier_task(length, time, *, inertial):
         noise=noise,
         sensor_noise=0.02 * length,
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("inertial", [True, False], ids=["inertia", "current"])
+def test_flights_in_other_units_are_the_same_flights(inertial):
+    """Rounding differs, and a flight makes it grow."""
+    key, flights = jax.random.key(3), []
+    for length, time in ((1.0, 1.0), (64.0, 0.0625), (0.125, 16.0)):
+        adaptive = AdaptiveController.of(
+            barrier_task(length, time, inertial=inertial), points=15, speeds=7
+        )
+        flight, _, _ = fly(adaptive, key=key)
+        flights.append(
+            (flight.path / length, flight.arrival_time / time, flight.stalls)
+        )
+    first, *others = flights
+    assert np.isfinite(first[1])
+    for path, arrival, stalls in others:
+        assert abs(len(path) - len(first[0])) <= 1
+        for one, other in zip(path, first[0], strict=False):
+            np.testing.assert_allclose(one, other, atol=0.1)
+        assert arrival == pytest.approx(first[1], rel=0.01)
+        assert stalls == first[2]
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from pinav.navigation.control.controller import (
 from pinav.navigation.control.default import controller
 from pinav.navigation.control.mppi import GradientMPC, PathIntegral
 from pinav.navigation.predictors import tabulate_model
-from pinav.navigation.task.task import Disc, ReachGoal
+from pinav.navigation.task.task import CirclePath, Disc, FollowPath, ReachGoal
 from pinav.navigation.trials.closed_loop import run, run_many
 
 START, GOAL = steering_worlds.START[2], steering_worlds.GOAL[2]
@@ -92,6 +92,17 @@ def test_a_zone_is_never_entered_when_the_model_is_true():
     episodes = run_many(task, controller(task, task.truth), keys)
     assert episodes.reached.all()
     assert episodes.clearance.min() > 0
+
+
+@pytest.mark.slow
+def test_a_path_is_followed_through_a_delay():
+    """Only the first moments, before the first command, are lost."""
+    circle = CirclePath(center=[-2.0, 0.0], radius=1.0, period=12.0, phase=-np.pi / 2)
+    task = swimming((0.3, 0.1), objective=FollowPath(circle), delay=0.2, time_limit=6.0)
+    episode = run(task, controller(task, task.truth), key=jax.random.key(0))
+    targets = jax.vmap(task.objective.target)(jnp.asarray(episode.ts))
+    errors = np.linalg.norm(episode.states - np.asarray(targets), axis=1)
+    assert errors[20:].max() < 0.02
 
 
 @pytest.mark.slow

@@ -5,15 +5,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.navigation import steering_worlds
-from tests.navigation.steering_worlds import drifted_time, planned, swimming
+from tests.navigation.steering_worlds import drifted_time, planned, rolling, swimming
 
+from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractForce,
     GaussianBarrier,
+    LinearDrag,
     LinearMotion,
     Moving,
+    ZeroForce,
 )
+from pinav.navigation.planning.plan import time_to_go
+from pinav.navigation.predictors import tabulate_model
 from pinav.navigation.task.task import Disc, FollowPath, LinePath, Wall
 
 GOAL, TOLERANCE = steering_worlds.GOAL[2], steering_worlds.TOLERANCE[2]
@@ -73,6 +78,18 @@ def test_the_way_around_a_ball_is_two_tangents_and_an_arc(
 
 
 @pytest.mark.slow
+def test_with_inertia_it_is_that_of_uniform_acceleration():
+    """From rest, without drag: sqrt(2 d / u)."""
+    truth = rolling(Swimmer(ZeroForce(), LinearDrag(0.0), ZeroForce()))
+    task = swimming(truth=truth, start=(-2.0, 1.5, 0.0, 0.0))
+    plan = planned(task, points=25, speeds=15)
+    exact = np.sqrt(2 * (4.5 - TOLERANCE))
+    assert float(plan.at(task.start)) == pytest.approx(exact, rel=0.12)
+    assert float(plan.route(task.start).arrival_time) == pytest.approx(exact, rel=0.05)
+    assert plan.map.shape == (25, 25)
+
+
+@pytest.mark.slow
 def test_a_plan_knows_how_a_force_will_change():
     """A push that comes too late is of no use; one that comes soon is."""
     push = GaussianBarrier(-40.0, [30.0, 1.5], 20.0)  # towards +x in the whole arena
@@ -110,3 +127,18 @@ def test_a_goal_behind_walls_or_up_a_drift_is_refused():
     for task in (swimming(keep_out=(closed,)), swimming((-1.5, 0.0))):
         with pytest.raises(InputError, match=r"goal: expected a place that can be"):
             planned(task)
+
+
+@pytest.mark.slow
+def test_unknown_ground_is_gone_around():
+    """Two samples that disagree in a disc: time costs more there."""
+    task, hills = (
+        swimming(),
+        [GaussianBarrier(h, [0.25, 0.25], 0.6) for h in (-1.0, 1.0)],
+    )
+    samples = [swimming(environment=hill).truth for hill in hills]
+    tables = tabulate_model(task, task.truth, samples=samples, margin=0.01, points=41)
+    wary = time_to_go(task, task.truth, tables=tables)
+    ways = [plan.route(task.start).ys for plan in (planned(task), wary)]
+    near = [float(jnp.min(jnp.linalg.norm(y - 0.25, axis=1))) for y in ways]
+    assert near[0] < 0.2 < 0.6 < near[1]

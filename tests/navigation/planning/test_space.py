@@ -11,6 +11,7 @@ from pinav.actuation import LinearResponse, StepOutResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import ConstantForce, LinearDrag, Plane, SampledFlow, Tube, ZeroForce
+from pinav.navigation.control.default import controller
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.predictors import ControlMap, tabulate_model
 from pinav.navigation.task.steering import (
@@ -21,6 +22,8 @@ from pinav.navigation.task.steering import (
     direction_angles,
 )
 from pinav.navigation.task.task import Behind, Disc, Rectangle, Wall
+from pinav.navigation.trials.closed_loop import run_many
+from pinav.navigation.trials.metrics import summary
 
 ROLLING = RollingActuator(jnp.eye(3), LinearResponse())
 START, GOAL = steering_worlds.START[3], steering_worlds.GOAL[3]
@@ -39,6 +42,31 @@ def test_time_to_go_in_a_uniform_drift_is_that_of_the_closed_form(drift):
     # Twenty degrees between directions and cells of 0.2 make a plan a little slow.
     assert (found / exact)[exact > 1].min() > 0.99
     assert (found / exact)[exact > 1].max() < 1.09
+
+
+@pytest.mark.slow
+def test_coarser_grids_first_do_not_change_the_plan():
+    """The values are those that sweeps from nothing end in."""
+    task = swimming((0.3, 0.0, -0.2), keep_out=(Disc([0.0, 0.0, 0.0], 0.8),))
+    fine, alone = planned(task, points=21), planned(task, points=14)
+    assert fine.values.size > 3000 > alone.values.size
+    places = jax.random.uniform(jax.random.key(2), (20, 3), minval=1.0, maxval=2.0)
+    times, others = ([float(plan.at(x)) for x in places] for plan in (fine, alone))
+    np.testing.assert_allclose(times, others, atol=0.2)
+
+
+@pytest.mark.slow
+def test_a_controller_reaches_a_goal_in_space_against_a_drift():
+    drift = (-0.3, 0.2, 0.0)
+    task = swimming(drift, noise=0.05, time_limit=9.0)
+    keys = jax.random.split(jax.random.key(0), 2)
+    episodes = run_many(task, controller(task, task.truth), keys)
+    assert episodes.reached.all()
+    exact = drifted_time(GOAL - START, drift, TOLERANCE)
+    assert episodes.arrival_time.max() < 1.15 * exact
+    outcome = summary(episodes, task)
+    assert 0.8 < outcome.efficiency <= 1.0
+    assert outcome.turning > 0
 
 
 def test_directions_in_space_are_unit_vectors_all_around():
