@@ -115,7 +115,7 @@ def test_a_new_profile_needs_no_entry_elsewhere(monkeypatch):
 
     monkeypatch.setitem(FITTED, "screened", Screened())
     term = lawful(
-        force_of(ProfileLaw(Screened(), Center()), [3.0, *CENTER, 0.4, 1.0]),
+        force_of(ProfileLaw(Screened(), Center()), 3.0, *CENTER, 0.4, 1.0),
         central_term(REGION, np.array([4.05, 5.97])),
     )
     assert term.law.name == "screened"
