@@ -46,11 +46,8 @@ FEW = 4
 """Hills that are judged at the end alone: their fit costs little, and before it coarse
 kernels that need not be there count against them."""
 
-COARSE = KernelGrid(across=12, margin=2.0)
-"""Places of those kernels."""
-
 LENGTH = 1.2
-"""Length scale of the coarse kernels, in their widths."""
+"""Length scale of the coarse kernels beside hills, in their widths."""
 
 PLACE, HEIGHT, SIZE, SHEAR = 0.7, 2.0, 0.3, 0.7
 """Deviations of the priors of hills: of a place from where its fit begins, in sizes of
@@ -138,7 +135,7 @@ class _Landscape(eqx.Module):
     def of(cls, response: ForceResponse, noise: float, hills: Hills) -> "_Landscape":
         positions = np.asarray(response.points).reshape(-1, 2)
         kernels = KernelPotential.with_zero_weights(
-            *surround_with_kernels(positions, COARSE)
+            *surround_with_kernels(positions, KernelGrid())
         )
         rows, count = np.asarray(response.rows), len(response.rows)
         # In each trajectory the data that say most come last.

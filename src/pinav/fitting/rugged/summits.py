@@ -24,9 +24,6 @@ INSIDE = 1.2
 SIZES = (0.4, 4.0)
 """Smallest and largest size at which a hill begins, in widths of the kernels."""
 
-DOUBTFUL = 3
-"""Smallest hills that are left out where they may be, beside those within another."""
-
 HALF = 0.6
 """Length of each of two hills that take the place of one, relative to it."""
 
@@ -93,17 +90,17 @@ def _distance(hill: Float[np.ndarray, "6"], place: Float[np.ndarray, "2"]) -> fl
 
 
 def doubtful(hills: Hills) -> list[int]:
-    """Hills that may be needless: the smallest, and those within another."""
+    """Hills that may be needless: those within another, and the smallest."""
     if len(hills) == 1:
         return []
     volumes = np.abs(hills[:, 0]) * np.exp(2 * hills[:, 3])
-    smallest = np.argsort(volumes)[:DOUBTFUL].tolist()
+    smallest = int(np.argmin(volumes))
     within = [
         index
         for index, hill in enumerate(hills)
         if any(_distance(one, hill[1:3]) < INSIDE for one in np.delete(hills, index, 0))
     ]
-    return list(dict.fromkeys([*within, *smallest]))
+    return list(dict.fromkeys([*within, smallest]))
 
 
 def halves(hill: Float[np.ndarray, "6"]) -> Hills:
