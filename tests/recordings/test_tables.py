@@ -9,6 +9,7 @@ from tests.defects import defects, told
 from tests.recordings.synthetic import EXAMPLE, check, packed, rows_of, tracks
 
 from pinav.recordings import Reading, labels, read_recording
+from pinav.recordings.table import Table
 
 
 def trackpy_frame(truth):
@@ -233,3 +234,10 @@ def test_an_unknown_table_gets_the_option_that_reads_it(tmp_path, header, line):
     with told("say what its columns") as error:
         read_recording(file)
     assert line in str(error.value)
+
+
+def test_a_clock_that_passes_midnight_goes_on():
+    cells = ["23:59:58", "23:59:59.5", "00:00:01", "00:00:02.5"]
+    seconds, unit = Table({"t": cells}, np.arange(4)).times("t")
+    np.testing.assert_allclose(seconds, [0.0, 1.5, 3.0, 4.5])
+    assert unit == "s"

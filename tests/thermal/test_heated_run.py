@@ -103,3 +103,9 @@ def test_planes_lie_in_the_middle_of_the_target():
     assert cuts_through(target) == ((2, 2), (1, 5), (0, 3))
     assert cuts_through(np.ones((3, 4))) == ((2, None),)
     assert cuts_through(np.ones(4)) == ()
+
+
+def test_the_product_of_a_ramp_is_that_of_its_higher_end():
+    ramp = Piecewise.ramp((0.0, 10.0, 20.0), (1000.0, 3000.0, 2000.0), 2e5)
+    products = ATKINSON_BREZOVICH.exposure(ramp)
+    np.testing.assert_allclose(products, [6e8, 6e8])

@@ -78,3 +78,19 @@ def test_rates_that_are_cubics_in_time_need_no_substeps():
 @pytest.mark.parametrize(("interval", "substeps"), [(0.1, 1), (0.8, 2), (1.6, 4)])
 def test_steps_are_as_fine_as_the_path_asks_for(interval, substeps):
     assert substeps_for(oscillate(interval)) == substeps
+
+
+def test_a_sample_of_which_a_channel_was_lost_is_left_out():
+    data = oscillate(0.5)
+    observed = np.ones(data.states[0].shape, bool)
+    observed[7, 2] = False
+    states = np.where(observed, data.states[0], 9.0)
+    path = path_of(
+        Trajectories.from_arrays(
+            data.times, states[None], channels=STATES, observed=observed[None]
+        )
+    )
+    np.testing.assert_allclose(path.times, np.delete(data.times[0], 7))
+    np.testing.assert_allclose(
+        path.states(data.times[0])[7], data.states[0, 7], atol=1e-4
+    )

@@ -14,7 +14,14 @@ from pinav.fitting.langevin import Increments
 from pinav.fitting.langevin.diffusion import DiffusionField
 from pinav.fitting.langevin.drift import second_order
 from pinav.fitting.langevin.increments import Relation
-from pinav.forces import HarmonicTrap, KernelAxis, KernelBasis, KernelTensor, ZeroForce
+from pinav.forces import (
+    HarmonicTrap,
+    KernelAxis,
+    KernelBasis,
+    KernelForce,
+    KernelTensor,
+    ZeroForce,
+)
 from pinav.trajectories import Trajectories
 
 TURN = 2 * np.pi
@@ -317,3 +324,16 @@ def test_the_warp_begins_where_steps_are_short():
     few = tracks(np.arange(20.0), np.zeros((2, 20, 1)))
     with pytest.raises(InputError, match="expected 100 or more steps, got 38"):
         fitting.warp_at_slow_end(few, 0)
+
+
+def test_a_known_diffusion_is_the_noise_of_its_increments():
+    """Those of a path, over the root of their interval, have the variance 2 D."""
+    rng, interval, count = np.random.default_rng(5), 0.1, 1000
+    steps = np.sqrt(2 * DIFFUSION * interval) * rng.normal(size=(count, 1))
+    path = np.concatenate([np.zeros((1, 1)), np.cumsum(steps, axis=0)])
+    data = tracks(interval * np.arange(count + 1.0), path[None])
+    model = OverdampedSwimmer(
+        ZeroForce(), fitting.kernel_environment(KernelForce, data, dim=1), 1.0
+    )
+    fit = fitting.fit_langevin(model, data, diffusion=DIFFUSION)
+    assert fit.hyperparameters.noise == pytest.approx(np.sqrt(2 * DIFFUSION))

@@ -98,3 +98,17 @@ def test_summary_of_a_path_that_runs_away():
     squares = (0.05 * jnp.arange(21.0)) ** 2
     np.testing.assert_allclose(found.tracking_rms, jnp.sqrt(jnp.mean(squares)))
     assert all(math.isnan(value) for value in found.arrival)
+
+
+@pytest.mark.parametrize("count", [6, 10, 16, 40])
+def test_the_interval_of_a_median_holds_it_with_ninety_five_percent_and_hardly_more(
+    count,
+):
+    """Order statistics l and u of n: the median is between them unless fewer than l
+    of n coins, or u or more, fall on one side."""
+    interval = metrics.median(np.arange(1.0, count + 1))
+    for closer, is_held in ((0, True), (1, False)):
+        low, high = interval.lower + closer, interval.upper - closer
+        coins = scipy.stats.binom(count, 0.5)
+        held = coins.cdf(high - 1) - coins.cdf(low - 1)
+        assert (held >= 0.95) == is_held
