@@ -7,7 +7,7 @@ import pytest
 import tomli_w
 from tests.defects import told
 
-from pinav.manifest import REPAIR
+from pinav.manifest import MANIFEST_FILE, REPAIR, Manifest
 from pinav.runs import SCHEMA, RunFolder, environment
 
 CONFIG = {
@@ -172,3 +172,9 @@ def test_tables_are_csv_and_numbers_that_are_not_finite_null(folder):
     folder.write_json("metrics.json", {"a": np.inf, "b": np.array([1.0, np.nan])})
     text = (folder.path / "metrics.json").read_text()
     assert json.loads(text) == {"a": None, "b": [1.0, None]}
+
+
+@pytest.mark.parametrize("content", [b"{", b"[1]", b'{"a\x80": {}}', b"\xff\xfe{"])
+def test_a_damaged_manifest_names_no_files(content, tmp_path):
+    (tmp_path / MANIFEST_FILE).write_bytes(content)
+    assert Manifest(tmp_path).entries() == {}

@@ -40,7 +40,7 @@ class Manifest:
         try:
             content = (self.folder / MANIFEST_FILE).read_bytes()
             return msgspec.json.decode(content, type=dict[str, Entry])
-        except (OSError, msgspec.DecodeError):
+        except (OSError, UnicodeDecodeError, msgspec.DecodeError):
             return {}
 
     def record(self, *names: str) -> None:

@@ -52,11 +52,12 @@ def test_an_interrupt_ends_in_one_line_at_any_moment(moment, data, tmp_path):
 @pytest.mark.parametrize("command", ["explore", "heat", "identify", "navigate"])
 def test_other_commands_end_in_one_line_too(command, moment, tmp_path, fitted_run):
     if command == "identify":
-        words = [str(fitted_run("identified")[1]), "--out", str(tmp_path / "out")]
+        data = str(fitted_run("identified")[1])
+        words = ["identify", data, "--out", str(tmp_path / "out")]
     else:
         words = words_of(command, tmp_path, fitted_run)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    interrupt([command, *words], moment)
+    interrupt(words, moment)
     assert not list(tmp_path.glob("**/.*.tmp"))
     assert all(path.read_bytes() == content for path, content in before.items())
 

@@ -250,7 +250,7 @@ class CellStore:
         try:
             content = (attempt / START_FILE).read_bytes()
             return msgspec.json.decode(content, type=Start)
-        except (OSError, msgspec.DecodeError):
+        except (OSError, UnicodeDecodeError, msgspec.DecodeError):
             return None
 
     def forget(self, cell: Cell) -> None:
