@@ -8,7 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
+import msgspec
+
 from pinav.errors import InputError
+
+UNREADABLE = OSError, UnicodeDecodeError, msgspec.DecodeError
+"""What is raised where a JSON file is missing or damaged."""
 
 
 def atomic_write(

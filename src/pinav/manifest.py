@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 
 from pinav.errors import InputError
-from pinav.files import write_text
+from pinav.files import UNREADABLE, write_text
 
 MANIFEST_FILE = "manifest.json"
 
@@ -40,7 +40,7 @@ class Manifest:
         try:
             content = (self.folder / MANIFEST_FILE).read_bytes()
             return msgspec.json.decode(content, type=dict[str, Entry])
-        except (OSError, UnicodeDecodeError, msgspec.DecodeError):
+        except UNREADABLE:
             return {}
 
     def record(self, *names: str) -> None:

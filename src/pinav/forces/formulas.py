@@ -140,7 +140,7 @@ class Constant:
     role: Role
     unit: str = "L"
 
-    def numbered(self, index: int, count: int) -> "Constant":
+    def with_index(self, index: int, count: int) -> "Constant":
         """The constant with an index, where several of its name stand together."""
         if count == 1:
             return self

@@ -84,7 +84,7 @@ class Center(AbstractGeometry):
     @property
     def constants(self) -> tuple[Constant, ...]:
         return tuple(
-            constant.numbered(index, self.count)
+            constant.with_index(index, self.count)
             for index in range(1, self.count + 1)
             for constant in CENTER[: self.dim]
         )

@@ -112,8 +112,8 @@ class Lattice(AbstractLaw):
     def __post_init__(self) -> None:
         waves, vectors = len(self.orders), len(self.orders[0])
         constants = (
-            *(one.numbered(i + 1, waves) for i in range(waves) for one in WAVE),
-            *(one.numbered(i + 1, vectors) for i in range(vectors) for one in VECTOR),
+            *(one.with_index(i + 1, waves) for i in range(waves) for one in WAVE),
+            *(one.with_index(i + 1, vectors) for i in range(vectors) for one in VECTOR),
         )
         object.__setattr__(self, "constants", constants)
 
@@ -215,8 +215,8 @@ class SolidRotation(AbstractLaw):
 
 def profile_laws(geometry: AbstractGeometry) -> tuple[AbstractLaw, ...]:
     """The laws of every profile that is found in a geometry."""
-    found = (one for one in PROFILES.values() if geometry.family in one.found_in)
-    return tuple(ProfileLaw(profile, geometry) for profile in found)
+    profiles = (one for one in PROFILES.values() if geometry.family in one.found_in)
+    return tuple(ProfileLaw(profile, geometry) for profile in profiles)
 
 
 def turn(law: AbstractLaw) -> AbstractLaw:

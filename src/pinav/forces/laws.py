@@ -165,9 +165,9 @@ class SumLaw(AbstractLaw):
     def __post_init__(self) -> None:
         numbers = [(i, c) for i, t in enumerate(self.terms, 1) for c in t.constants]
         names = [constant.name for _, constant in numbers]
-        numbered = tuple(c.numbered(i, names.count(c.name)) for i, c in numbers)
+        constants = tuple(c.with_index(i, names.count(c.name)) for i, c in numbers)
         object.__setattr__(self, "name", " + ".join(t.name for t in self.terms))
-        object.__setattr__(self, "constants", numbered)
+        object.__setattr__(self, "constants", constants)
 
     def potential(self, c: Constants, x: Place, f: Functions) -> Expr:
         return potential_of(self, c, x, f, turns=False)

@@ -100,8 +100,8 @@ def _found_law(
 
     names = ("height", *law.constants())
     dimensions = (law.family.amplitude.unit, *law.dimensions)
-    found = zip(names, derive(posterior, constants), dimensions, strict=True)
-    estimates = {name: with_unit(one, unit, run.system) for name, one, unit in found}
+    rows = zip(names, derive(posterior, constants), dimensions, strict=True)
+    estimates = {name: with_unit(one, unit, run.system) for name, one, unit in rows}
     return findings.FoundLaw(law.name, law.latex, estimates)
 
 

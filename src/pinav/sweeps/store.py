@@ -28,7 +28,7 @@ import tomli_w
 
 from pinav import __version__
 from pinav.errors import InputError
-from pinav.files import write_whole
+from pinav.files import UNREADABLE, write_whole
 
 Settings = TypeVar("Settings", bound=msgspec.Struct)
 
@@ -250,7 +250,7 @@ class CellStore:
         try:
             content = (attempt / START_FILE).read_bytes()
             return msgspec.json.decode(content, type=Start)
-        except (OSError, UnicodeDecodeError, msgspec.DecodeError):
+        except UNREADABLE:
             return None
 
     def forget(self, cell: Cell) -> None:
@@ -277,7 +277,7 @@ def _read(file: Path, kind: type[Result], remedy: str) -> Result:
     """The content of a file as JSON."""
     try:
         return msgspec.json.decode(file.read_bytes(), type=kind)
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+    except UNREADABLE as error:
         raise InputError(
             f"{file} cannot be read ({error}); {remedy} and continue with --resume"
         ) from error
