@@ -238,6 +238,13 @@ def _grouped(steps: int) -> tuple[Int[np.ndarray, " step"], int]:
     return np.arange(steps) // size, -(-steps // size)
 
 
+def group_means(
+    values: Float[np.ndarray, "trajectory step channel"],
+) -> Float[np.ndarray, "trajectory group channel"]:
+    """Means over the steps of each group in which a force counts as constant."""
+    return _means(values, *_grouped(values.shape[1]))
+
+
 def _means(
     values: Float[np.ndarray, "trajectory step channel"],
     group: Int[np.ndarray, " step"],

@@ -1,0 +1,1 @@
+"""Checks after a fit: what contradicts it, and by how much."""
