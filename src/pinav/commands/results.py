@@ -1,6 +1,7 @@
 """The start of a run, and the way of a result into it, the terminal and the page."""
 
 import hashlib
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from pinav.commands.command import Command, CommandResult, resolve
 from pinav.commands.settings import ResumableOptions, RunOptions
 from pinav.errors import InputError
 from pinav.figures.images import save_pictures
+from pinav.learning.learned import Learned
+from pinav.learning.verdict import Standing
 from pinav.reading import Reading
 from pinav.report import Code, Image, Section, Table, render, sections_text
 from pinav.runs import RunFolder
@@ -68,6 +71,28 @@ def keep(command: Command, folder: RunFolder, result: Any) -> CommandResult:
                 folder.write_table(f"{block.name}.csv", block.header, rows)
     folder.store(command.file, result)
     return CommandResult(encode(result).document, sections_text(sections), folder)
+
+
+def open_fit(path: Path, *, steers: bool = False) -> Learned:
+    """Open a fit; a verdict that does not trust it goes to the terminal first.
+
+    Args:
+        steers: the force will be steered by.
+
+    Raises:
+        InputError: it is to be steered by, and contradicts its system.
+    """
+    fit = Learned.open(path)
+    verdict = fit.verdict
+    if verdict is None or verdict.is_trusted:
+        return fit
+    if steers and verdict.standing is Standing.CONTRADICTS:
+        raise InputError(
+            f"{path}: the fit contradicts its system: {verdict.reason}; do not steer "
+            "by its force: mend the system file and fit again, or give --anyway"
+        )
+    print(f"pinav: {path}: {verdict.says}", file=sys.stderr)
+    return fit
 
 
 def sections_of(command: Command, folder: RunFolder) -> list[Section]:

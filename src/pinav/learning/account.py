@@ -18,6 +18,8 @@ from pinav.fitting import (
     is_worth_a_search,
     simpler_models,
 )
+from pinav.fitting.checks.departures import Contradiction, weigh_departures
+from pinav.fitting.checks.residuals import copied_tracks, weigh_outlier
 from pinav.fitting.environments.summary import MIXTURE, PROFILE, KnownSwimmer
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined
@@ -32,11 +34,12 @@ from pinav.learning import findings
 from pinav.learning.evidence import with_unit
 from pinav.learning.learned import Learned
 from pinav.learning.plan import FitPlan
-from pinav.learning.recipes import name_of
+from pinav.learning.recipes import Bayes, name_of
 from pinav.learning.thermal import thermal_remarks
+from pinav.learning.verdict import judge
 from pinav.recordings.conventions import remarks
 from pinav.scenarios import source_system
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, with_velocities
 
 POINTS = 121
 """Points of a profile."""
@@ -251,16 +254,24 @@ def account(plan: FitPlan, fit: Learned) -> findings.Findings:
         search = evidence.structure
         sentences = (
             *outcome_remarks(outcome),
-            *filter(None, [evidence.goodness]),
+            *([evidence.goodness.statement] if evidence.goodness else []),
             *narrow_prior(model, chosen),
             *assumed_potential(plan, model, search.rotation if search else np.nan),
             *thermal_remarks(plan.thermal, data),
         )
     commanded = needs_kalman_filter(plan.system)
+    contradictions = weigh_contradictions(fit, plan)
     return findings.Findings(
         model=fit.choice.name,
         recipe=name_of(plan.recipe),
         outcome=outcome,
+        verdict=judge(
+            outcome,
+            contradictions,
+            copied_tracks(data, fit.noise),
+            is_adequate=_is_adequate(fit),
+            has_bands=evidence is not None,
+        ),
         rmse=rmse,
         constants=fit.constants,
         remarks=(*sentences, *remarks(data)),
@@ -283,7 +294,37 @@ def account(plan: FitPlan, fit: Learned) -> findings.Findings:
         thermal=fit.thermal,
         force=maps,
         lines=lines,
+        contradictions=contradictions,
     )
+
+
+def weigh_contradictions(fit: Learned, plan: FitPlan) -> tuple[Contradiction, ...]:
+    """Departures from the stated physics, and outliers, by their evidence.
+
+    Of a network they are weighed beside the kernels that taught it. None where the fit
+    has no smoothed states, or commands of each track drive it.
+    """
+    kernels = fit if fit.teacher is None else fit.teacher
+    evidence, model = kernels.evidence, kernels.model
+    if evidence is None or evidence.goodness is None or plan.thermal is not None:
+        return ()
+    data, force = plan.data, getattr(model, "environment", None)
+    if isinstance(model, Swimmer):
+        data = with_velocities(data)
+    weighed = [weigh_outlier(evidence.states, data)]
+    learned = as_learned_force(force)
+    if learned is not None and learned.is_linear and learned.is_static:
+        recipe = plan.recipe
+        noise = recipe.noise if isinstance(recipe, Bayes) else None
+        weighed += weigh_departures(model, evidence.states, data, noise=noise)
+    return tuple(sorted(weighed, key=lambda one: -one.gain))
+
+
+def _is_adequate(fit: Learned) -> bool | None:
+    if fit.thermal is not None:
+        return fit.thermal.checks.is_adequate
+    goodness = None if fit.evidence is None else fit.evidence.goodness
+    return None if goodness is None else goodness.is_adequate
 
 
 def _judge_force(

@@ -21,6 +21,7 @@ from pinav.fitting import (
     rotational_fraction,
 )
 from pinav.fitting.bayes.function_prior import TangentWeights
+from pinav.fitting.engine.evidence_fit import GoodnessOfFit
 from pinav.fitting.environments.summary import CONSTANTS, ModelChoice
 from pinav.fitting.structure.trace import Hypothesis
 from pinav.forces import (
@@ -125,8 +126,7 @@ class Evidence:
 
     Attributes:
         covariance: their covariance, given the hyperparameters.
-        goodness: a sentence on whether the residuals look like noise; empty where
-            nothing can be said.
+        goodness: whether the residuals look like noise; None where nothing can be said.
         process: the force whose process is the prior of a network that free kernels
             taught.
         structure: what the search for a structure weighed; None without a search.
@@ -141,7 +141,7 @@ class Evidence:
     states: Float[np.ndarray, "trajectory time state"]
     outcome: str
     iterations: int
-    goodness: str = ""
+    goodness: GoodnessOfFit | None = None
     process: AbstractLearnedForce | None = None
     structure: SearchResult | None = None
     support: float | None = None
@@ -170,7 +170,7 @@ class Evidence:
             states=data.states if fit.states is None else fit.states,
             outcome=str(fit.outcome),
             iterations=fit.iterations,
-            goodness=fit.goodness.statement if fit.goodness else "",
+            goodness=fit.goodness,
             # Where a structure was sought the process is the force of the teacher.
             process=_process(fit, choice) if structure is None else None,
             structure=structure,

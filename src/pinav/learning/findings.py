@@ -7,9 +7,11 @@ from jaxtyping import Float
 
 from pinav.evaluation import FieldMap, ForceLine, RestartErrors
 from pinav.fitting import Estimate, Hyperparameters
+from pinav.fitting.checks.departures import Contradiction
 from pinav.fitting.structure.trace import Hypothesis
 from pinav.learning.matching import Losses
 from pinav.learning.thermal import ThermalFindings
+from pinav.learning.verdict import Verdict
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,6 +112,7 @@ class Findings:
             for Langevin dynamics $\sqrt{2D}$.
         support: log evidence of a field beside commands over none [nats].
         restarts: errors of a recording by the length of rollouts.
+        contradictions: departures from the stated physics, the largest evidence first.
         lines: the force along lines through other data, by the coordinate.
     """
 
@@ -118,6 +121,7 @@ class Findings:
     model: str
     recipe: str
     outcome: str
+    verdict: Verdict
     rmse: dict[str, float]
     constants: dict[str, Estimate]
     remarks: tuple[str, ...]
@@ -133,6 +137,7 @@ class Findings:
     thermal: ThermalFindings | None = None
     force: ForceMaps | None = None
     lines: dict[str, ForceLine] | None = None
+    contradictions: tuple[Contradiction, ...] = ()
 
     @property
     def noise(self) -> float | None:

@@ -27,6 +27,7 @@ from pinav.learning.findings import Findings
 from pinav.learning.matching import Losses
 from pinav.learning.plan import read_system_of, write_system_of
 from pinav.learning.thermal import ThermalFindings
+from pinav.learning.verdict import Verdict
 from pinav.runs import RunFolder
 from pinav.systems import System, WanderingVelocity
 from pinav.trajectories import Trajectories, load, save
@@ -217,6 +218,17 @@ class Learned(AbstractLearned):
         if self.found is not None:
             return self.found
         return self.folder.load(FINDINGS, Findings)
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the force can be trusted; None of a run with several models."""
+        if self.found is None and (MODEL not in self.models or not self._is_finished):
+            return None
+        return self.findings.verdict
+
+    @property
+    def _is_finished(self) -> bool:
+        return self.folder.command == "fit" and self.folder.has(f"{FINDINGS}.json")
 
     @property
     def outcome(self) -> str:

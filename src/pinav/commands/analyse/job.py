@@ -17,7 +17,7 @@ from pinav.analysis import (
 from pinav.commands import ANALYSE
 from pinav.commands.analyse import AnalyseOptions
 from pinav.commands.command import CommandResult
-from pinav.commands.results import keep
+from pinav.commands.results import keep, open_fit
 from pinav.figures import (
     constants_figure,
     helmholtz_figure,
@@ -26,7 +26,6 @@ from pinav.figures import (
     potential_figure,
     sobol_figure,
 )
-from pinav.learning.learned import Learned
 from pinav.report import (
     AbstractBlock,
     Cell,
@@ -41,7 +40,7 @@ from pinav.report import (
 def run(options: AnalyseOptions) -> CommandResult:
     """Analyse as the command line does."""
     settings = msgspec.structs.asdict(options)
-    fit = Learned.open(settings.pop("run"))
+    fit = open_fit(settings.pop("run"))
     del settings["json"]
     return keep(ANALYSE, fit.folder, analyse(fit, **settings))
 

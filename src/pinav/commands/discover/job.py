@@ -14,9 +14,8 @@ from pinav.analysis import (
 from pinav.commands import DISCOVER
 from pinav.commands.command import CommandResult
 from pinav.commands.discover import DiscoverOptions
-from pinav.commands.results import keep
+from pinav.commands.results import keep, open_fit
 from pinav.figures import formula_figure, law_figure
-from pinav.learning.learned import Learned
 from pinav.report import AbstractBlock, Cell, Code, Paragraph, Section, Table, number
 
 DIGITS = 6
@@ -25,7 +24,7 @@ DIGITS = 6
 
 def run(options: DiscoverOptions) -> CommandResult:
     """Find laws as the command line does."""
-    fit = Learned.open(options.run)
+    fit = open_fit(options.run)
     return keep(DISCOVER, fit.folder, discover(fit, refits=options.refits))
 
 

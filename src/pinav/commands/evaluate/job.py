@@ -7,7 +7,7 @@ from pinav.commands import EVALUATE
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.evaluate import EvaluateOptions
-from pinav.commands.results import keep
+from pinav.commands.results import keep, open_fit
 from pinav.evaluation import (
     BASELINE,
     START_SAMPLES,
@@ -19,7 +19,6 @@ from pinav.evaluation import (
     evaluate,
 )
 from pinav.figures import evaluation_errors_figure, residuals_figure
-from pinav.learning.learned import Learned
 from pinav.report import (
     AbstractBlock,
     Cell,
@@ -39,7 +38,7 @@ WORDS = {"nan": "", "inf": "diverged"}
 
 def run(options: EvaluateOptions) -> CommandResult:
     """Evaluate as the command line does."""
-    fit = Learned.open(options.run)
+    fit = open_fit(options.run)
     further = options.calibrate
     evaluation = evaluate(
         fit,

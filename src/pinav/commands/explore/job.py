@@ -16,8 +16,8 @@ from pinav.commands.explore.document import PAGE, document
 from pinav.commands.explore.payload import fit_of_plan, payload_of, plan_of
 from pinav.commands.explore.printing import Tree
 from pinav.commands.explore.warmth import heat_payload
+from pinav.commands.results import open_fit
 from pinav.errors import InputError
-from pinav.learning.learned import Learned
 from pinav.runs import RunFolder
 
 
@@ -112,8 +112,8 @@ def _payload(folder: RunFolder, options: ExploreOptions) -> Tree:
     if options.fit is not None and not plans:
         raise InputError(f"--fit: {options.run} is no plan on another run; drop it")
     if plans:
-        fit = Learned.open(fit_of_plan(folder, options.fit))
+        fit = open_fit(fit_of_plan(folder, options.fit))
         return payload_of(fit, plan_of(folder))
     if folder.command == HEAT.name:
         return heat_payload(folder)
-    return payload_of(Learned.open(options.run))
+    return payload_of(open_fit(options.run))

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 
 from pinav.commands.command import CommandResult
 from pinav.commands.export import ExportOptions
+from pinav.commands.results import open_fit
 from pinav.errors import InputError
 from pinav.evaluation import exact_forces, extent, require_x64
 from pinav.files import atomic_write, check_destination
@@ -281,7 +282,7 @@ def _data(run: Learned) -> "dict[str, Dataset]":
 def run(options: ExportOptions) -> CommandResult:
     """Write one file."""
     check_destination(options.out, overwrite=options.overwrite)
-    fit = Learned.open(options.run)
+    fit = open_fit(options.run)
     table = spot_table(fit)
     content = _content(fit, table, options)
     atomic_write(options.out, lambda f: f.write(content), overwrite=options.overwrite)

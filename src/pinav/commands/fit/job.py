@@ -21,6 +21,7 @@ from pinav.figures.fits import (
     thermal_figures,
 )
 from pinav.fitting import Estimate
+from pinav.fitting.checks.departures import Contradiction
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.trace import Hypothesis
@@ -31,6 +32,7 @@ from pinav.learning.learn import infer
 from pinav.learning.learned import Learned, is_written
 from pinav.learning.plan import FitPlan, choose_system, plan_fit
 from pinav.learning.thermal import ThermalFindings
+from pinav.learning.verdict import CREDIBLE
 from pinav.report import (
     NO_UNIT,
     AbstractBlock,
@@ -83,11 +85,13 @@ def fit(plan: FitPlan, folder: RunFolder) -> Learned:
 
 def sections(fit: Findings) -> list[Section]:
     """The errors and constants of a fit, its structure, thermal motion, the force."""
-    first: list[AbstractBlock] = []
+    first: list[AbstractBlock] = [Paragraph(fit.verdict.says)]
     if fit.support is not None:
         first.append(Paragraph(support_sentence(fit.support)))
     first += [*map(Paragraph, fit.remarks), *_tables(fit), fit_figure(fit)]
     shown = [Section(f"The fit: {fit.model}, {fit.recipe}", first)]
+    if fit.contradictions:
+        shown.append(Section("Checks of the fit", [_contradictions(fit)]))
     if fit.structure is not None:
         shown.append(Section("The structure of the force", _structure(fit)))
     if fit.thermal is not None:
@@ -183,6 +187,21 @@ def _structure(fit: Findings) -> list[AbstractBlock]:
     if fit.structure.tried:
         blocks.append(_hypotheses(fit.structure.tried))
     return [*blocks, *figures]
+
+
+def _contradictions(fit: Findings) -> Table:
+    """Table of departures from what the system states."""
+    columns: dict[str, Callable[[Contradiction], Cell]] = {
+        "departure": lambda one: one.name,
+        "log evidence over the stated system (nats)": lambda one: number(one.gain, 3),
+        "it would be": lambda one: one.clause,
+    }
+    return Table.of(
+        fit.contradictions,
+        columns,
+        "Departures from what the system states, each weighed beside kernels that are "
+        f"as free as those of the fit; one above {CREDIBLE:g} nats counts.",
+    )
 
 
 def _hypotheses(tried: Sequence[Hypothesis]) -> Table:

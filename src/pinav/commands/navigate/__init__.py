@@ -66,12 +66,14 @@ class NavigateOptions(ResumableOptions, frozen=True, kw_only=True):
         run: Folder of pinav fit, of trajectories or of a recording; with --learn-online
             of a fit to begin with, or none.
         workers: Who does the closed loops of all seeds.
+        anyway: Steer by a force whose fit contradicts its system.
     """
 
     run: tyro.conf.Positional[Path | None] = None
     settings: NavigateSettings = NavigateSettings()
     online: OnlineSettings = OnlineSettings()
     workers: WorkerSettings = ALONE
+    anyway: bool = False
 
     def check_together(self) -> None:
         if self.run is None and self.online.learn_online is None:

@@ -16,7 +16,7 @@ import msgspec
 from pinav.commands import NAVIGATE
 from pinav.commands.command import CommandResult
 from pinav.commands.navigate import NavigateOptions, NavigateSettings, OnlineSettings
-from pinav.commands.results import keep, start_run
+from pinav.commands.results import keep, open_fit, start_run
 from pinav.commands.settings import ALONE
 from pinav.commands.steering import observe_positions, system_task, way_of
 from pinav.commands.sweep import FILE, Sweep, start_sweep
@@ -53,7 +53,7 @@ def run(options: NavigateOptions) -> CommandResult:
     if run is None or options.online.learn_online is not None:
         return _learn_online(options)
     settings.places()  # before the run is read, which takes seconds
-    problem = navigation_problem(settings, Learned.open(run))
+    problem = navigation_problem(settings, open_fit(run, steers=not options.anyway))
     compare = partial(compare_models, problem, seeds=settings.seeds, seed=settings.seed)
     if options.workers == ALONE:
         folder = start_run(NAVIGATE, options, settings, fitted=run.name)
@@ -162,7 +162,7 @@ def online_problem(
         )
     adaptive = AdaptiveController.of(observed)
     if prior is not None:
-        adaptive = with_prior(adaptive, Learned.open(prior), units)
+        adaptive = with_prior(adaptive, open_fit(prior), units)
     channels = units.of_channels(("x", "y"))
     order = 2 if observed.inertial else 1
     return OnlineProblem(

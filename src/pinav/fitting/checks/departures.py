@@ -28,7 +28,6 @@ from pinav.fitting.checks.column_evidence import (
     column_products,
     seen_directions,
 )
-from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.matching.state import Observations
 from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.response import (
@@ -135,9 +134,7 @@ def departures(
         hats = jnp.maximum(0.0, 1.0 - jnp.abs(t - knots) / (knots[1] - knots[0]))[1:]
         return 4 * force * jnp.kron(hats[:, None], jnp.eye(dim))
 
-    yield Departure(
-        "push in time", pushes, False, lambda _: "a push changes with time"
-    )
+    yield Departure("push in time", pushes, False, lambda _: "a push changes with time")
 
     def fading(t: Scalar, x: Vector, v: Vector) -> Float[Array, "column dim"]:
         share = (t - begin) / (end - begin) - 0.5
@@ -209,7 +206,8 @@ def _in_time(model: Any, thrust: Any, rate: float) -> Columns:
 
 
 def weigh_departures(
-    fit: EvidenceFit,
+    model: Any,
+    states: Float[np.ndarray, "trajectory time state"],
     trajectories: Trajectories,
     *,
     noise: float | None = None,
@@ -218,10 +216,10 @@ def weigh_departures(
     """Evidence of each departure over the stated physics, the largest first.
 
     Args:
-        trajectories: of the fit, with the channels of its states.
+        model: fitted, with kernels that do not change.
+        states: smoothed, of the fit.
+        trajectories: of the fit, with the channels of the states.
     """
-    model: Any = fit.model
-    states = np.asarray(fit.states)
     dim = trajectories.dim
     most = POLICY.trajectories[dim == 3]
     chosen = slice(None, None, -(-len(states) // most))
