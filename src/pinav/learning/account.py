@@ -308,11 +308,12 @@ def weigh_contradictions(fit: Learned, plan: FitPlan) -> tuple[Contradiction, ..
     evidence, model = kernels.evidence, kernels.model
     if evidence is None or evidence.goodness is None or plan.thermal is not None:
         return ()
-    data, force = plan.data, getattr(model, "environment", None)
+    data = plan.data
     if isinstance(model, Swimmer):
         data = with_velocities(data)
     weighed = [weigh_outlier(evidence.states, data)]
-    learned = as_learned_force(force)
+    is_force = isinstance(model, KnownSwimmer)
+    learned = as_learned_force(model.environment) if is_force else None
     if learned is not None and learned.is_linear and learned.is_static:
         recipe = plan.recipe
         noise = recipe.noise if isinstance(recipe, Bayes) else None

@@ -18,7 +18,7 @@ References:
     Patterson and Thompson, Biometrika 58, 545 (1971).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -34,16 +34,11 @@ SEEN = 1e-6
 """Size of a direction of flat columns, relative to the largest, that the data see."""
 
 
-class Hypothesis(eqx.Module):
-    """Columns beside the kernels.
+Columns = Int[np.ndarray, " some"]
+"""Indices of columns."""
 
-    Attributes:
-        known: coefficient of each of all columns, the data being the first.
-        flat: columns with coefficients of a flat prior, which is one unit long.
-    """
-
-    known: Float[np.ndarray, " column"]
-    flat: Int[np.ndarray, " flat"]
+NONE = np.zeros(0, int)
+"""No column."""
 
 
 class ColumnFit(eqx.Module):
@@ -70,75 +65,111 @@ class Products(eqx.Module):
     log_determinants: Float[np.ndarray, " ratio"]
 
 
-def column_products(
+class ColumnWeigher(eqx.Module):
+    """The evidence of columns beside kernels.
+
+    Attributes:
+        products: of each set of columns that stand beside the kernels.
+        counts: of the data, less flat unknowns, beside each set.
+        squares: that nothing explains, beside those of the data.
+        noise: standard deviation of the data; estimated unless given.
+    """
+
+    products: tuple[tuple[Products, ...], ...]
+    counts: tuple[int, ...]
+    squares: float
+    noise: float | None
+
+    @classmethod
+    def of(
+        cls,
+        rows: Float[np.ndarray, "datum weight"],
+        columns: Float[np.ndarray, "datum column"],
+        beside: Sequence[Float[np.ndarray, "datum flat"]],
+        priors: Sequence[Matrix],
+        *,
+        squares: float,
+        count: int,
+        noise: float | None = None,
+    ) -> "ColumnWeigher":
+        """The products of all columns under each of several priors of the weights.
+
+        Args:
+            rows: $R$, the data of each weight.
+            columns: the data without any force first, then columns to be weighed.
+            beside: sets of columns with flat priors; each is weighed on its own, and
+                the best one counts.
+            count: of all data, less flat unknowns that are eliminated already.
+        """
+        products, counts = [], []
+        for flat in map(_seen_directions, beside):
+            reached, left = (part - flat @ (flat.T @ part) for part in (rows, columns))
+            products.append(tuple(_products(reached, left, priors)))
+            counts.append(count - flat.shape[1])
+        return cls(tuple(products), tuple(counts), squares, noise)
+
+    def fit(self, known: Columns = NONE, flat: Columns = NONE) -> ColumnFit:
+        """The best fit of a hypothesis.
+
+        Args:
+            known: columns whose coefficient is one.
+            flat: columns whose coefficients have a flat prior, one unit long.
+        """
+        sets = zip(self.products, self.counts, strict=True)
+        fits = [
+            self._fit(one, count - len(flat), known, flat)
+            for products, count in sets
+            for one in products
+        ]
+        return max(fits, key=lambda fit: fit.log_evidence)
+
+    def _fit(
+        self, products: Products, free: int, known: Columns, flat: Columns
+    ) -> ColumnFit:
+        grams = products.grams
+        coefficients = np.zeros(grams.shape[1])
+        coefficients[0] = coefficients[known] = 1.0
+        pull = (grams @ coefficients)[:, flat]
+        block = grams[:, flat[:, None], flat]
+        values = -np.linalg.solve(block, pull[..., None])[..., 0]
+        left = np.einsum("i,rij,j->r", coefficients, grams, coefficients)
+        left = left + self.squares + np.sum(pull * values, axis=1)
+        left = np.maximum(left, np.finfo(float).tiny)
+        estimated = left / free
+        variance = estimated if self.noise is None else 0 * left + self.noise**2
+        log_evidence = -0.5 * (
+            free * np.log(2 * np.pi * variance)
+            + left / variance
+            + products.log_determinants
+            + np.linalg.slogdet(block)[1]
+        )
+        best = int(np.argmax(log_evidence))
+        noise = float(np.sqrt(variance[best]))
+        return ColumnFit(float(log_evidence[best]), noise, values[best])
+
+
+def _products(
     rows: Float[np.ndarray, "datum weight"],
     columns: Float[np.ndarray, "datum column"],
-    priors: Iterable[Matrix],
-) -> list[Products]:
-    """Products under each of several priors of the weights."""
+    priors: Sequence[Matrix],
+) -> Iterator[Products]:
     basis, square = np.linalg.qr(rows)
     inside = basis.T @ columns
     outside = columns - basis @ inside
     rest = outside.T @ outside
-    return [_products(square @ root(prior), inside, rest) for prior in priors]
+    for prior in priors:
+        left, sizes, _ = np.linalg.svd(square @ root(prior))
+        variances = np.zeros(len(left))
+        variances[: len(sizes)] = sizes**2
+        ratios = max(variances.max(initial=0.0), np.finfo(float).tiny) * RATIOS
+        shares = ratios[:, None] / (variances + ratios[:, None])
+        # Weighted columns: differences of products would lose half of the digits.
+        weighted = np.sqrt(shares)[:, :, None] * (left.T @ inside)
+        grams = np.swapaxes(weighted, 1, 2) @ weighted + rest
+        yield Products(grams, -np.log(shares).sum(axis=1))
 
 
-def _products(
-    reached: Float[np.ndarray, "datum direction"],
-    columns: Float[np.ndarray, "datum column"],
-    rest: Float[np.ndarray, "column column"],
-) -> Products:
-    left, sizes, _ = np.linalg.svd(reached)
-    variances = np.zeros(len(left))
-    variances[: len(sizes)] = sizes**2
-    ratios = max(variances.max(initial=0.0), np.finfo(float).tiny) * RATIOS
-    shares = ratios[:, None] / (variances + ratios[:, None])
-    # Weighted columns, not differences of products, which would lose half of the digits.
-    weighted = np.sqrt(shares)[:, :, None] * (left.T @ columns)
-    grams = np.swapaxes(weighted, 1, 2) @ weighted + rest
-    return Products(grams, -np.log(shares).sum(axis=1))
-
-
-def best_column_fit(
-    products: Sequence[Products],
-    hypothesis: Hypothesis,
-    *,
-    squares: float,
-    count: int,
-    noise: float | None,
-) -> ColumnFit:
-    """The fit of a hypothesis under the likeliest of the priors and ratios.
-
-    Args:
-        squares: that nothing explains, beside those of the data.
-        count: number of data, less flat unknowns that are eliminated already.
-        noise: standard deviation, where it is known.
-    """
-    known, flat = hypothesis.known, hypothesis.flat
-    free, fits = count - len(flat), []
-    for one in products:
-        pull = (one.grams @ known)[:, flat]
-        left = np.einsum("i,rij,j->r", known, one.grams, known) + squares
-        block = one.grams[:, flat[:, None], flat]
-        values = -np.linalg.solve(block, pull[..., None])[..., 0]
-        left = np.maximum(left + np.sum(pull * values, axis=1), np.finfo(float).tiny)
-        variance = left / free if noise is None else np.full(len(left), noise**2)
-        log_evidence = -0.5 * (
-            free * np.log(2 * np.pi * variance)
-            + left / variance
-            + one.log_determinants
-            + np.linalg.slogdet(block)[1]
-        )
-        best = int(np.argmax(log_evidence))
-        fits.append(
-            ColumnFit(
-                float(log_evidence[best]), float(np.sqrt(variance[best])), values[best]
-            )
-        )
-    return max(fits, key=lambda fit: fit.log_evidence)
-
-
-def seen_directions(
+def _seen_directions(
     columns: Float[np.ndarray, "datum column"],
 ) -> Float[np.ndarray, "datum direction"]:
     """An orthonormal basis of what columns change in the data."""
