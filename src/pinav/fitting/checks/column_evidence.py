@@ -34,7 +34,7 @@ SEEN = 1e-6
 """Size of a direction of flat columns, relative to the largest, that the data see."""
 
 
-Columns = Int[np.ndarray, " some"]
+Columns = Int[np.ndarray, "_"]
 """Indices of columns."""
 
 NONE = np.zeros(0, int)
@@ -85,7 +85,7 @@ class ColumnWeigher(eqx.Module):
         cls,
         rows: Float[np.ndarray, "datum weight"],
         columns: Float[np.ndarray, "datum column"],
-        beside: Sequence[Float[np.ndarray, "datum flat"]],
+        beside: Sequence[Float[np.ndarray, "datum _"]],
         priors: Sequence[Matrix],
         *,
         squares: float,

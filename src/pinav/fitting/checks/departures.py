@@ -155,7 +155,10 @@ def _of_thrust(thrust: Any, dim: int, interval: float) -> Iterator[Departure]:
     yield Departure(
         "heading",
         lambda *at: 2 * jnp.stack([thrust(*at), TURN @ thrust(*at)]),
-        lambda values: f"the thrust is turned by {_angle(values):.0f} degrees",
+        lambda values: (
+            f"the thrust is {np.hypot(1 + 2 * values[0], 2 * values[1]):.2g} times the "
+            f"stated one, turned by {_angle(values):.0f} degrees"
+        ),
     )
     for clause, change in AXES.items():
         yield Departure(
@@ -246,6 +249,8 @@ def weigh_departures(
     best: dict[str, Contradiction] = {}
     for one, first, count in zip(tried, np.cumsum([1, *counts]), counts, strict=False):
         which = np.arange(first, first + count)
+        if not data[:, which].any():
+            continue  # a change of nothing, such as the course of no force
         fit = weigher.fit(known=which) if one.is_known else weigher.fit(flat=which)
         gain = fit.log_evidence - stated.log_evidence
         if one.name not in best or gain > best[one.name].gain:
