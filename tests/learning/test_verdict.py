@@ -10,10 +10,9 @@ OUTLIER = Contradiction("outlier", 300.0, "x of trajectory 1 in row 20 lies far 
 DRAG = Contradiction("drag", CREDIBLE - 0.1, "the drag is 1.1 times the stated one")
 
 
-def verdict(
-    outcome="converged", against=(DRAG,), copied=None, *, fits=True, bands=True
-):
-    return judge(outcome, tuple(against), copied, is_adequate=fits, has_bands=bands)
+def verdict(outcome="converged", against=(DRAG,), copied=None, **options):
+    checks = {"is_adequate": True, "has_bands": True} | options
+    return judge(outcome, tuple(against), copied, **checks)
 
 
 def test_a_fit_that_nothing_contradicts_is_trusted_with_the_number():
@@ -30,8 +29,9 @@ def test_a_fit_that_nothing_contradicts_is_trusted_with_the_number():
         ({"against": (OUTLIER,)}, Standing.PREDICTS, "row 20"),
         ({"copied": (0, 4)}, Standing.PREDICTS, "trajectory 4 copies trajectory 0"),
         ({"outcome": "stalled"}, Standing.UNCONVERGED, "ended stalled"),
-        ({"fits": False}, Standing.PREDICTS, "not independent noise"),
-        ({"bands": False}, Standing.PREDICTS, "without a posterior"),
+        ({"support": 2.0}, Standing.UNSUPPORTED, "known physics alone is 2.0 nats"),
+        ({"is_adequate": False}, Standing.PREDICTS, "not independent noise"),
+        ({"has_bands": False}, Standing.PREDICTS, "without a posterior"),
     ],
 )
 def test_a_reason_is_named_first(options, standing, words):
@@ -39,6 +39,8 @@ def test_a_reason_is_named_first(options, standing, words):
     assert told.standing is standing
     assert told.says.startswith(f"Verdict: {standing}: ")
     assert words in told.says
+    forbidden = (Standing.CONTRADICTS, Standing.UNSUPPORTED)
+    assert told.forbids_steering == (standing in forbidden)
 
 
 def test_a_contradiction_comes_before_a_fit_that_did_not_converge():

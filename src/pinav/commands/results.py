@@ -15,7 +15,6 @@ from pinav.commands.settings import ResumableOptions, RunOptions
 from pinav.errors import InputError
 from pinav.figures.images import save_pictures
 from pinav.learning.learned import Learned
-from pinav.learning.verdict import Standing
 from pinav.reading import Reading
 from pinav.report import Code, Image, Section, Table, render, sections_text
 from pinav.runs import RunFolder
@@ -80,16 +79,16 @@ def open_fit(path: Path, *, steers: bool = False) -> Learned:
         steers: the force will be steered by.
 
     Raises:
-        InputError: it is to be steered by, and contradicts its system.
+        InputError: it is to be steered by, and its verdict forbids that.
     """
     fit = Learned.open(path)
     verdict = fit.verdict
     if verdict is None or verdict.is_trusted:
         return fit
-    if steers and verdict.standing is Standing.CONTRADICTS:
+    if steers and verdict.forbids_steering:
         raise InputError(
-            f"{path}: the fit contradicts its system: {verdict.reason}; do not steer "
-            "by its force: mend the system file and fit again, or give --anyway"
+            f"{path}: {verdict.standing}: {verdict.reason}; do not steer by this fit: "
+            "mend the system file and fit again, or give --anyway"
         )
     print(f"pinav: {path}: {verdict.says}", file=sys.stderr)
     return fit

@@ -269,6 +269,7 @@ def account(plan: FitPlan, fit: Learned) -> findings.Findings:
             outcome,
             contradictions,
             copied_tracks(data, fit.noise),
+            support=None if evidence is None else evidence.support,
             is_adequate=_is_adequate(fit),
             has_bands=evidence is not None,
         ),

@@ -8,6 +8,8 @@ import numpy as np
 
 from pinav.fitting import Outcome
 from pinav.fitting.checks.departures import Contradiction
+from pinav.fitting.checks.residuals import OUTLIER
+from pinav.fitting.evidence.model_evidence import DECISIVE
 
 
 class Standing(enum.Enum):
@@ -17,12 +19,14 @@ class Standing(enum.Enum):
         TRUSTED: no check contradicts it.
         PREDICTS: rollouts of the same tracks are all that it stands for.
         CONTRADICTS: the data contradict what the system states.
+        UNSUPPORTED: the data show no force beside the known physics.
         UNCONVERGED: another step would change it.
     """
 
     TRUSTED = "trusted where data are"
     PREDICTS = "trusted nowhere beyond a prediction of the same tracks"
     CONTRADICTS = "contradicts the system"
+    UNSUPPORTED = "no force is supported"
     UNCONVERGED = "not converged"
 
     def __str__(self) -> str:
@@ -44,6 +48,11 @@ class Verdict:
         return self.standing is Standing.TRUSTED
 
     @property
+    def forbids_steering(self) -> bool:
+        """The force is wrong, or there may be none: nobody should steer by it."""
+        return self.standing in (Standing.CONTRADICTS, Standing.UNSUPPORTED)
+
+    @property
     def says(self) -> str:
         """The verdict as a sentence."""
         return f"Verdict: {self.standing}: {self.reason}."
@@ -60,6 +69,7 @@ def judge(
     contradictions: tuple[Contradiction, ...],
     copied: tuple[int, int] | None,
     *,
+    support: float | None = None,
     is_adequate: bool | None,
     has_bands: bool,
 ) -> Verdict:
@@ -69,6 +79,8 @@ def judge(
         outcome: the word for how it ended.
         contradictions: the largest gain first.
         copied: two equal tracks.
+        support: log evidence of a field beside commands over none [nats]; None where it
+            was not asked.
         is_adequate: the residuals look like independent noise; None where that is not
             known.
         has_bands: there is a posterior.
@@ -82,10 +94,14 @@ def judge(
         )
     if contradictions and contradictions[0].gain > CREDIBLE:
         first = contradictions[0]
-        standing = Standing.CONTRADICTS
-        if first.name == "outlier":
-            standing = Standing.PREDICTS
-        return Verdict(standing, f"{first.clause} ({first.gain:.0f} nats)")
+        told = f"{first.clause} ({first.gain:.0f} nats)"
+        if first.name == OUTLIER:
+            told += ", so that errors are not normal: leave such rows out"
+            return Verdict(Standing.PREDICTS, told)
+        return Verdict(Standing.CONTRADICTS, told)
+    if support is not None and not support > DECISIVE:
+        reason = f"its log evidence over the known physics alone is {support:.1f} nats"
+        return Verdict(Standing.UNSUPPORTED, reason)
     if outcome not in map(str, (Outcome.CONVERGED, Outcome.COMPLETED)):
         return Verdict(Standing.UNCONVERGED, f"the fit ended {outcome}")
     if is_adequate is False:

@@ -23,9 +23,12 @@ def dense(known=(), flat=(), beside=None):
     """The largest log evidence over the ratios, flat coefficients integrated out."""
     residuals = COLUMNS[:, 0] + COLUMNS[:, list(known)].sum(axis=1)
     design = COLUMNS[:, list(flat)]
+    rows = ROWS
     if beside is not None:
-        design = np.column_stack([np.linalg.qr(beside)[0], design])
-    largest = np.linalg.svd(ROWS @ np.sqrt(PRIOR), compute_uv=False)[0] ** 2
+        basis = np.linalg.qr(beside)[0]
+        design = np.column_stack([basis, design])
+        rows = ROWS - basis @ (basis.T @ ROWS)  # by which ratios are scaled
+    largest = np.linalg.svd(rows @ np.sqrt(PRIOR), compute_uv=False)[0] ** 2
     values = []
     for ratio in largest * RATIOS:
         if ratio < 1e-6 * largest:

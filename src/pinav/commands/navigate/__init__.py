@@ -66,7 +66,7 @@ class NavigateOptions(ResumableOptions, frozen=True, kw_only=True):
         run: Folder of pinav fit, of trajectories or of a recording; with --learn-online
             of a fit to begin with, or none.
         workers: Who does the closed loops of all seeds.
-        anyway: Steer by a force whose fit contradicts its system.
+        anyway: Steer by a force by which the verdict of its fit forbids to steer.
     """
 
     run: tyro.conf.Positional[Path | None] = None

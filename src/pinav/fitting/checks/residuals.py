@@ -8,6 +8,9 @@ from jaxtyping import Float
 from pinav.fitting.checks.departures import Contradiction
 from pinav.trajectories import Trajectories
 
+OUTLIER = "outlier"
+"""Name of a departure of one position."""
+
 ALIKE = 0.1
 """Difference of two tracks, in units of the noise, below which one copies the other:
 that of two films of one path is 1.4."""
@@ -31,11 +34,10 @@ def weigh_outlier(
     others = np.sqrt(total * (1.0 - share) / max(count - 1, 1))
     size = abs(float(residuals[track, row, channel])) / max(others, 1e-300)
     return Contradiction(
-        "outlier",
+        OUTLIER,
         float(gain),
         f"{data.channels[channel]} of trajectory {track} in row {row} lies "
-        f"{size:.0f} standard deviations of the others from the fit, so that the file "
-        "has errors that are not normal: leave such rows out",
+        f"{size:.0f} standard deviations of the others from the fit",
     )
 
 
