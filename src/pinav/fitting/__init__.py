@@ -47,7 +47,6 @@ from pinav.fitting.langevin import DiffusionField as DiffusionField
 from pinav.fitting.langevin import KernelDiffusion as KernelDiffusion
 from pinav.fitting.langevin import LangevinChecks as LangevinChecks
 from pinav.fitting.langevin import LearnedObservation as LearnedObservation
-from pinav.fitting.langevin import Observation as Observation
 from pinav.fitting.langevin import ObservedAxes as ObservedAxes
 from pinav.fitting.langevin import ReferencePath as ReferencePath
 from pinav.fitting.langevin import SlowReference as SlowReference
