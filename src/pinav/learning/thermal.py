@@ -30,8 +30,8 @@ from pinav.fitting import (
 )
 from pinav.forces import KernelAxis, KernelProfile
 from pinav.learning.recipes import Langevin
+from pinav.settings import split_period
 from pinav.systems import Observation, System
-from pinav.systems.thermal_unknown import split_period
 from pinav.trajectories import Trajectories
 
 ACROSS = {1: 24, 2: 8}

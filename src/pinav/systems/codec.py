@@ -119,6 +119,13 @@ def decode(key: str, wanted: Any, value: Any, context: Context) -> Any:
             return number(key, value)
         real = next(option for option in options if option is not type(None))
         return decode(key, real, value, context)
+    if typing.get_origin(wanted) is typing.Literal:
+        words = typing.get_args(wanted)
+        if value not in words:
+            raise InputError(
+                f"{key}: expected one of {', '.join(words)}; got {value!r}"
+            )
+        return value
     if typing.get_origin(wanted) is tuple:
         return _decode_tuple(key, typing.get_args(wanted), value, context)
     if hasattr(wanted, "dim_str"):
