@@ -4,9 +4,10 @@ import io
 import os
 import re
 import secrets
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import msgspec
 
@@ -108,6 +109,18 @@ def check_regular(path: str | os.PathLike[str]) -> None:
     if path.exists() and not (path.is_file() or path.is_dir()):
         kind = "a pipe" if path.is_fifo() else "a device"
         raise InputError(f"expected a file, got {kind}; save the data to a file first")
+
+
+def read_toml(path: Path, name: str = "") -> dict[str, Any]:
+    """The content of a TOML file, which messages call by its path unless it is named.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{name or path}: cannot be read: {error}") from error
 
 
 def write_text(

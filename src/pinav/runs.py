@@ -23,7 +23,6 @@ import hashlib
 import io
 import json
 import platform
-import tomllib
 from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -37,7 +36,13 @@ from pinav import __version__
 from pinav.checkpoints import FileCheckpoint, Tree, read_tree, write_tree
 from pinav.codec import decode, encode, kebab, members
 from pinav.errors import InputError
-from pinav.files import append_line, atomic_write, is_temporary, write_text
+from pinav.files import (
+    append_line,
+    atomic_write,
+    is_temporary,
+    read_toml,
+    write_text,
+)
 from pinav.manifest import MANIFEST_FILE, Manifest
 
 Result = TypeVar("Result")
@@ -185,11 +190,7 @@ class RunFolder:
         Raises:
             InputError: `config.toml` is not readable TOML.
         """
-        path = self.path / "config.toml"
-        try:
-            return tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise InputError(f"{path} cannot be read: {error}") from error
+        return read_toml(self.path / "config.toml")
 
     def _check_schema(self) -> None:
         schema = self.identity().get("schema")
