@@ -21,7 +21,7 @@ from pinav.identification import (
     tracks,
     trajectories_of,
 )
-from pinav.identification.findings import interval, positive_interval
+from pinav.identification.findings import positive_interval
 from pinav.identification.identify import SHOWN, is_pooled, pooled_coverage
 from pinav.identification.parameters import ESTIMATED, Parameter, Scale
 from pinav.identification.rollouts import HORIZONS
@@ -266,10 +266,12 @@ def estimate_row(
 ) -> tuple[Cell, ...]:
     """A row of the table; a quantity that is not described there keeps its name."""
     shown = ESTIMATED.get(name, Parameter(name, name, scale=Scale.PLAIN))
-    between = positive_interval if shown.scale is Scale.LOG else interval
+    ends = estimate.low, estimate.high
+    if shown.scale is Scale.LOG:
+        ends = positive_interval(estimate)
     unit = unit_of(shown.dimension, {"L": units["x"], "T": units["t"]})
     title = shown.title or name
-    return (title, unit, estimate.value, *between(estimate), shown.meaning)
+    return (title, unit, estimate.value, *ends, shown.meaning)
 
 
 def _gain(track: IdentifiedTrack, units: dict[str, str]) -> list[Table]:
