@@ -8,7 +8,7 @@ name sets colour, dash and legend text. Any other name is its own legend text.
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +27,7 @@ from pinav.figures.style import (
     add_legend,
     channel_label,
     finite,
+    frame_about,
     label_axes,
     label_plane,
     mark_line,
@@ -42,9 +43,6 @@ from pinav.units import force_unit
 
 PHASE_NAMES = 13.5
 """Height [pt] of the phase names above a loss curve, with what keeps them apart."""
-
-REACH = 1.0
-"""A frame shows what leaves the truth by at most this many of its own extents."""
 
 
 def trajectory(
@@ -73,7 +71,7 @@ def trajectory(
         ax.add_patch(Circle((x, y), float(barrier[1]), **look))
         ax.plot(x, y, "+", color=GREY, markersize=5, zorder=0.5)
     truth = finite(truth)
-    frame = _frame(truth, models.values())
+    frame = frame_about(truth, *models.values())
     _draw_path(ax, truth, style_of("truth"), WIDE)
     for index, (name, positions) in enumerate(models.items()):
         style = style_of(name, index)
@@ -114,19 +112,6 @@ def _mark(
         fontsize=SMALL,
         zorder=3,
     )
-
-
-def _frame(truth: np.ndarray, others: Iterable[np.ndarray]) -> np.ndarray:
-    """Corners of the view, one per row: all of the truth, and others near it."""
-    low, high = np.nanmin(truth, axis=0), np.nanmax(truth, axis=0)
-    extent = float(np.max(high - low)) or 1.0
-    reach = REACH * extent
-    corners = [low, high]
-    for other in others:
-        clipped = np.clip(finite(other), low - reach, high + reach)
-        corners += [np.fmin.reduce(clipped), np.fmax.reduce(clipped)]
-    pad = 0.06 * extent
-    return np.array([np.fmin.reduce(corners) - pad, np.fmax.reduce(corners) + pad])
 
 
 def _within_reach(positions: np.ndarray, frame: np.ndarray) -> np.ndarray:
@@ -170,22 +155,10 @@ def velocity(
         ):
             label = f"{symbol(channel)} {style.label}{note}"
             ax.plot(times, values, style.dash, color=color, lw=width, label=label)
-    ax.set_ylim(*_value_range(curves[0], curves[1:]))
+    # both components share the axis
+    ax.set_ylim(*frame_about(*(curve.reshape(-1, 1) for curve in curves)).ravel())
     labels = channel_label("t", units), with_unit("velocity", units.get("vx", "1"))
     return label_axes(ax, *labels, legend=len(curves), loc="upper right")
-
-
-def _value_range(
-    truth: np.ndarray, others: Iterable[np.ndarray]
-) -> tuple[float, float]:
-    """Limits that show all of the truth and others within `REACH` of it."""
-    low, high = float(np.nanmin(truth)), float(np.nanmax(truth))
-    reach = REACH * ((high - low) or 1.0)
-    clipped = [np.clip(other, low - reach, high + reach) for other in others]
-    everything = np.concatenate([truth.ravel(), *(part.ravel() for part in clipped)])
-    low, high = float(np.nanmin(everything)), float(np.nanmax(everything))
-    pad = 0.06 * (high - low or 1.0)
-    return low - pad, high + pad
 
 
 def loss_curve(
