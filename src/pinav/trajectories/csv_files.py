@@ -5,7 +5,7 @@ import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import msgspec
 import numpy as np
@@ -28,19 +28,13 @@ def write_csv(trajectories: Trajectories, file: BinaryIO) -> None:
     text = io.TextIOWrapper(file, encoding="utf-8", newline="")
     text.write(f"{PREFIX} {metadata_text(trajectories)}\n")
     writer = csv.writer(text, lineterminator="\n")
-    names = (*trajectories.channels, *trajectories.commands)
-    writer.writerow(("trajectory", "t", *names))
-    for index, piece in enumerate(trajectories):
-        cells = np.where(piece.observed, piece.states.astype(object), "")
-        columns = (*cells.T, *piece.commands.values())
-        for row in zip(piece.times, *columns, strict=True):
-            writer.writerow((index, *(_cell(value) for value in row)))
+    table = trajectories.to_table()
+    writer.writerow(table)
+    for index, *numbers in zip(*table.values(), strict=True):
+        cells = ("" if np.isnan(one) else repr(float(one)) for one in numbers)
+        writer.writerow((index, *cells))
     text.flush()
     text.detach()
-
-
-def _cell(value: Any) -> str:
-    return value if isinstance(value, str) else repr(float(value))
 
 
 class _Row(NamedTuple):

@@ -51,10 +51,8 @@ class SpotTable(NamedTuple):
 def spot_table(run: Learned) -> SpotTable:
     """The learned force at the observed positions of the data that were fitted."""
     data = run.data
-    is_observed = data.observed[..., : data.dim].all(axis=-1)
-    is_observed &= np.arange(data.times.shape[1]) < data.lengths[:, None]
-    trajectory, frame = np.nonzero(is_observed)
-    position, time = data.positions[is_observed], data.times[is_observed]
+    trajectory, frame = np.nonzero(data.seen)
+    position, time = data.seen_positions, data.times[data.seen]
     force = learned_force(run)
     values = exact_forces(force, position, time)
     sd = force_sds(run.posterior, force, position, time)
@@ -249,8 +247,7 @@ def _predictions(
 def _grid(run: Learned, points: int) -> list[Float[np.ndarray, " point"]]:
     """Coordinates of a grid over the box of the data, equally spaced."""
     data = run.data
-    is_observed = data.positions[data.observed[..., : data.dim].all(axis=-1)]
-    low, high = is_observed.min(axis=0), is_observed.max(axis=0)
+    low, high = data.seen_positions.min(axis=0), data.seen_positions.max(axis=0)
     spacing = extent(data) / (points - 1)
     counts = np.maximum(np.ceil((high - low) / spacing).astype(int), 1) + 1
     return [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
