@@ -1,11 +1,12 @@
 """Files that are either whole or absent, whatever happens while they are written."""
 
+import csv
 import io
 import os
 import re
 import secrets
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -44,6 +45,14 @@ def atomic_write(
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"{path}: cannot write: {reason}") from error
+
+
+def csv_text(rows: Iterable[Sequence[Any]]) -> str:
+    """Rows as CSV; a number that is not defined leaves its cell empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows([None if cell != cell else cell for cell in row] for row in rows)
+    return text.getvalue()
 
 
 def check_destination(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

@@ -17,10 +17,8 @@ Files are written under a temporary name and renamed, so that none is ever half
 written; nothing is pickled.
 """
 
-import csv
 import functools
 import hashlib
-import io
 import json
 import platform
 from collections.abc import Callable, Sequence
@@ -39,6 +37,7 @@ from pinav.errors import InputError
 from pinav.files import (
     append_line,
     atomic_write,
+    csv_text,
     is_temporary,
     read_toml,
     write_text,
@@ -288,11 +287,8 @@ class RunFolder:
     def write_table(
         self, name: str, header: Sequence[str], rows: Sequence[Sequence]
     ) -> None:
-        """Write a CSV table."""
-        buffer = io.StringIO()
-        writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerows([header, *rows])
-        self.write_text(name, buffer.getvalue())
+        """Write a CSV table, with empty cells for what is not defined."""
+        self.write_text(name, csv_text([header, *rows]))
 
     def write_arrays(self, name: str, arrays: dict[str, np.ndarray]) -> None:
         """Write arrays as npz."""

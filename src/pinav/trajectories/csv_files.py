@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from pinav.errors import InputError
+from pinav.files import csv_text
 from pinav.trajectories.npz_files import Metadata, metadata_text, parse_metadata
 from pinav.trajectories.trajectories import Trajectories
 from pinav.trajectories.trajectory import check_increasing, split_headings
@@ -25,16 +26,9 @@ def delimiter_of(header: str) -> str:
 
 def write_csv(trajectories: Trajectories, file: BinaryIO) -> None:
     """Write trajectories as text."""
-    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
-    text.write(f"{PREFIX} {metadata_text(trajectories)}\n")
-    writer = csv.writer(text, lineterminator="\n")
     table = trajectories.to_table()
-    writer.writerow(table)
-    for index, *numbers in zip(*table.values(), strict=True):
-        cells = ("" if np.isnan(one) else repr(float(one)) for one in numbers)
-        writer.writerow((index, *cells))
-    text.flush()
-    text.detach()
+    text = csv_text([list(table), *zip(*table.values(), strict=True)])
+    file.write(f"{PREFIX} {metadata_text(trajectories)}\n{text}".encode())
 
 
 class _Row(NamedTuple):

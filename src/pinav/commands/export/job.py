@@ -1,8 +1,6 @@
 """`pinav export`: what a run has learned, in the formats of other programs."""
 
-import csv
 import importlib.util
-import io
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,7 +12,7 @@ from pinav.commands.command import CommandResult
 from pinav.commands.export import ExportOptions
 from pinav.errors import InputError
 from pinav.evaluation import exact_forces, extent, require_x64
-from pinav.files import atomic_write, check_destination
+from pinav.files import atomic_write, check_destination, csv_text
 from pinav.fitting import Posterior
 from pinav.fitting.engine.local_model import parameter_names
 from pinav.forces import AbstractForce, as_learned_force
@@ -107,7 +105,7 @@ def napari_csv(table: SpotTable) -> str:
     heads += [f"force_{name}_sd" for name in axes]
     columns = [table.trajectory, table.frame, *table.position.T[::-1], table.time]
     columns += [*table.force.T, np.linalg.norm(table.force, axis=1), *table.force_sd.T]
-    return _csv([heads], columns)
+    return csv_text([heads, *zip(*columns, strict=True)])
 
 
 def trackmate_csv(table: SpotTable) -> str:
@@ -130,21 +128,7 @@ def trackmate_csv(table: SpotTable) -> str:
     columns = [[f"ID{i}" for i in spots], spots, table.trajectory]
     columns += [*table.position.T, table.time, table.frame, *table.force.T]
     columns += [np.linalg.norm(table.force, axis=1), *table.force_sd.T]
-    return _csv(list(zip(*features, strict=True)), columns)
-
-
-def _csv(heads: list, columns: list) -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerows(heads)
-    writer.writerows(zip(*(_cells(column) for column in columns), strict=True))
-    return stream.getvalue()
-
-
-def _cells(column: np.ndarray | list[str]) -> list:
-    """Numbers with all of their digits; nothing where there is none."""
-    cells = column.tolist() if isinstance(column, np.ndarray) else column
-    return ["" if cell != cell else cell for cell in cells]
+    return csv_text([*zip(*features, strict=True), *zip(*columns, strict=True)])
 
 
 MISSING = "{} is not installed; install it by pip install 'pinav[exchange]'"

@@ -133,8 +133,7 @@ def _table(result: Identification) -> tuple[list[str], list[list]]:
                 numbers = [row.log_evidence, row.velocity_r2, row.seconds]
                 numbers += [one.relative for one in errors]
                 numbers += [one.median for one in errors]
-                blank = [None if value != value else value for value in numbers]
-                rows.append([track.name, row.name, *blank])
+                rows.append([track.name, row.name, *numbers])
     return header, rows
 
 

@@ -183,8 +183,7 @@ DIFFERENCES = (
 
 def csv_row(row: ModelRollout) -> tuple[Cell, ...]:
     """A line as it stands in `table2.csv`."""
-    seed = "" if row.seed is None else row.seed
-    return (row.model, seed, *(repr(row.errors[name]) for name in HEADER[2:]))
+    return (row.model, row.seed, *(repr(row.errors[name]) for name in HEADER[2:]))
 
 
 def table2_blocks(result: Reproduction) -> list[Paragraph | Table]:
