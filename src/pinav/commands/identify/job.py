@@ -159,14 +159,9 @@ def sections(result: Identification) -> list[Section]:
     ]
 
 
-def _cell(value: float | None) -> Cell:
-    """A number; a dash where it is not defined."""
-    return "–" if value is None or value != value else value
-
-
 def _errors(row: Row) -> list[Cell]:
     """Relative errors by horizon."""
-    return [_cell(row.errors[f"{horizon:g}"].relative) for horizon in HORIZONS]
+    return [row.errors[f"{horizon:g}"].relative for horizon in HORIZONS]
 
 
 def _summary(result: Identification) -> Table:
@@ -177,9 +172,11 @@ def _summary(result: Identification) -> Table:
         (
             name,
             row.tracks,
-            *map(_cell, (row.log_evidence, row.velocity_r2)),
+            row.log_evidence,
+            row.velocity_r2,
             *_errors(row),
-            *map(_cell, (row.errors["10"].median, row.seconds)),
+            row.errors["10"].median,
+            row.seconds,
         )
         for name, row in result.summary.items()
     ]
@@ -199,12 +196,12 @@ def _tracks(result: Identification) -> Table:
     def error(track: IdentifiedTrack, name: str) -> Cell:
         row = track.row(name)
         errors = None if row is None else row.over(SHOWN)
-        return _cell(None if errors is None else errors.relative)
+        return None if errors is None else errors.relative
 
     def held(track: IdentifiedTrack) -> Cell:
         bands = track.coverage
         if bands is None or not bands.rollouts:
-            return "–"
+            return None
         return f"{100 * bands.inside:.0f} %"
 
     columns: dict[str, Callable[[IdentifiedTrack], Cell]] = {
@@ -227,10 +224,10 @@ def _tracks(result: Identification) -> Table:
     return Table.of(result.fitted, columns, note)
 
 
-def gain_text(track: IdentifiedTrack) -> str:
-    """The gain matrix on a line; a dash where there is none."""
+def gain_text(track: IdentifiedTrack) -> str | None:
+    """The gain matrix on a line, if there is one."""
     if track.gain is None:
-        return "–"
+        return None
     return "; ".join(" ".join(f"{v:.3g}" for v in row) for row in track.gain)
 
 
@@ -293,9 +290,8 @@ def _rows(track: IdentifiedTrack) -> Table:
     for row in track.rows:
         name = row.label + (" (chosen)" if row.name == track.chosen else "")
         if row.reason:
-            rows.append((name, row.reason, *("–",) * (len(HORIZONS) + 1)))
+            rows.append((name, row.reason, *(None,) * (len(HORIZONS) + 1)))
         else:
-            scores = map(_cell, (row.log_evidence, row.velocity_r2))
-            rows.append((name, *scores, *_errors(row)))
+            rows.append((name, row.log_evidence, row.velocity_r2, *_errors(row)))
     header = ("model", "log evidence", "velocity R²", *(f"{h:g} s" for h in HORIZONS))
     return Table(header, rows, "Errors of held-out rollouts over the path length.")
