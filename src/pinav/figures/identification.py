@@ -20,7 +20,6 @@ from pinav.figures.style import (
     add_legend,
     band,
     draw_panels,
-    frame_about,
     label_axes,
     label_plane,
     prepare_axes,
@@ -105,8 +104,8 @@ def single_rollouts(
     size = 4.6, 2.1 * -(-len(rollouts) // 3) + 0.7
     figure = draw_panels(size, panels, columns=columns, sharex=True, sharey=True)
     axes = figure.axes[: len(rollouts)]
-    (left, low), (right, high) = frame_about(_shown_points(rollouts))
-    axes[0].set(xlim=(left, right), ylim=(low, high))
+    low, high = _limits(rollouts)
+    axes[0].set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     for ax in axes[::columns]:
         ax.set_ylabel(with_unit("$y$", units["x"]), fontsize=TEXT)
     for ax in axes[max(len(rollouts) - columns, 0) :]:
@@ -129,14 +128,19 @@ def _single_rollout(one: ShownRollout, time: str, *, ax: Axes) -> None:
     ax.locator_params(nbins=4)
 
 
-def _shown_points(rollouts: Sequence[ShownRollout]) -> Float[np.ndarray, "point 2"]:
-    """Points of all paths from the origin, and of the bands at their ends."""
+def _limits(
+    rollouts: Sequence[ShownRollout],
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """A frame that holds all paths from the origin, with the bands at their ends."""
     points = []
     for one in rollouts:
         seen, path, reach = one.observed, one.predicted, HALF_WIDTH_90 * one.sd
         points += [seen, path, path[-1:] - reach, path[-1:] + reach]
         points[-4:] = [part - seen[0] for part in points[-4:]]
-    return np.concatenate(points)
+    every = np.concatenate(points)
+    low, high = every.min(axis=0), every.max(axis=0)
+    margin = 0.05 * (high - low)
+    return low - margin, high + margin
 
 
 def error_growth(

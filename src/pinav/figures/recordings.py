@@ -67,7 +67,7 @@ def observed_paths(
         dots["label"] = line["label"] = "_"
     starts = np.array([path[0] for path in predicted])
     ax.plot(*starts.T, "o", mfc=PAPER, mec=BLACK, markersize=4, label="start")
-    (left, low), (right, high) = frame_about(np.concatenate(observed))
+    (left, low), (right, high) = frame_about(np.concatenate(observed), margin=0.05)
     ax.set(xlim=(left, right), ylim=(low, high))
     label_plane(ax, units, adjustable="box")
     add_legend(ax)

@@ -8,7 +8,7 @@ name sets colour, dash and legend text. Any other name is its own legend text.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +20,7 @@ from pinav.evaluation import Decomposition
 from pinav.figures.palette import BLACK, FAINT, GREY, GUIDE, PAPER, SHADE, TRUTH
 from pinav.figures.style import (
     DIMENSIONLESS,
+    REACH,
     SMALL,
     THIN,
     WIDE,
@@ -155,10 +156,22 @@ def velocity(
         ):
             label = f"{symbol(channel)} {style.label}{note}"
             ax.plot(times, values, style.dash, color=color, lw=width, label=label)
-    # both components share the axis
-    ax.set_ylim(*frame_about(*(curve.reshape(-1, 1) for curve in curves)).ravel())
+    ax.set_ylim(*_value_range(curves[0], curves[1:]))
     labels = channel_label("t", units), with_unit("velocity", units.get("vx", "1"))
     return label_axes(ax, *labels, legend=len(curves), loc="upper right")
+
+
+def _value_range(
+    truth: np.ndarray, others: Iterable[np.ndarray]
+) -> tuple[float, float]:
+    """Limits that show all of the truth and others within `REACH` of it."""
+    low, high = float(np.nanmin(truth)), float(np.nanmax(truth))
+    reach = REACH * ((high - low) or 1.0)
+    clipped = [np.clip(other, low - reach, high + reach) for other in others]
+    everything = np.concatenate([truth.ravel(), *(part.ravel() for part in clipped)])
+    low, high = float(np.nanmin(everything)), float(np.nanmax(everything))
+    pad = 0.06 * (high - low or 1.0)
+    return low - pad, high + pad
 
 
 def loss_curve(

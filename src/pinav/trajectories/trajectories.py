@@ -222,7 +222,7 @@ class Trajectories(eqx.Module):
     @property
     def seen(self) -> Bool[np.ndarray, "trajectory time"]:
         """Where all coordinates were observed; nowhere in the padding."""
-        return self.observed[..., : self.dim].all(axis=-1)
+        return np.all(self.observed[..., : self.dim], axis=-1)
 
     @property
     def seen_positions(self) -> Float64[np.ndarray, "sample dim"]:
