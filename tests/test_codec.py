@@ -148,7 +148,7 @@ def test_what_no_file_can_hold_is_a_fault_of_the_program():
     [
         (lambda d: d.pop("name"), "name: this key is missing"),
         (lambda d: d.update(other=1), "other: this key is unknown"),
-        (lambda d: d.update(name=1), "name: expected text, got 1"),
+        (lambda d: d.update(name=1), "name: expected text in quotes, got 1"),
         (lambda d: d.update(flag="x"), "flag: expected true or false"),
         (lambda d: d.update(colour=["red"]), "colour: expected one of red, blue"),
         (lambda d: d.update(either=[1.0]), "either: expected 2 values, got 1"),

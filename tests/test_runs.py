@@ -150,7 +150,7 @@ def test_damaged_results_are_named(folder):
         with told(f"{name} cannot be read .*--resume"):
             read(name)
     (folder.path / "config.toml").write_text("a = ")
-    with told("config.toml cannot be read"):
+    with told("config.toml: cannot be read"):
         folder.config()
 
 

@@ -31,7 +31,7 @@ from pinav.identification import (
 )
 from pinav.identification.baselines import restoring_force
 from pinav.identification.estimates import speeds
-from pinav.identification.findings import interval, positive_interval
+from pinav.identification.findings import positive_interval
 from pinav.identification.rollouts import errors
 from pinav.identification.selection import split
 from pinav.recordings import Reading, read_recording
@@ -105,7 +105,7 @@ def test_the_delay_of_random_paths(sessions):
     for selection in sessions:
         if selection.track.name.startswith("datasetGP2"):
             found = delay_findings(selection.track, selection.system, whole(selection))
-            low, high = interval(found.free)
+            low, high = found.free.low, found.free.high
             print(
                 f"{selection.track.name}: {found.free.value:.3f} ({low:.3f}-{high:.3f})"
             )
@@ -144,7 +144,7 @@ def test_the_delay_of_constant_circles():
     found = delay_findings(track, candidate, fit_track(track, candidate))
     aligned = found.zero_offset
     assert aligned is not None
-    low, high = interval(aligned)
+    low, high = aligned.low, aligned.high
     print(f"offset fixed at zero: {aligned.value:.3f} s ({low:.3f}-{high:.3f})")
     print(f"both free: {found.free}, {found.offset}")
     assert 0.16 <= aligned.value <= 0.20

@@ -122,7 +122,7 @@ def _encode(path: str, wanted: Any, value: Any, arrays: Arrays) -> Json:
         _, part = typing.get_args(wanted) or (str, Any)
         return {k: _encode(_join(path, k), part, v, arrays) for k, v in value.items()}
     if isinstance(value, tuple | list):
-        parts = zip(_parts(wanted, len(value)), value, strict=True)
+        parts = zip(parts_of(wanted, len(value)), value, strict=True)
         return [_encode(_join(path, i), p, v, arrays) for i, (p, v) in enumerate(parts)]
     if isinstance(value, np.ndarray | jax.Array):
         array = np.asarray(value)
@@ -185,14 +185,14 @@ def _decode(path: str, wanted: Any, found: Json, left: Arrays) -> Any:
     if hasattr(wanted, "dim_str") or wanted is np.ndarray:
         return _decode_array(path, wanted, found, left)
     if origin in (tuple, list):
-        found = _of_type(path, list, found)
-        parts = _parts(wanted, len(found))
+        found = of_type(path, list, found)
+        parts = parts_of(wanted, len(found))
         if len(parts) != len(found):
             raise InputError(f"{path}: expected {len(parts)} values, got {len(found)}")
         both = enumerate(zip(parts, found, strict=True))
         return origin(_decode(_join(path, i), p, v, left) for i, (p, v) in both)
     if origin in (dict, Mapping):
-        items = _of_type(path, dict, found).items()
+        items = of_type(path, dict, found).items()
         return {k: _decode(_join(path, k), arguments[1], v, left) for k, v in items}
     if issubclass(wanted, enum.Enum):
         words = {_word(member): member for member in wanted}
@@ -200,12 +200,12 @@ def _decode(path: str, wanted: Any, found: Json, left: Arrays) -> Any:
             raise InputError(f"{path}: expected one of {', '.join(words)}")
         return words[found]
     if issubclass(wanted, msgspec.Struct):
-        return _made(path, lambda: msgspec.convert(found, wanted))
+        return made(path, lambda: msgspec.convert(found, wanted))
     if not issubclass(wanted, bool | int | float | str):
-        return _decode_record(path, wanted, _of_type(path, dict, found), left)
+        return _decode_record(path, wanted, of_type(path, dict, found), left)
     if wanted is float:
         return _decode_number(path, found)
-    return _of_type(path, wanted, found)
+    return of_type(path, wanted, found)
 
 
 def _decode_record(path: str, wanted: type, found: dict, left: Arrays) -> Any:
@@ -227,7 +227,7 @@ def _decode_record(path: str, wanted: type, found: dict, left: Arrays) -> Any:
         if name in found
     }
     _check_shapes(path, hints, parts)
-    return _made(path, lambda: cls(**parts))
+    return made(path, lambda: cls(**parts))
 
 
 def _check_shapes(
@@ -255,7 +255,7 @@ def _decode_array(path: str, wanted: Any, found: Json, left: Arrays) -> Any:
             raise InputError(f"array {path}: expected {found['array']}")
     else:
         numbers = _map(lambda one: _decode_number(path, one, whole=True), found)
-        array = _made(path, lambda: np.asarray(numbers))
+        array = made(path, lambda: np.asarray(numbers))
     if array.dtype.kind not in "fiub":
         raise InputError(f"{path}: expected numbers")
     kinds = getattr(wanted, "dtypes", ())
@@ -273,19 +273,25 @@ def _decode_number(path: str, found: Json, *, whole: bool = False) -> Any:
     if whole and isinstance(found, bool | int):
         return found
     if isinstance(found, bool) or not isinstance(found, int | float):
-        raise InputError(f"{path}: expected a number, got {_short(found)}")
-    return _made(path, lambda: float(found))
+        raise InputError(f"{path}: expected a number, got {shorten(found)}")
+    return made(path, lambda: float(found))
 
 
-def _of_type(path: str, wanted: type, found: Json) -> Any:
+def of_type(path: str, wanted: type, found: Json) -> Any:
+    """What a document holds, if it is of this type.
+
+    Raises:
+        InputError: it is of another.
+    """
     if isinstance(found, wanted) and (wanted is bool or not isinstance(found, bool)):
         return found
-    words = {list: "a list", dict: "an object", int: "a whole number", str: "text"}
-    words |= {bool: "true or false"}
-    raise InputError(f"{path}: expected {words[wanted]}, got {_short(found)}")
+    words = {list: "a list [...]", dict: "a table", int: "a whole number"}
+    words |= {str: "text in quotes", bool: "true or false"}
+    expected = words.get(wanted, wanted.__name__)
+    raise InputError(f"{path}: expected {expected}, got {shorten(found)}")
 
 
-def _made(path: str, make: Any) -> Any:
+def made(path: str, make: Any) -> Any:
     """What a constructor makes; its complaint becomes one line."""
     try:
         return make()
@@ -324,7 +330,7 @@ def _of_option(wanted: Any) -> Any:
     return wanted
 
 
-def _parts(wanted: Any, count: int) -> tuple[Any, ...]:
+def parts_of(wanted: Any, count: int) -> tuple[Any, ...]:
     """The annotation of each of so many items."""
     parts = typing.get_args(wanted)
     if typing.get_origin(wanted) is list or (parts and parts[-1] is Ellipsis):
@@ -346,6 +352,7 @@ def _join(path: str, name: str | int) -> str:
     return f"{path}/{name}" if path else str(name)
 
 
-def _short(value: Any) -> str:
+def shorten(value: Any) -> str:
+    """A value as messages show it."""
     text = repr(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."
+    return text if len(text) <= 60 else f"{text[:57]}..."

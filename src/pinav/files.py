@@ -1,12 +1,14 @@
 """Files that are either whole or absent, whatever happens while they are written."""
 
+import csv
 import io
 import os
 import re
 import secrets
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import msgspec
 
@@ -43,6 +45,14 @@ def atomic_write(
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"{path}: cannot write: {reason}") from error
+
+
+def csv_text(rows: Iterable[Sequence[Any]]) -> str:
+    """Rows as CSV; a number that is not defined leaves its cell empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows([None if cell != cell else cell for cell in row] for row in rows)
+    return text.getvalue()
 
 
 def check_destination(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
@@ -108,6 +118,18 @@ def check_regular(path: str | os.PathLike[str]) -> None:
     if path.exists() and not (path.is_file() or path.is_dir()):
         kind = "a pipe" if path.is_fifo() else "a device"
         raise InputError(f"expected a file, got {kind}; save the data to a file first")
+
+
+def read_toml(path: Path, name: str = "") -> dict[str, Any]:
+    """The content of a TOML file, which messages call by its path unless it is named.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{name or path}: cannot be read: {error}") from error
 
 
 def write_text(

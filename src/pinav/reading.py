@@ -4,7 +4,6 @@ This module imports no numerical library, so that `--help` is quick.
 """
 
 import math
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -12,6 +11,7 @@ from typing import Any, Literal
 import msgspec
 
 from pinav.errors import InputError
+from pinav.files import read_toml
 from pinav.settings import NOT_NEGATIVE, POSITIVE, Range, Settings
 
 Content = dict[str, Any]
@@ -131,13 +131,8 @@ class Reading(Settings, frozen=True):
 
 def _of_file(path: Path) -> Content:
     """What a file states; the log of commands that it names lies beside it."""
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(
-            f"--reading {path}: expected NAME=VALUE, or a TOML file that pinav inspect "
-            f"wrote: {error}"
-        ) from error
+    expected = "expected NAME=VALUE, or a TOML file that pinav inspect wrote"
+    content = read_toml(path, f"--reading {path}: {expected}")
     if isinstance(log := content.get("commands"), str):
         content["commands"] = str(path.parent / log)
     return content

@@ -139,11 +139,11 @@ class ForceRegressor(BaseEstimator):
             starts = estimate_starts(model, data)
             states, _ = predict(model, data, starts=starts.states)
         later = without_first(data, starts.count)
-        is_observed = later.observed[..., : data.dim].all(axis=-1)
-        errors = states[..., : data.dim][is_observed] - data.positions[is_observed]
+        positions = later.seen_positions
+        errors = states[later.seen][:, : data.dim] - positions
         if not np.isfinite(errors).all():
             return -np.inf
-        spread = data.positions[is_observed] - data.positions[is_observed].mean(axis=0)
+        spread = positions - positions.mean(axis=0)
         return float(1 - np.sum(errors**2) / np.sum(spread**2))
 
     def __sklearn_tags__(self) -> Tags:

@@ -17,13 +17,10 @@ Files are written under a temporary name and renamed, so that none is ever half
 written; nothing is pickled.
 """
 
-import csv
 import functools
 import hashlib
-import io
 import json
 import platform
-import tomllib
 from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -37,7 +34,14 @@ from pinav import __version__
 from pinav.checkpoints import FileCheckpoint, Tree, read_tree, write_tree
 from pinav.codec import decode, encode, kebab, members
 from pinav.errors import InputError
-from pinav.files import append_line, atomic_write, is_temporary, write_text
+from pinav.files import (
+    append_line,
+    atomic_write,
+    csv_text,
+    is_temporary,
+    read_toml,
+    write_text,
+)
 from pinav.manifest import MANIFEST_FILE, Manifest
 
 Result = TypeVar("Result")
@@ -185,11 +189,7 @@ class RunFolder:
         Raises:
             InputError: `config.toml` is not readable TOML.
         """
-        path = self.path / "config.toml"
-        try:
-            return tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise InputError(f"{path} cannot be read: {error}") from error
+        return read_toml(self.path / "config.toml")
 
     def _check_schema(self) -> None:
         schema = self.identity().get("schema")
@@ -287,11 +287,8 @@ class RunFolder:
     def write_table(
         self, name: str, header: Sequence[str], rows: Sequence[Sequence]
     ) -> None:
-        """Write a CSV table."""
-        buffer = io.StringIO()
-        writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerows([header, *rows])
-        self.write_text(name, buffer.getvalue())
+        """Write a CSV table, with empty cells for what is not defined."""
+        self.write_text(name, csv_text([header, *rows]))
 
     def write_arrays(self, name: str, arrays: dict[str, np.ndarray]) -> None:
         """Write arrays as npz."""

@@ -6,7 +6,7 @@ This module imports no numerical library, so that `--help` is quick.
 import dataclasses
 import math
 import typing
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -162,3 +162,60 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Raises:
             InputError: there is such a setting.
         """
+
+
+class ThermalSettings(Settings, frozen=True):
+    """The unknown in thermal motion: of a system, and of a fit.
+
+    Attributes:
+        observation: exact: positions without error; learn: the camera averages over an
+            exposure and errs, and both are learned, so that neither biases the
+            diffusion or the force; known: both are what the system states. Exact
+            unless given.
+        diffusion: constant: one number; field: it varies in space; tensor: it varies,
+            and has a field of its own along each of --coordinates, and one along all
+            others. Where the system has a thermal energy, the mobility follows from
+            the diffusion (Einstein). Constant unless given.
+        coordinates: Names of the coordinates on which force and diffusion depend, the
+            force acting along them; all unless given.
+        period: Coordinates that repeat, with their period, such as x=6.2832.
+        warp: Coordinates whose kernels are finer at the end of the data where motion
+            is slow, as near a wall.
+        reference: The coordinate whose zero drifts slowly, such as the height above a
+            wall that the focus leaves.
+    """
+
+    observation: Literal["exact", "learn", "known"] | None = None
+    diffusion: Literal["constant", "field", "tensor"] | None = None
+    coordinates: tuple[str, ...] = ()
+    period: tuple[str, ...] = ()
+    warp: tuple[str, ...] = ()
+    reference: str | None = None
+
+    @property
+    def has_profile(self) -> bool:
+        """The force has coordinates of its own."""
+        return bool(self.coordinates or self.period or self.warp)
+
+    def check_together(self) -> None:
+        for text in self.period:
+            split_period(text)
+
+
+def split_period(text: str) -> tuple[str, float]:
+    """Coordinate and period of a text such as `x=6.2832`.
+
+    Raises:
+        InputError: it is no such text, or the period is no number > 0.
+    """
+    name, separator, number = text.partition("=")
+    try:
+        period = float(number)
+    except ValueError:
+        period = 0.0
+    if not (name and separator and 0 < period < float("inf")):
+        raise InputError(
+            f"--period: expected a coordinate and a number > 0, such as x=6.2832, got "
+            f"{text!r}"
+        )
+    return name, period

@@ -151,7 +151,7 @@ def test_flights_are_told_in_milliseconds_and_megabytes():
         2.0,
         1.0,
         3.0,
-        "–",
+        None,
     ]
 
 

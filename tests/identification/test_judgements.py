@@ -19,7 +19,6 @@ from pinav.identification.drive import RESPONSES
 from pinav.identification.findings import (
     DelayFindings,
     finding_sentences,
-    interval,
     positive_interval,
     turning_rate,
 )
@@ -193,7 +192,8 @@ def test_priors_scale_with_speed_and_frequency():
 
 def test_intervals_hold_ninety_five_percent():
     half = normal_quantile(0.95)
-    assert np.allclose(interval(Estimate(3.0, 2.0)), [3 - 2 * half, 3 + 2 * half])
+    plain = Estimate(3.0, 2.0)
+    assert np.allclose([plain.low, plain.high], [3 - 2 * half, 3 + 2 * half])
     low, high = positive_interval(Estimate(3.0, 0.6))
     assert np.allclose(np.log([low / 3, high / 3]), [-0.2 * half, 0.2 * half])
 

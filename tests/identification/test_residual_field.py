@@ -1,13 +1,12 @@
-"""Residuals by position, least squares, and the words of a verdict."""
+"""Residuals by position, and least squares."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from pinav import identification
-from pinav.fitting import Estimate, KernelGrid, kernel_environment
+from pinav.fitting import KernelGrid, kernel_environment
 from pinav.forces import KernelForce
-from pinav.identification.findings import interval, positive_interval
 from pinav.identification.residual_field import positions_of, residual_errors
 from pinav.trajectories import Trajectories
 
@@ -61,12 +60,3 @@ def test_least_squares_returns_gain_and_drift(recording, synthetic):
     found = identification.least_squares(track)
     rollouts = identification.Rollouts.of(track, 10.0)
     assert identification.errors(track, rollouts, found).relative < 0.2
-
-
-def test_an_interval_has_95_percent():
-    assert interval(Estimate(1.0, 0.5)) == pytest.approx(
-        (0.0200180, 1.9799820), abs=1e-7
-    )
-    low, high = positive_interval(Estimate(2.0, 1.0))
-    assert low * high == pytest.approx(4.0)
-    assert high == pytest.approx(2 * np.exp(0.9799820))

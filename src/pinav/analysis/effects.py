@@ -263,7 +263,7 @@ def produce_entropy(fit: AbstractLearned) -> EntropyProduction:
         raise InputError(
             "the model is a potential, which makes none; fit --model kernel-force"
         )
-    samples = data.positions[data.observed.all(axis=-1)]
+    samples = data.seen_positions
     samples = samples[:: max(len(samples) // MOST_SAMPLES, 1)]
     number = fit.constants["diffusion"]
     field = np.full(samples.shape, number.value)

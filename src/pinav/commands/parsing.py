@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import io
 import itertools
-import tomllib
 import typing
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,6 +21,7 @@ from tyro.constructors import (
 )
 
 from pinav.errors import InputError
+from pinav.files import read_toml
 from pinav.reading import Content, Pairs, Reading
 
 Options = TypeVar("Options", bound=msgspec.Struct)
@@ -169,10 +169,7 @@ def _file_content(argv: Sequence[str]) -> Content:
     path = _config_path(argv)
     if path is None:
         return {}
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"--config {path}: cannot be read: {error}") from error
+    content = read_toml(path, f"--config {path}")
     content.pop(RUN_TABLE, None)
     return content
 

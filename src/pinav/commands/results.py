@@ -59,15 +59,13 @@ def fingerprint(data: Trajectories) -> str:
 def keep(command: Command, folder: RunFolder, result: Any) -> CommandResult:
     """Store the result of a command in a run, and say what it found.
 
-    Its named tables are written as CSV, too, where a number that is not defined leaves
-    its cell empty; the document comes last.
+    Its named tables are written as CSV, too; the document comes last.
     """
     sections: list[Section] = resolve(command.sections)(result)
     for section in sections:
         for block in section.blocks:
             if isinstance(block, Table) and block.name:
-                rows = [[None if c != c else c for c in row] for row in block.rows]
-                folder.write_table(f"{block.name}.csv", block.header, rows)
+                folder.write_table(f"{block.name}.csv", block.header, block.rows)
     folder.store(command.file, result)
     return CommandResult(encode(result).document, sections_text(sections), folder)
 

@@ -195,8 +195,7 @@ def run_files(command: Command, options: FilesOptions) -> CommandResult:
         rows = tuple(map(_row, cells, outcomes, [sweep] * len(cells)))
         header = list(dict.fromkeys(name for row in rows for name in row))
         lines = [[row.get(name) for name in header] for row in rows]
-        blank = [["" if cell is None else cell for cell in line] for line in lines]
-        sweep.folder.write_table(TABLE, header, blank)
+        sweep.folder.write_table(TABLE, header, lines)
         shown = Table(header[:SHOWN], [line[:SHOWN] for line in lines])
         text = f"{as_text(shown)}\ntable: {sweep.folder.path / TABLE}"
         return CommandResult({"files": rows}, text)

@@ -98,7 +98,7 @@ def default_regions(trajectories: Trajectories) -> Regions:
 
 def extent(trajectories: Trajectories) -> float:
     """Largest side of the box around all observed positions [L]."""
-    samples = _observed_positions(trajectories)[0]
+    samples = trajectories.seen_positions
     return float((samples.max(axis=0) - samples.min(axis=0)).max())
 
 
@@ -173,7 +173,7 @@ def enclosing_cube(
     trajectories: Trajectories,
 ) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
     """Lower and upper corner of the same in any number of dimensions [L]."""
-    samples = _observed_positions(trajectories)[0]
+    samples = trajectories.seen_positions
     margin = default_regions(trajectories).near
     low, high = samples.min(axis=0), samples.max(axis=0)
     middle, half = (low + high) / 2, (high - low).max() / 2 + margin
@@ -187,21 +187,13 @@ def distances(
     return _nearest_samples(points, trajectories)[0]
 
 
-def _observed_positions(
-    trajectories: Trajectories,
-) -> tuple[Float[np.ndarray, "sample dim"], Float[np.ndarray, " sample"]]:
-    is_observed = trajectories.observed[..., : trajectories.dim].all(-1)
-    return trajectories.positions[is_observed], trajectories.times[is_observed]
-
-
 def _nearest_samples(
     points: Float[np.ndarray, "point dim"], trajectories: Trajectories
 ) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
     from scipy.spatial import KDTree
 
-    samples, times = _observed_positions(trajectories)
-    distance, index = KDTree(samples).query(points)
-    return distance, times[index]
+    distance, index = KDTree(trajectories.seen_positions).query(points)
+    return distance, trajectories.times[trajectories.seen][index]
 
 
 class Agreement(eqx.Module):
@@ -292,7 +284,7 @@ def force_line(
     truth: AbstractForce | None = None,
 ) -> ForceLine:
     """A force along one axis through the middle of the data, at time zero."""
-    points = line_through(_observed_positions(data)[0], axis)
+    points = line_through(data.seen_positions, axis)
     return ForceLine(
         points[:, axis],
         exact_forces(force, points)[:, axis],
@@ -305,7 +297,7 @@ def force_error_at_samples(
     force: AbstractForce, truth: AbstractForce, data: Trajectories
 ) -> float:
     """Relative L2 error of a force at observed positions; those of many are thinned."""
-    positions = _observed_positions(data)[0]
+    positions = data.seen_positions
     positions = positions[:: max(len(positions) // MOST_SAMPLES, 1)]
     learned, true = exact_forces(force, positions), exact_forces(truth, positions)
     size = float(np.linalg.norm(true))

@@ -54,7 +54,7 @@ def position_errors(
         InputError: nothing is left to score.
     """
     dim = trajectories.dim
-    scored = np.asarray(trajectories.observed[..., :dim].all(-1))
+    scored = trajectories.seen
     if not scored.any():
         raise InputError(
             "rollout errors: no observed position is left to score; give longer "

@@ -357,13 +357,12 @@ def _draw_projection(
     ax: Axes, result: Navigation, paths: Paths, axes: tuple[int, int]
 ) -> None:
     course, shown = result.course, list(axes)
-    for ball in course.discs:
-        x, y = ball[shown].tolist()
-        ax.add_patch(Circle((x, y), float(ball[3]), fc=WALL, ec=BLACK, alpha=0.5))
     _draw_ways(ax, paths, result.plan.route, shown)
-    x, y = course.goal[shown].tolist()
-    ax.add_patch(Circle((x, y), course.tolerance, fill=False, ec=GREY))
-    ax.plot(*course.start[shown], "o", mfc=PAPER, mec=BLACK, ms=5, zorder=6)
-    ax.plot(x, y, "x", color=BLACK, ms=5, zorder=6)
-    (left, low), (right, high) = course.arena[:, shown]
-    ax.set(xlim=(left, right), ylim=(low, high))
+    projected = Course(
+        arena=course.arena[:, shown],
+        start=course.start[shown],
+        goal=course.goal[shown],
+        tolerance=course.tolerance,
+        discs=course.discs[:, [*shown, 3]],
+    )
+    draw_course(ax, projected)

@@ -32,6 +32,7 @@ from pinav.figures.style import (
     band,
     channel_label,
     draw_panels,
+    frame_about,
     label_axes,
     label_plane,
     new_figure,
@@ -66,8 +67,8 @@ def observed_paths(
         dots["label"] = line["label"] = "_"
     starts = np.array([path[0] for path in predicted])
     ax.plot(*starts.T, "o", mfc=PAPER, mec=BLACK, markersize=4, label="start")
-    low, high = _limits(observed)
-    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    (left, low), (right, high) = frame_about(np.concatenate(observed), margin=0.05)
+    ax.set(xlim=(left, right), ylim=(low, high))
     label_plane(ax, units, adjustable="box")
     add_legend(ax)
     return ax
@@ -87,14 +88,6 @@ def positions_over_time(
         ax.plot(ts, measured, ".", color=TRACK, markersize=1.5)
         ax.plot(ts, path, color=LEARNED, lw=0.8)
     return label_axes(ax, *labels)
-
-
-def _limits(observed: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """A frame about the observed positions, with a margin of a twentieth."""
-    points = np.concatenate(observed)
-    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    margin = 0.05 * max(float(np.max(high - low)), 1e-300)
-    return low - margin, high + margin
 
 
 _COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)

@@ -332,6 +332,28 @@ def finite(values: np.ndarray | Sequence[float]) -> np.ndarray:
     return np.where(np.isfinite(values), values, np.nan)
 
 
+REACH = 1.0
+"""A frame shows what leaves the truth by at most this many of its own extents."""
+
+
+def frame_about(
+    truth: np.ndarray, *others: np.ndarray, margin: float = 0.06
+) -> np.ndarray:
+    """Corners of the view, one per row: all of the truth, and others near it.
+
+    The margin is relative to the larger side of the truth.
+    """
+    low, high = np.nanmin(truth, axis=0), np.nanmax(truth, axis=0)
+    extent = float(np.max(high - low)) or 1.0
+    reach = REACH * extent
+    corners = [low, high]
+    for other in others:
+        clipped = np.clip(finite(other), low - reach, high + reach)
+        corners += [np.fmin.reduce(clipped), np.fmax.reduce(clipped)]
+    pad = margin * extent
+    return np.array([np.fmin.reduce(corners) - pad, np.fmax.reduce(corners) + pad])
+
+
 FILE_SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "pinav",

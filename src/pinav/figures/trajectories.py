@@ -20,6 +20,7 @@ from pinav.evaluation import Decomposition
 from pinav.figures.palette import BLACK, FAINT, GREY, GUIDE, PAPER, SHADE, TRUTH
 from pinav.figures.style import (
     DIMENSIONLESS,
+    REACH,
     SMALL,
     THIN,
     WIDE,
@@ -27,6 +28,7 @@ from pinav.figures.style import (
     add_legend,
     channel_label,
     finite,
+    frame_about,
     label_axes,
     label_plane,
     mark_line,
@@ -42,9 +44,6 @@ from pinav.units import force_unit
 
 PHASE_NAMES = 13.5
 """Height [pt] of the phase names above a loss curve, with what keeps them apart."""
-
-REACH = 1.0
-"""A frame shows what leaves the truth by at most this many of its own extents."""
 
 
 def trajectory(
@@ -73,7 +72,7 @@ def trajectory(
         ax.add_patch(Circle((x, y), float(barrier[1]), **look))
         ax.plot(x, y, "+", color=GREY, markersize=5, zorder=0.5)
     truth = finite(truth)
-    frame = _frame(truth, models.values())
+    frame = frame_about(truth, *models.values())
     _draw_path(ax, truth, style_of("truth"), WIDE)
     for index, (name, positions) in enumerate(models.items()):
         style = style_of(name, index)
@@ -114,19 +113,6 @@ def _mark(
         fontsize=SMALL,
         zorder=3,
     )
-
-
-def _frame(truth: np.ndarray, others: Iterable[np.ndarray]) -> np.ndarray:
-    """Corners of the view, one per row: all of the truth, and others near it."""
-    low, high = np.nanmin(truth, axis=0), np.nanmax(truth, axis=0)
-    extent = float(np.max(high - low)) or 1.0
-    reach = REACH * extent
-    corners = [low, high]
-    for other in others:
-        clipped = np.clip(finite(other), low - reach, high + reach)
-        corners += [np.fmin.reduce(clipped), np.fmax.reduce(clipped)]
-    pad = 0.06 * extent
-    return np.array([np.fmin.reduce(corners) - pad, np.fmax.reduce(corners) + pad])
 
 
 def _within_reach(positions: np.ndarray, frame: np.ndarray) -> np.ndarray:

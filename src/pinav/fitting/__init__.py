@@ -10,7 +10,6 @@ from pinav.fitting.engine.evidence_fit import EvidenceProgress as EvidenceProgre
 from pinav.fitting.engine.evidence_fit import GoodnessOfFit as GoodnessOfFit
 from pinav.fitting.engine.local_model import ParametricModel as ParametricModel
 from pinav.fitting.engine.local_model import ravel_model as ravel_model
-from pinav.fitting.engine.posterior import Band as Band
 from pinav.fitting.engine.posterior import Estimate as Estimate
 from pinav.fitting.engine.posterior import Posterior as Posterior
 from pinav.fitting.environments.catalogue import (
@@ -48,7 +47,6 @@ from pinav.fitting.langevin import DiffusionField as DiffusionField
 from pinav.fitting.langevin import KernelDiffusion as KernelDiffusion
 from pinav.fitting.langevin import LangevinChecks as LangevinChecks
 from pinav.fitting.langevin import LearnedObservation as LearnedObservation
-from pinav.fitting.langevin import Observation as Observation
 from pinav.fitting.langevin import ObservedAxes as ObservedAxes
 from pinav.fitting.langevin import ReferencePath as ReferencePath
 from pinav.fitting.langevin import SlowReference as SlowReference

@@ -38,12 +38,6 @@ ALIGNED = math.radians(30.0)
 """Heading offsets up to this are taken for zero where a delay is sought."""
 
 
-def interval(estimate: Estimate) -> tuple[float, float]:
-    """Interval of 95 %."""
-    half = normal_quantile() * estimate.sd
-    return estimate.value - half, estimate.value + half
-
-
 def positive_interval(estimate: Estimate) -> tuple[float, float]:
     """Interval of 95 % of a positive number, symmetric in its logarithm."""
     factor = math.exp(min(normal_quantile() * estimate.sd / estimate.value, 50.0))

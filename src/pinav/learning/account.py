@@ -112,7 +112,7 @@ def _profile(
     term: AbstractProfileTerm, posterior: Posterior, index: int, data: Trajectories
 ) -> evaluation.ForceLine:
     """The profile over the coordinates that were observed, with its deviation."""
-    samples = jnp.asarray(data.positions[data.observed[..., :2].all(-1)])
+    samples = jnp.asarray(data.seen_positions)
     coordinates = np.asarray(jax.vmap(term.coordinates)(samples))
     places = np.linspace(
         0.0 if term.is_odd else coordinates.min(), coordinates.max(), POINTS

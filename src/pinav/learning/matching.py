@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.dynamics import AbstractDynamics, FixedStep
-from pinav.errors import InputError
 from pinav.fitting import (
     AbstractCheckpoint,
     AbstractObjective,
@@ -121,17 +120,6 @@ FINER = 8
 
 DEFECT_STEPS = 2
 """Steps of propagated defects for each of a window."""
-
-
-def check_starts(data: Trajectories) -> None:
-    """Require a first sample from which a rollout can start."""
-    for index, first in enumerate(data.observed[:, 0]):
-        if not first.all():
-            raise InputError(
-                f"trajectory {index}: its first sample must be fully observed, because "
-                "the rollout starts there; drop the samples before it, or choose "
-                "--recipe bayes"
-            )
 
 
 @dataclasses.dataclass(frozen=True)

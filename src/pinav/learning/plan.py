@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from pinav.errors import InputError
+from pinav.fitting import TrajectoryLoss
 from pinav.fitting.environments.catalogue import mean_drag
 from pinav.fitting.environments.kernels import kernel_environment
 from pinav.fitting.environments.summary import (
@@ -21,7 +22,6 @@ from pinav.fitting.environments.summary import (
 )
 from pinav.forces import KernelPotential, LinearDrag
 from pinav.identification import needs_kalman_filter, record_commands, trajectories_of
-from pinav.learning.matching import check_starts
 from pinav.learning.recipes import (
     SUITED,
     Bayes,
@@ -165,7 +165,7 @@ def plan_fit(
         data = with_all_channels(data, system)
     _check_channels(data, system)
     if isinstance(recipe, Matching):
-        check_starts(data)
+        TrajectoryLoss().check(data)
     chosen = None
     if isinstance(recipe, Langevin):
         chosen = ThermalChoice.of(recipe, system, data)

@@ -5,7 +5,7 @@ This module imports no numerical library, so that `--help` is quick.
 
 from typing import Annotated, Literal
 
-from pinav.settings import MAX_STEPS, Range, Settings
+from pinav.settings import MAX_STEPS, Range, Settings, ThermalSettings
 
 ModelName = Literal[
     "kernel-potential",
@@ -54,40 +54,11 @@ class Bayes(Searching, frozen=True, tag_field="recipe", tag="bayes"):
     """Noisy or incomplete data: the evidence chooses, and there is a posterior."""
 
 
-class Langevin(Settings, frozen=True, tag_field="recipe", tag="langevin"):
+class Langevin(ThermalSettings, frozen=True, tag_field="recipe", tag="langevin"):
     """Thermal motion without inertia: as bayes, with the diffusion coefficient.
 
     Each option may stand in [unknown] of the system file, too.
-
-    Attributes:
-        observation: exact: positions without error; learn: the camera averages over an
-            exposure and errs, and both are learned, so that neither biases the
-            diffusion or the force; known: both are what the system states. Exact
-            unless given.
-        diffusion: constant: one number; field: it varies in space; tensor: it varies,
-            and has a field of its own along each of --coordinates, and one along all
-            others. Where the system has a thermal energy, the mobility follows from
-            the diffusion (Einstein). Constant unless given.
-        coordinates: Names of the coordinates on which force and diffusion depend, the
-            force acting along them; all unless given.
-        period: Coordinates that repeat, with their period, such as x=6.2832.
-        warp: Coordinates whose kernels are finer at the end of the data where motion
-            is slow, as near a wall.
-        reference: The coordinate whose zero drifts slowly, such as the height above a
-            wall that the focus leaves.
     """
-
-    observation: Literal["exact", "learn", "known"] | None = None
-    diffusion: Literal["constant", "field", "tensor"] | None = None
-    coordinates: tuple[str, ...] = ()
-    period: tuple[str, ...] = ()
-    warp: tuple[str, ...] = ()
-    reference: str | None = None
-
-    @property
-    def has_profile(self) -> bool:
-        """The force has coordinates of its own."""
-        return bool(self.coordinates or self.period or self.warp)
 
 
 class Curriculum(Settings, frozen=True, tag_field="recipe", tag="curriculum"):

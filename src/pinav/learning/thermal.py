@@ -19,7 +19,6 @@ from pinav.fitting import (
     KernelDiffusion,
     LangevinChecks,
     LearnedObservation,
-    Observation,
     ReferencePath,
     SlowReference,
     ThermalResult,
@@ -31,8 +30,8 @@ from pinav.fitting import (
 )
 from pinav.forces import KernelAxis, KernelProfile
 from pinav.learning.recipes import Langevin
-from pinav.systems import System
-from pinav.systems.thermal_unknown import split_period
+from pinav.settings import split_period
+from pinav.systems import Observation, System
 from pinav.trajectories import Trajectories
 
 ACROSS = {1: 24, 2: 8}
@@ -176,7 +175,7 @@ def _observation(
             f"--observation known: system {system.name} states neither noise nor "
             "exposure; state them in [observation], or choose --observation learn"
         )
-    return Observation(float(stated.exposure), float(stated.noise))
+    return stated
 
 
 def _reference(

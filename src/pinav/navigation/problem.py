@@ -12,7 +12,7 @@ from pinav.errors import InputError
 from pinav.evaluation import enclosing_cube
 from pinav.fitting import AbstractLearned, Posterior
 from pinav.navigation.adaptive.flight import ORACLE
-from pinav.navigation.adaptive.prior import mobilities, observed_places, with_prior_of
+from pinav.navigation.adaptive.prior import mobilities, with_prior_of
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.control.controller import AbstractController
@@ -196,7 +196,7 @@ def suggest_trajectory(
         AdaptiveController.of(recorded, MEAN_FORCE),
         problem.model.dynamics,
         problem.posterior,
-        observed_places(data),
+        data.seen_positions,
     )
     assert adaptive.known is not None
     fitted = dataclasses.replace(adaptive.known, filters=(adaptive.known.best,))

@@ -27,7 +27,7 @@ import numpy as np
 
 import pinav.forces
 import pinav.systems
-from pinav.codec import kebab, members
+from pinav.codec import kebab, made, members, of_type, parts_of, shorten
 from pinav.errors import InputError
 from pinav.forces.landscapes import NAMED
 from pinav.forces.law_force import LawForce
@@ -119,40 +119,35 @@ def decode(key: str, wanted: Any, value: Any, context: Context) -> Any:
             return number(key, value)
         real = next(option for option in options if option is not type(None))
         return decode(key, real, value, context)
+    if typing.get_origin(wanted) is typing.Literal:
+        words = typing.get_args(wanted)
+        if value not in words:
+            raise InputError(
+                f"{key}: expected one of {', '.join(words)}; got {value!r}"
+            )
+        return value
     if typing.get_origin(wanted) is tuple:
-        return _decode_tuple(key, typing.get_args(wanted), value, context)
+        parts = parts_of(wanted, len(of_type(key, list, value)))
+        if len(parts) != len(value):
+            raise InputError(f"{key}: expected {len(parts)} values, got {len(value)}")
+        pairs = enumerate(zip(parts, value, strict=True))
+        return tuple(decode(f"{key}[{i}]", p, v, context) for i, (p, v) in pairs)
     if hasattr(wanted, "dim_str"):
         return _decode_array(key, wanted.dim_str.split(), value, context)
     if isinstance(wanted, type) and issubclass(wanted, eqx.Module):
         return decode_module(key, wanted, value, context)
     if wanted is float:
         return number(key, value)
-    if isinstance(value, wanted) and (wanted is bool or not isinstance(value, bool)):
-        return value
-    words = {int: "a whole number", str: "text in quotes", bool: "true or false"}
-    raise InputError(f"{key}: expected {words.get(wanted, wanted)}, got {_show(value)}")
+    return of_type(key, wanted, value)
 
 
 def number(key: str, value: Any) -> float:
     """A finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{key}: expected a number, got {_show(value)}")
+        raise InputError(f"{key}: expected a number, got {shorten(value)}")
     if not math.isfinite(value):
         raise InputError(f"{key}: expected a finite number, got {value}")
     return float(value)
-
-
-def _decode_tuple(key: str, parts: tuple, value: Any, context: Context) -> tuple:
-    if not isinstance(value, list):
-        raise InputError(f"{key}: expected a list [...], got {_show(value)}")
-    if parts[-1] is Ellipsis:
-        parts = (parts[0],) * len(value)
-    if len(parts) != len(value):
-        raise InputError(f"{key}: expected {len(parts)} values, got {len(value)}")
-    return tuple(
-        decode(f"{key}[{i}]", part, one, context)
-        for i, (part, one) in enumerate(zip(parts, value, strict=True))
-    )
 
 
 def _decode_array(key: str, axes: list[str], value: Any, context: Context) -> Any:
@@ -161,7 +156,7 @@ def _decode_array(key: str, axes: list[str], value: Any, context: Context) -> An
     except ValueError as error:
         raise InputError(f"{key}: expected rows of equal length") from error
     if numbers.dtype.kind not in "fiu" or not np.isfinite(numbers).all():
-        raise InputError(f"{key}: expected finite numbers, got {_show(value)}")
+        raise InputError(f"{key}: expected finite numbers, got {shorten(value)}")
     named = {"dim": context.dim}
     sizes = [int(a) if a.isdigit() else named.get(a) for a in axes]
     fits = axes == ["..."] or (
@@ -177,7 +172,7 @@ def _decode_array(key: str, axes: list[str], value: Any, context: Context) -> An
         )
         raise InputError(
             f"{key}: expected {shape or 'one'} numbers, as the dimension "
-            f"{context.dim} asks for, got {_show(value)}"
+            f"{context.dim} asks for, got {shorten(value)}"
         )
     return jnp.asarray(numbers, float)
 
@@ -186,7 +181,7 @@ def decode_module(key: str, family: type, value: Any, context: Context) -> Any:
     """The module of a table."""
     if not isinstance(value, dict):
         raise InputError(
-            f"{key}: expected a table with the key kind, got {_show(value)}"
+            f"{key}: expected a table with the key kind, got {shorten(value)}"
         )
     cls = _class_of(key, family, value, context)
     table = {name: part for name, part in value.items() if name != "kind"}
@@ -202,10 +197,7 @@ def decode_module(key: str, family: type, value: Any, context: Context) -> Any:
             if takes_number
             else decode(place, wanted, part, context)
         )
-    try:
-        return make(**parts)
-    except (ValueError, TypeError) as error:
-        raise InputError(f"{key}: {' '.join(str(error).split())}") from error
+    return made(key, lambda: make(**parts))
 
 
 def _class_of(key: str, family: type, value: TOML, context: Context) -> Callable:
@@ -281,11 +273,6 @@ def check_keys(
 def _guess(name: Any, known: Any) -> str:
     close = difflib.get_close_matches(str(name), list(known), 1)
     return f"; did you mean {close[0]!r}?" if close else ""
-
-
-def _show(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 ORIGIN = "pinav_own_"

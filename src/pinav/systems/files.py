@@ -3,6 +3,7 @@
 import os
 import re
 import tomllib
+import typing
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.files import check_regular, write_text
 from pinav.forces import AbstractForce, InFlow, SumForce, ZeroFlow, ZeroForce
+from pinav.settings import ThermalSettings, split_period
 from pinav.systems.codec import (
     TOML,
     Context,
@@ -36,7 +38,6 @@ from pinav.systems.system import (
     Units,
     WanderingVelocity,
 )
-from pinav.systems.thermal_unknown import FIELDS, ThermalUnknown
 
 MAX_BYTES = 2**22
 """Size of a file that is no statement of a system any more."""
@@ -47,6 +48,9 @@ KEYS = (
     *("starts", "times"),
 )
 """Tables and keys that a file may have."""
+
+THERMAL = ThermalSettings.__struct_fields__
+"""Keys of [unknown] beside the model."""
 
 
 def read_system(path: str | os.PathLike[str]) -> System:
@@ -179,7 +183,7 @@ def _plain(cls: Any, key: str, table: TOML, context: Context) -> Any:
 
 
 def _model(table: TOML, context: Context) -> str:
-    unknown = section_of(table, "unknown", ("model", *FIELDS))
+    unknown = section_of(table, "unknown", ("model", *THERMAL))
     default = System.__dataclass_fields__["model"].default
     model = decode("unknown.model", str, unknown.get("model", default), context)
     if model not in MODELS:
@@ -189,15 +193,40 @@ def _model(table: TOML, context: Context) -> str:
     return model
 
 
-def _thermal(table: TOML, order: int, context: Context) -> ThermalUnknown:
+def _thermal(table: TOML, order: int, context: Context) -> ThermalSettings:
+    """The settings of the table [unknown], in which `period` is a table of numbers."""
     unknown = table.get("unknown", {})
-    stated = {key: unknown[key] for key in FIELDS if key in unknown}
+    stated = {key: unknown[key] for key in THERMAL if key in unknown}
     if stated and order == 2:
         raise InputError(
             f"unknown.{next(iter(stated))}: thermal motion needs order = 1, a swimmer "
             "without inertia; drop it"
         )
-    return ThermalUnknown.of_table(stated, context)
+    periods = stated.pop("period", {})
+    if not isinstance(periods, dict):
+        raise InputError(
+            "unknown.period: expected numbers by coordinate, such as "
+            f"{{ x = 6.2832 }}, got {periods!r}"
+        )
+    numbers = {k: number(f"unknown.period.{k}", v) for k, v in periods.items()}
+    words = [f"{name}={period!r}" for name, period in numbers.items()]
+    kinds = typing.get_type_hints(ThermalSettings)
+    settings = ThermalSettings(
+        **{
+            name: decode(f"unknown.{name}", kinds[name], value, context)
+            for name, value in {**stated, "period": words}.items()
+        }
+    )
+    settings.check()
+    return settings
+
+
+def _state_thermal(settings: ThermalSettings) -> TOML:
+    """What the table [unknown] states beside the model."""
+    table: TOML = {name: one for name in THERMAL if (one := getattr(settings, name))}
+    if settings.period:
+        table["period"] = dict(map(split_period, settings.period))
+    return table
 
 
 def _learn(table: TOML, context: Context) -> tuple[FreeNumber, ...]:
@@ -309,7 +338,7 @@ def _document(system: System) -> TOML:
         document["learn"] = {
             one.path: encode(f"learn.{one.path}", one.prior) for one in system.learn
         }
-    document["unknown"] = {"model": system.model} | system.thermal.table()
+    document["unknown"] = {"model": system.model} | _state_thermal(system.thermal)
     if system.environment is not None:
         document["truth"] = _state_forces("truth", system.environment)
     return document | _state_sampling(system)

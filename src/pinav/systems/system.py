@@ -12,10 +12,9 @@ from pinav.arguments import Scalar, check_positive, check_range, dimension
 from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import AbstractForce, ZeroForce
-from pinav.settings import NOT_NEGATIVE
+from pinav.settings import NOT_NEGATIVE, ThermalSettings
 from pinav.systems.priors import FreeNumber
 from pinav.systems.starts import AbstractStarts
-from pinav.systems.thermal_unknown import ThermalUnknown
 
 MODELS = (
     *("kernel-potential", "kernel-force", "kernel-mixture", "kernel-potential-time"),
@@ -175,7 +174,7 @@ class System(eqx.Module):
     )
     base_units: Units = Units()
     model: str = eqx.field(static=True, default="kernel-potential")
-    thermal: ThermalUnknown = ThermalUnknown()
+    thermal: ThermalSettings = eqx.field(static=True, default=ThermalSettings())
     learn: tuple[FreeNumber, ...] = ()
 
     def __check_init__(self) -> None:

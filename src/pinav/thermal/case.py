@@ -2,7 +2,6 @@
 
 import math
 import os
-import tomllib
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,6 +9,7 @@ import jax.numpy as jnp
 import msgspec
 
 from pinav.errors import InputError
+from pinav.files import read_toml
 from pinav.thermal import case_geometry, quantities
 from pinav.thermal.boundaries import AbstractBoundary, AbstractEnds, Sides, outer
 from pinav.thermal.case_matter import (
@@ -317,10 +317,7 @@ def read_case(path: Path) -> tuple[Case, dict[str, Any]]:
     Raises:
         InputError: the file cannot be read, or holds what no case has.
     """
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
+    content = read_toml(path)
     try:
         return msgspec.convert(content, Case), content
     except msgspec.ValidationError as error:

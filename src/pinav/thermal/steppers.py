@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, check_range
 from pinav.errors import InputError
+from pinav.settings import POSITIVE
 from pinav.thermal.bioheat import (
     COLDEST,
     WARMEST,
@@ -84,7 +85,7 @@ class RKL2(AbstractStepper):
     def __check_init__(self) -> None:
         if self.stages < 3 or self.stages % 2 == 0:
             raise InputError(f"RKL2.stages: expected odd and >= 3, got {self.stages}")
-        check_step("RKL2.longest", self.longest)
+        check_range(self, POSITIVE, "longest")
 
     @classmethod
     def for_model(cls, model: Bioheat) -> "RKL2":
@@ -173,12 +174,6 @@ def _rkl2_coefficients(s: int) -> tuple[Any, float]:
     return jnp.asarray(columns), b[1] * w
 
 
-def check_step(name: str, value: Number | None) -> None:
-    """Refuse a time step [s] that is not positive."""
-    if value is not None and not 0 < value < np.inf:
-        raise InputError(f"{name}: expected a time > 0 s, got {value}")
-
-
 LOOKED_INTO, PARTS = 8, 101
 """Intervals of temperature with the largest changes, and points within each."""
 
@@ -261,7 +256,7 @@ class Rosenbrock(AbstractStepper):
     longest: Number = eqx.field(static=True, default=7.5)
 
     def __check_init__(self) -> None:
-        check_step("Rosenbrock.longest", self.longest)
+        check_range(self, POSITIVE, "longest")
 
     @property
     def nodes(self) -> Float[np.ndarray, " node"]:

@@ -5,12 +5,13 @@ import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import msgspec
 import numpy as np
 
 from pinav.errors import InputError
+from pinav.files import csv_text
 from pinav.trajectories.npz_files import Metadata, metadata_text, parse_metadata
 from pinav.trajectories.trajectories import Trajectories
 from pinav.trajectories.trajectory import check_increasing, split_headings
@@ -25,22 +26,9 @@ def delimiter_of(header: str) -> str:
 
 def write_csv(trajectories: Trajectories, file: BinaryIO) -> None:
     """Write trajectories as text."""
-    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
-    text.write(f"{PREFIX} {metadata_text(trajectories)}\n")
-    writer = csv.writer(text, lineterminator="\n")
-    names = (*trajectories.channels, *trajectories.commands)
-    writer.writerow(("trajectory", "t", *names))
-    for index, piece in enumerate(trajectories):
-        cells = np.where(piece.observed, piece.states.astype(object), "")
-        columns = (*cells.T, *piece.commands.values())
-        for row in zip(piece.times, *columns, strict=True):
-            writer.writerow((index, *(_cell(value) for value in row)))
-    text.flush()
-    text.detach()
-
-
-def _cell(value: Any) -> str:
-    return value if isinstance(value, str) else repr(float(value))
+    table = trajectories.to_table()
+    text = csv_text([list(table), *zip(*table.values(), strict=True)])
+    file.write(f"{PREFIX} {metadata_text(trajectories)}\n{text}".encode())
 
 
 class _Row(NamedTuple):

@@ -219,6 +219,16 @@ class Trajectories(eqx.Module):
         """The coordinates among the states, which come first."""
         return self.states[..., : self.dim]
 
+    @property
+    def seen(self) -> Bool[np.ndarray, "trajectory time"]:
+        """Where all coordinates were observed; nowhere in the padding."""
+        return np.all(self.observed[..., : self.dim], axis=-1)
+
+    @property
+    def seen_positions(self) -> Float64[np.ndarray, "sample dim"]:
+        """The positions that were observed, of one trajectory after the other [L]."""
+        return self.positions[self.seen]
+
     def only(self, channels: Sequence[str]) -> "Trajectories":
         """The trajectories with these channels alone, in this order.
 

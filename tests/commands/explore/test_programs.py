@@ -285,8 +285,6 @@ def test_paths_and_bands_are_those_of_the_package(name, fitted_runs, tmp_path):
 
 def band(posterior, piece, start, times):
     """Standard deviations of the positions, under the commands of a track."""
-    if not piece.commands:
-        return posterior.rollout_band(start, times).sd[:, :2]
 
     def path(theta):
         model = drive_by_arrays(posterior.free(theta), piece.times, piece.commands)

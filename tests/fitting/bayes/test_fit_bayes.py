@@ -6,10 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.fitted_runs import crossing_system, crossings
-from tests.fitting.problems import STATES, observing
+from tests.fitting.problems import STATES, beginning, observing
 
 from pinav.dynamics import FixedStep, rollout
 from pinav.errors import FitError, InputError
+from pinav.evaluation import rollout_bands
 from pinav.evaluation.force_fields import exact_forces, force_error_at_samples
 from pinav.fitting import Outcome, fit_bayes, kernel_environment
 from pinav.fitting.bayes.neural import FitSpecification
@@ -66,8 +67,9 @@ def test_a_kernel_potential_learns_the_force_from_noisy_crossings(
 
 
 def test_the_smoothed_states_are_a_rollout_nearer_to_the_truth(fitted, data, exact):
-    band = fitted.posterior.rollout_band
-    rolled = [band(own[0], data.times[0]).ys for own in fitted.states]
+    starts = [states[0] for states in fitted.states]
+    solve = eqx.filter_jit(FixedStep().solve)
+    rolled = [solve(fitted.model, y0, data.times[0])[0] for y0 in starts]
     np.testing.assert_allclose(fitted.states, rolled, atol=1e-4)
     smoothed = np.sqrt(np.mean((fitted.states - exact.states) ** 2))
     assert smoothed < 0.5 * NOISE
@@ -110,15 +112,16 @@ def test_samples_spread_as_the_posterior_says(fitted):
 
 @pytest.mark.slow
 def test_the_band_of_a_rollout_is_the_spread_of_sampled_rollouts(fitted, data):
-    times, start = data.times[0, :21], fitted.states[0, 0]
-    band = fitted.posterior.rollout_band(start, times, start_sd=0.01)
-    np.testing.assert_allclose(band.sd[0], 0.01)
-    fixed = fitted.posterior.rollout_band(start, times)
-    assert np.all(fixed.sd <= band.sd)
+    shown = beginning(data, 21)
+    bands = rollout_bands(fitted.posterior, shown, noise=0.01)
+    np.testing.assert_allclose(bands.sd[0, 0], 0.01)
+    fixed = rollout_bands(fitted.posterior, shown)
+    assert np.all(fixed.sd <= bands.sd)
     solve = eqx.filter_jit(rollout)
     models = fitted.posterior.samples(200, key=jax.random.key(1))
+    start, times = shown.states[0, 0], shown.times[0]
     draws = [solve(m, start, times, solver=FixedStep()).ys[-1] for m in models]
-    np.testing.assert_allclose(np.std(draws, axis=0), fixed.sd[-1], rtol=0.25)
+    np.testing.assert_allclose(np.std(draws, axis=0), fixed.sd[0, -1], rtol=0.25)
 
 
 @pytest.mark.slow

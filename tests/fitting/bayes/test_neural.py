@@ -6,11 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.fitted_runs import crossing_system, crossings
+from tests.fitting.problems import beginning
 
 from pinav.analysis import influence
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
-from pinav.evaluation import exact_forces
+from pinav.evaluation import exact_forces, rollout_bands
 from pinav.fitting import (
     Outcome,
     fit_bayes,
@@ -167,14 +168,14 @@ def test_a_constant_is_learned_beside_a_network(fitted):
     assert damping.sd < 0.05
 
 
-def test_networks_drawn_from_the_posterior_spread_about_it(fitted):
+def test_networks_drawn_from_the_posterior_spread_about_it(fitted, data):
     models = fitted.posterior.samples(5, key=jax.random.key(0))
     point = np.array([[5.0, 5.0]])
     draws = np.stack([exact_forces(model.environment, point) for model in models])
     assert np.all(np.isfinite(draws))
     assert np.all(draws.std(axis=0) > 0)
-    band = fitted.posterior.rollout_band(fitted.states[0, 0], np.linspace(0.0, 1.0, 11))
-    assert np.all(np.isfinite(band.sd))
+    bands = rollout_bands(fitted.posterior, beginning(data, 11))
+    assert np.all(np.isfinite(bands.sd))
 
 
 def test_the_bands_of_a_network_are_as_wide_as_its_errors(errors):

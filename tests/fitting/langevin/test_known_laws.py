@@ -22,6 +22,7 @@ from pinav.forces import (
     KernelTensor,
     ZeroForce,
 )
+from pinav.systems import Observation
 from pinav.trajectories import Trajectories
 
 TURN = 2 * np.pi
@@ -153,7 +154,7 @@ def test_terms_of_second_order_lower_the_bias_of_long_steps():
     tau = 0.3
     data = trapped(tau)
     short = path_of(data, KernelAxis(0))
-    long = path_of(data, KernelAxis(0), observation=fitting.Observation())
+    long = path_of(data, KernelAxis(0), observation=Observation())
     first, second = number(short).value, number(long).value
     of_one_lag = -np.expm1(-2 * RATE * tau) / (2 * RATE * tau)
     assert first == pytest.approx(of_one_lag * DIFFUSION, rel=0.05)

@@ -14,12 +14,12 @@ from pinav.fitting import (
     Estimate,
     KernelDiffusion,
     LearnedObservation,
-    Observation,
     SlowReference,
     fit_langevin,
     profile_environment,
 )
 from pinav.forces import KernelAxis, KernelBasis, KernelProfile, Warp, ZeroForce
+from pinav.systems import Observation
 from pinav.trajectories import Trajectories
 
 TURN = 2 * np.pi
@@ -127,7 +127,7 @@ PLACES, ALONG = np.linspace(0, 1, 5)[:, None], (KernelAxis(0),)
 test_values_that_make_no_sense_are_refused = refusals(
     (lambda: ConstantDiffusion(((0, 2),)), "every axis from 0 on in one group"),
     (lambda: KernelDiffusion(()), "one or more KernelAxis, got none"),
-    (lambda: Observation(exposure=-1.0), "Observation.exposure: expected a finite"),
+    (lambda: Observation(exposure=-1.0), "Observation.exposure: expected 0 or more"),
     (lambda: LearnedObservation(spread=0.0), "LearnedObservation.spread: expected > 0"),
     (lambda: SlowReference(0, knots=1), "two or more knots"),
     (

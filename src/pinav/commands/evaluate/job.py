@@ -73,8 +73,7 @@ def _rows(content: Json, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Cell
         for key, value in pairs:
             yield from _rows(value, (*path, str(key)))
     else:
-        known = "" if content is None else WORDS.get(content, content)
-        yield "/".join(path), known
+        yield "/".join(path), WORDS.get(content, content)
 
 
 BEYOND_DATA = (

@@ -1,8 +1,6 @@
 """`pinav export`: what a run has learned, in the formats of other programs."""
 
-import csv
 import importlib.util
-import io
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,7 +13,7 @@ from pinav.commands.export import ExportOptions
 from pinav.commands.results import open_fit
 from pinav.errors import InputError
 from pinav.evaluation import exact_forces, extent, require_x64
-from pinav.files import atomic_write, check_destination
+from pinav.files import atomic_write, check_destination, csv_text
 from pinav.fitting import Posterior
 from pinav.fitting.engine.local_model import parameter_names
 from pinav.forces import AbstractForce, as_learned_force
@@ -52,10 +50,8 @@ class SpotTable(NamedTuple):
 def spot_table(run: Learned) -> SpotTable:
     """The learned force at the observed positions of the data that were fitted."""
     data = run.data
-    is_observed = data.observed[..., : data.dim].all(axis=-1)
-    is_observed &= np.arange(data.times.shape[1]) < data.lengths[:, None]
-    trajectory, frame = np.nonzero(is_observed)
-    position, time = data.positions[is_observed], data.times[is_observed]
+    trajectory, frame = np.nonzero(data.seen)
+    position, time = data.seen_positions, data.times[data.seen]
     force = learned_force(run)
     values = exact_forces(force, position, time)
     sd = force_sds(run.posterior, force, position, time)
@@ -110,7 +106,7 @@ def napari_csv(table: SpotTable) -> str:
     heads += [f"force_{name}_sd" for name in axes]
     columns = [table.trajectory, table.frame, *table.position.T[::-1], table.time]
     columns += [*table.force.T, np.linalg.norm(table.force, axis=1), *table.force_sd.T]
-    return _csv([heads], columns)
+    return csv_text([heads, *zip(*columns, strict=True)])
 
 
 def trackmate_csv(table: SpotTable) -> str:
@@ -133,21 +129,7 @@ def trackmate_csv(table: SpotTable) -> str:
     columns = [[f"ID{i}" for i in spots], spots, table.trajectory]
     columns += [*table.position.T, table.time, table.frame, *table.force.T]
     columns += [np.linalg.norm(table.force, axis=1), *table.force_sd.T]
-    return _csv(list(zip(*features, strict=True)), columns)
-
-
-def _csv(heads: list, columns: list) -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerows(heads)
-    writer.writerows(zip(*(_cells(column) for column in columns), strict=True))
-    return stream.getvalue()
-
-
-def _cells(column: np.ndarray | list[str]) -> list:
-    """Numbers with all of their digits; nothing where there is none."""
-    cells = column.tolist() if isinstance(column, np.ndarray) else column
-    return ["" if cell != cell else cell for cell in cells]
+    return csv_text([*zip(*features, strict=True), *zip(*columns, strict=True)])
 
 
 MISSING = "{} is not installed; install it by pip install 'pinav[exchange]'"
@@ -250,8 +232,7 @@ def _predictions(
 def _grid(run: Learned, points: int) -> list[Float[np.ndarray, " point"]]:
     """Coordinates of a grid over the box of the data, equally spaced."""
     data = run.data
-    is_observed = data.positions[data.observed[..., : data.dim].all(axis=-1)]
-    low, high = is_observed.min(axis=0), is_observed.max(axis=0)
+    low, high = data.seen_positions.min(axis=0), data.seen_positions.max(axis=0)
     spacing = extent(data) / (points - 1)
     counts = np.maximum(np.ceil((high - low) / spacing).astype(int), 1) + 1
     return [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]

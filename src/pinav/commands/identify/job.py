@@ -21,7 +21,7 @@ from pinav.identification import (
     tracks,
     trajectories_of,
 )
-from pinav.identification.findings import interval, positive_interval
+from pinav.identification.findings import positive_interval
 from pinav.identification.identify import SHOWN, is_pooled, pooled_coverage
 from pinav.identification.parameters import ESTIMATED, Parameter, Scale
 from pinav.identification.rollouts import HORIZONS
@@ -133,8 +133,7 @@ def _table(result: Identification) -> tuple[list[str], list[list]]:
                 numbers = [row.log_evidence, row.velocity_r2, row.seconds]
                 numbers += [one.relative for one in errors]
                 numbers += [one.median for one in errors]
-                blank = [None if value != value else value for value in numbers]
-                rows.append([track.name, row.name, *blank])
+                rows.append([track.name, row.name, *numbers])
     return header, rows
 
 
@@ -160,14 +159,9 @@ def sections(result: Identification) -> list[Section]:
     ]
 
 
-def _cell(value: float | None) -> Cell:
-    """A number; a dash where it is not defined."""
-    return "–" if value is None or value != value else value
-
-
 def _errors(row: Row) -> list[Cell]:
     """Relative errors by horizon."""
-    return [_cell(row.errors[f"{horizon:g}"].relative) for horizon in HORIZONS]
+    return [row.errors[f"{horizon:g}"].relative for horizon in HORIZONS]
 
 
 def _summary(result: Identification) -> Table:
@@ -178,9 +172,11 @@ def _summary(result: Identification) -> Table:
         (
             name,
             row.tracks,
-            *map(_cell, (row.log_evidence, row.velocity_r2)),
+            row.log_evidence,
+            row.velocity_r2,
             *_errors(row),
-            *map(_cell, (row.errors["10"].median, row.seconds)),
+            row.errors["10"].median,
+            row.seconds,
         )
         for name, row in result.summary.items()
     ]
@@ -200,12 +196,12 @@ def _tracks(result: Identification) -> Table:
     def error(track: IdentifiedTrack, name: str) -> Cell:
         row = track.row(name)
         errors = None if row is None else row.over(SHOWN)
-        return _cell(None if errors is None else errors.relative)
+        return None if errors is None else errors.relative
 
     def held(track: IdentifiedTrack) -> Cell:
         bands = track.coverage
         if bands is None or not bands.rollouts:
-            return "–"
+            return None
         return f"{100 * bands.inside:.0f} %"
 
     columns: dict[str, Callable[[IdentifiedTrack], Cell]] = {
@@ -228,10 +224,10 @@ def _tracks(result: Identification) -> Table:
     return Table.of(result.fitted, columns, note)
 
 
-def gain_text(track: IdentifiedTrack) -> str:
-    """The gain matrix on a line; a dash where there is none."""
+def gain_text(track: IdentifiedTrack) -> str | None:
+    """The gain matrix on a line, if there is one."""
     if track.gain is None:
-        return "–"
+        return None
     return "; ".join(" ".join(f"{v:.3g}" for v in row) for row in track.gain)
 
 
@@ -266,10 +262,12 @@ def estimate_row(
 ) -> tuple[Cell, ...]:
     """A row of the table; a quantity that is not described there keeps its name."""
     shown = ESTIMATED.get(name, Parameter(name, name, scale=Scale.PLAIN))
-    between = positive_interval if shown.scale is Scale.LOG else interval
+    ends = estimate.low, estimate.high
+    if shown.scale is Scale.LOG:
+        ends = positive_interval(estimate)
     unit = unit_of(shown.dimension, {"L": units["x"], "T": units["t"]})
     title = shown.title or name
-    return (title, unit, estimate.value, *between(estimate), shown.meaning)
+    return (title, unit, estimate.value, *ends, shown.meaning)
 
 
 def _gain(track: IdentifiedTrack, units: dict[str, str]) -> list[Table]:
@@ -292,9 +290,8 @@ def _rows(track: IdentifiedTrack) -> Table:
     for row in track.rows:
         name = row.label + (" (chosen)" if row.name == track.chosen else "")
         if row.reason:
-            rows.append((name, row.reason, *("–",) * (len(HORIZONS) + 1)))
+            rows.append((name, row.reason, *(None,) * (len(HORIZONS) + 1)))
         else:
-            scores = map(_cell, (row.log_evidence, row.velocity_r2))
-            rows.append((name, *scores, *_errors(row)))
+            rows.append((name, row.log_evidence, row.velocity_r2, *_errors(row)))
     header = ("model", "log evidence", "velocity R²", *(f"{h:g} s" for h in HORIZONS))
     return Table(header, rows, "Errors of held-out rollouts over the path length.")

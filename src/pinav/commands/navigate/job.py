@@ -39,7 +39,7 @@ from pinav.navigation import (
     fly_swimmer,
     task,
 )
-from pinav.navigation.adaptive.prior import observed_places, with_prior_of
+from pinav.navigation.adaptive.prior import with_prior_of
 from pinav.runs import RunFolder
 from pinav.scenarios import find_system
 from pinav.sweeps import Cell
@@ -123,8 +123,7 @@ def with_prior(
             f"RUN: expected a fit with a posterior, got {path}, which has none; "
             "fit with --recipe bayes"
         )
-    places = observed_places(run.data)
-    return with_prior_of(adaptive, model, run.posterior, places)
+    return with_prior_of(adaptive, model, run.posterior, run.data.seen_positions)
 
 
 def _words(units: Units) -> str:

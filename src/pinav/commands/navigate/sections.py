@@ -75,16 +75,12 @@ def controller_table(
     controllers: Mapping[str, Summary], regret: Mapping[str, Interval]
 ) -> Table:
     """One row for each controller."""
-
-    def ratio(name: str) -> str:
-        return ratio_interval(regret[name]) if name in regret else "–"
-
     columns: dict[str, Callable[[tuple[str, Summary]], Cell]] = {
         "controller": lambda one: one[0],
         "success": lambda one: percent_interval(one[1].success),
         "violation": lambda one: percent_interval(one[1].violation),
         "arrival": lambda one: one[1].arrival.median,
-        "regret": lambda one: ratio(one[0]),
+        "regret": lambda one: ratio_interval(regret.get(one[0])),
         "efficiency": lambda one: one[1].efficiency,
         "least clearance": lambda one: one[1].clearance,
     }
@@ -264,7 +260,7 @@ def online_table(
         with_unit("arrival", time): lambda row: row.arrival.median,
         "5 %": lambda row: row.arrival.low,
         "95 %": lambda row: row.arrival.high,
-        "regret": lambda row: "–" if row.regret is None else ratio_interval(row.regret),
+        "regret": lambda row: ratio_interval(row.regret),
         with_unit("least clearance", length): lambda row: row.clearance,
         "force error": lambda row: row.force_error,
         "cover": lambda row: row.cover,
@@ -318,8 +314,10 @@ def percent_interval(interval: Interval) -> str:
     return f"{value:.0f} % ({lower:.0f}–{upper:.0f})"
 
 
-def ratio_interval(interval: Interval) -> str:
-    """The interval of a ratio."""
+def ratio_interval(interval: Interval | None) -> str | None:
+    """The interval of a ratio, if there is one."""
+    if interval is None:
+        return None
     parts = interval.value, interval.lower, interval.upper
     value, lower, upper = ("∞" if math.isinf(p) else f"{p:.3f}" for p in parts)
     return f"{value} ({lower}–{upper})"

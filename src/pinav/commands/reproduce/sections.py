@@ -183,8 +183,7 @@ DIFFERENCES = (
 
 def csv_row(row: ModelRollout) -> tuple[Cell, ...]:
     """A line as it stands in `table2.csv`."""
-    seed = "" if row.seed is None else row.seed
-    return (row.model, seed, *(repr(row.errors[name]) for name in HEADER[2:]))
+    return (row.model, row.seed, *(repr(row.errors[name]) for name in HEADER[2:]))
 
 
 def table2_blocks(result: Reproduction) -> list[Paragraph | Table]:
@@ -207,7 +206,7 @@ def _table2(result: Reproduction) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for model in ROWS:
         rows += [
-            (row.model, _seed(row), *(row.errors[name] for name in HEADER[2:]))
+            (row.model, row.seed, *(row.errors[name] for name in HEADER[2:]))
             for row in result.table2
             if row.model == model
         ]
@@ -241,15 +240,11 @@ def _losses(result: Reproduction) -> Table:
             start, end = float(losses[0]), float(losses[-1])
             decades = float(np.log10(losses[0] / losses[-1]))
             steps = int(losses.size - 1)
-            rows.append((row.model, _seed(row), start, end, decades, steps))
+            rows.append((row.model, row.seed, start, end, decades, steps))
     decades = math.log10(PAPER_LOSS[0] / PAPER_LOSS[1])
     rows.append(("ude, as printed", "42", *PAPER_LOSS, decades, PAPER_STEPS))
     header = ("model", "seed", "loss at start", "at end", "decades", "iterations")
     return Table(header, rows, "Training loss, the sum of squares of eq. (3).")
-
-
-def _seed(row: ModelRollout) -> str:
-    return "–" if row.seed is None else str(row.seed)
 
 
 BARRIER = ([5.0, 5.0], 2.9)

@@ -173,12 +173,9 @@ def table(study: Study) -> Table:
 
 
 def csv_rows(study: Study) -> list[list[Entry]]:
-    """The rows of `study.csv`, empty where a number is not defined."""
+    """The rows of `study.csv`."""
     rows = [[cell(fit) for cell in COLUMNS.values()] for fit in study.fits]
-    return [
-        ["" if c != c else "diverged" if c == math.inf else c for c in row]
-        for row in rows
-    ]
+    return [["diverged" if c == math.inf else c for c in row] for row in rows]
 
 
 NESTED = 32

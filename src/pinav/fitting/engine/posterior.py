@@ -1,4 +1,4 @@
-"""The Laplace posterior of a fit: models drawn from it, and bands."""
+"""The Laplace posterior of a fit: models drawn from it, and linear rollouts."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -46,18 +46,6 @@ class Estimate(eqx.Module):
 
 TWO_SIDED = 1.959963984540054
 """Standard deviations from the middle of a normal distribution to 97.5 %."""
-
-
-class Band(eqx.Module):
-    """A rollout and its uncertainty.
-
-    Attributes:
-        ys: states of the mean model at those times.
-    """
-
-    ts: Float[np.ndarray, " time"]
-    ys: Float[np.ndarray, "time state"]
-    sd: Float[np.ndarray, "time state"]
 
 
 class Posterior(eqx.Module):
@@ -147,37 +135,6 @@ class Posterior(eqx.Module):
             times = jnp.full(len(points), time, jnp.float64)
             mean = on_device(self.mean)
             return np.asarray(force_jacobians(self.free, mean, points, times))
-
-    def rollout_band(
-        self,
-        y0: ArrayLike,
-        ts: ArrayLike,
-        *,
-        start_sd: ArrayLike = 0.0,
-        solver: FixedStep | None = None,
-    ) -> Band:
-        """A rollout of the best model, with its uncertainty to first order.
-
-        Where a rollout depends on its start so strongly that the band is as wide as
-        the field is varied, roll out `samples` instead.
-
-        Args:
-            start_sd: standard deviation of the start, a number or one per state.
-            solver: how to integrate; `FixedStep()` unless given.
-        """
-        solver = FixedStep() if solver is None else solver
-        with jax.enable_x64(new_val=True):
-            times = jnp.asarray(ts, jnp.float64)
-            start = jnp.asarray(y0, jnp.float64)
-            theta = on_device(self.mean)
-            ys, columns = linear_rollout(self.free, theta, start, times, solver)
-        states = np.shape(start)[0]
-        start_variance = np.broadcast_to(np.asarray(start_sd, float) ** 2, (states,))
-        total = np.zeros((len(self.mean) + states,) * 2)
-        total[: len(self.mean), : len(self.mean)] = self.covariance
-        total[len(self.mean) :, len(self.mean) :] = np.diag(start_variance)
-        spread = _spread(np.asarray(columns)[..., :-1], total)
-        return Band(np.asarray(times), np.asarray(ys), spread)
 
 
 @eqx.filter_jit

@@ -264,11 +264,7 @@ def force_region(
 
 
 def forces_beside_drag(
-    velocities: Float[np.ndarray, "point dim"],
-    forces: Float[np.ndarray, "point dim"],
-    *,
-    rounds: int = 20,
-    small: float = 1e-3,
+    velocities: Float[np.ndarray, "point dim"], forces: Float[np.ndarray, "point dim"]
 ) -> Float[np.ndarray, "point dim"]:
     """What a uniform force and a linear drag leave of forces.
 
@@ -277,18 +273,17 @@ def forces_beside_drag(
 
     Args:
         forces: all of them, or those that known physics leave [L T⁻²].
-        rounds: iterations of the weights.
-        small: misfit below which weights no longer grow, as a share of the largest.
     """
     columns = np.insert(velocities, 0, 1.0, axis=1)
     left, weights = forces, np.ones((len(columns), 1))
-    for _ in range(rounds):
+    for _ in range(20):
         law, *_ = np.linalg.lstsq(weights * columns, weights * forces)
         left = forces - columns @ law
         sizes = np.linalg.norm(left, axis=1, keepdims=True)
         if not sizes.any():
             break
-        weights = 1.0 / np.sqrt(sizes + small * sizes.max())
+        # below a thousandth of the largest misfit weights no longer grow
+        weights = 1.0 / np.sqrt(sizes + 1e-3 * sizes.max())
     return left
 
 

@@ -10,7 +10,6 @@ from pinav.fitting.langevin.fit import ThermalResult as ThermalResult
 from pinav.fitting.langevin.fit import fit_langevin as fit_langevin
 from pinav.fitting.langevin.increments import Increments as Increments
 from pinav.fitting.langevin.increments import LearnedObservation as LearnedObservation
-from pinav.fitting.langevin.increments import Observation as Observation
 from pinav.fitting.langevin.increments import ObservedAxes as ObservedAxes
 from pinav.fitting.langevin.tracking import ReferencePath as ReferencePath
 from pinav.fitting.langevin.tracking import SlowReference as SlowReference

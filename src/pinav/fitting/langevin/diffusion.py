@@ -17,10 +17,10 @@ from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.langevin.increments import (
     Increments,
     LearnedObservation,
-    Observation,
     ObservedAxes,
 )
 from pinav.forces import KernelAxis, KernelBasis, KernelTensor, check_groups
+from pinav.systems import Observation
 
 Groups = tuple[tuple[int, ...], ...]
 """The axes of each process."""
@@ -97,7 +97,7 @@ class ThermalMotion(eqx.Module):
     def variances(self) -> Float[Array, " group"]:
         """Variance of the error of each group [L²]."""
         if self.known is not None:
-            return jnp.full_like(self.units, self.known.error**2)
+            return jnp.full_like(self.units, self.known.noise**2)
         return self.units * jnp.exp(self.log_errors)
 
 

@@ -32,7 +32,6 @@ from pinav.fitting.langevin.drift import diffusion_of, fit_force, mix_over_shape
 from pinav.fitting.langevin.increments import (
     Increments,
     LearnedObservation,
-    Observation,
     ObservedAxes,
     Relation,
 )
@@ -54,6 +53,7 @@ from pinav.fitting.langevin.tracking import (
     track_reference,
 )
 from pinav.forces import as_learned_force
+from pinav.systems import Observation
 from pinav.trajectories import Trajectories
 
 
@@ -128,7 +128,7 @@ def fit_langevin(
         diffusion: D where it is known [L² T⁻¹]; None for one number to learn,
             `ConstantDiffusion(groups)` for one of each group of axes,
             `KernelDiffusion(axes, groups)` for fields.
-        observation: `Observation(exposure, error)` where it is known,
+        observation: `Observation(noise, exposure)` where it is known,
             `LearnedObservation()` to learn both for each group of axes; None counts
             positions as exact.
         einstein: whether mobility is $D/k_BT$, with the `thermal_energy` of the

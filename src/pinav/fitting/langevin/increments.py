@@ -16,29 +16,6 @@ from pinav.forces import KernelTensor
 from pinav.trajectories import Trajectories
 
 
-class Observation(eqx.Module):
-    """A known observation: the mean over an exposure, with an error.
-
-    Attributes:
-        exposure: time [T] before each sample over which the position is averaged.
-        error: standard deviation of the error of each coordinate [L].
-
-    Raises:
-        InputError: a number is negative or not finite.
-    """
-
-    exposure: float = 0.0
-    error: float = 0.0
-
-    def __check_init__(self) -> None:
-        for name in ("exposure", "error"):
-            value = getattr(self, name)
-            if not (isinstance(value, float | int) and 0 <= value < np.inf):
-                raise InputError(
-                    f"Observation.{name}: expected a finite number >= 0, got {value!r}"
-                )
-
-
 class LearnedObservation(eqx.Module):
     r"""An observation whose exposure and error are learned, with weak priors.
 

@@ -197,5 +197,6 @@ class TrajectoryLoss(AbstractObjective):
             if not first.all():
                 raise InputError(
                     f"trajectory {index}: its first sample must be fully observed, "
-                    "because the rollout starts there; drop the samples before it"
+                    "because the rollout starts there; drop the samples before it, or "
+                    "choose the recipe bayes"
                 )

@@ -17,7 +17,6 @@ from pinav.navigation.belief.kernels import Points
 from pinav.navigation.predictors import TabulatedModel, split_rates, tabulate_model
 from pinav.navigation.task.steering import SteeredSwimmer, physics_only
 from pinav.navigation.task.task import Task, steered_swimmer
-from pinav.trajectories import Trajectories
 
 PLACES = 256
 """Places of the data at most at which the fit is told how well it knows the force."""
@@ -81,13 +80,6 @@ def with_prior_of(
     prior = BeliefPrior(rate, places[chosen], covariance)
     first = adaptive.believe(adaptive.first_frame)
     return dataclasses.replace(adaptive, known=prior.lead(first))
-
-
-def observed_places(data: Trajectories) -> Points:
-    """Positions of trajectories that were observed [L]."""
-    return np.concatenate(
-        [p.states[p.observed[:, : data.dim].all(axis=1), : data.dim] for p in data]
-    )
 
 
 def with_truth(adaptive: AdaptiveController) -> AdaptiveController:
