@@ -1,5 +1,6 @@
 """The result of each command can be stored: its annotations name what files hold."""
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -10,6 +11,10 @@ from tests.samples import sample
 from pinav import codec
 from pinav.commands import COMMANDS
 from pinav.commands.command import resolve
+from pinav.commands.results import open_fit
+from pinav.errors import InputError
+from pinav.learning.learned import Learned
+from pinav.learning.verdict import Standing, Verdict
 
 STORED = {command.name: command for command in COMMANDS if command.result}
 """Commands whose result is a value of the library."""
@@ -63,3 +68,22 @@ assert known == {name: members(family) for name, family in wanted.items()}
 
 def test_who_says_a_result_knows_all_classes_that_it_may_have():
     subprocess.run([sys.executable, "-c", IMPORT_ALL], check=True)
+
+
+def test_a_fit_is_opened_with_its_verdict_and_not_steered_by_where_that_forbids_it(
+    fitted_run, capsys
+):
+    run = fitted_run("kernel")[0]
+    fit = Learned.open(run)
+    reason = "the thrust is 0.5 times the stated one (190 nats)"
+    for standing, told in ((Standing.CONTRADICTS, True), (Standing.TRUSTED, False)):
+        verdict = Verdict(standing, reason)
+        fit.folder.store("metrics", dataclasses.replace(fit.findings, verdict=verdict))
+        opened = open_fit(run)
+        assert opened.verdict == verdict
+        assert (reason in capsys.readouterr().err) == told
+        if told:
+            with pytest.raises(InputError, match=r"do not steer by this fit.*--anyway"):
+                open_fit(run, steers=True)
+        else:
+            assert open_fit(run, steers=True).verdict == verdict
