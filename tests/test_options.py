@@ -78,7 +78,7 @@ def tags_of(name: str) -> list[tuple[str, str]]:
     return [words for one in commands for words in tag_words(resolve(one.options))]
 
 
-MOST_OPTIONS = 204
+MOST_OPTIONS = 205
 """Options of all commands, that of the help included; lower it as options go."""
 
 

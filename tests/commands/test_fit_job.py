@@ -33,7 +33,7 @@ def test_data_without_a_scenario_need_physics(tmp_path, refused):
     argv += ["--system", "paper", "--recipe", "curriculum"]
     refused(argv, "expected the channels x, y, vx, vy")
     path.write_text("t,x,y,vx,vy\n0,0,0,,\n1,1,1,1,1\n2,2,2,1,1\n")
-    refused(argv, "or choose --recipe bayes")
+    refused(argv, "or choose the recipe bayes")
     assert not (tmp_path / "run").exists()
 
 

@@ -60,8 +60,11 @@ def test_constants_have_units_and_intervals(content_with):
 def test_a_fit_says_whether_the_evidence_supports_a_field(content_with):
     restarts = RestartErrors(np.array([1.0, 10.0]), np.array([2.5, np.nan]), 27)
     content = content_with(units=UNITS, restarts=restarts, support=-2.7)
-    assert isinstance(content[0], Paragraph)
-    assert "not supported: its log evidence over the known" in content[0].text
+    verdict, support = content[:2]
+    assert isinstance(verdict, Paragraph)
+    assert verdict.text.startswith("Verdict: ")
+    assert isinstance(support, Paragraph)
+    assert "not supported: its log evidence over the known" in support.text
     table = tables(content)[0]
     assert table.header == ("after 1.00 s [um]", "after 10.0 s [um]")
     assert table.rows[0][0] == 2.5
@@ -74,7 +77,7 @@ def test_a_section_has_its_paragraphs_in_order(content_with):
     assert isinstance(second, Paragraph)
     assert first.text.startswith("structure: free kernels")
     assert second.text.startswith("force: a potential")
-    assert content_with(remarks=("The kernels are coarse.",))[0].text.startswith(
+    assert content_with(remarks=("The kernels are coarse.",))[1].text.startswith(
         "The k"
     )
 

@@ -90,8 +90,6 @@ def sections(fit: Findings) -> list[Section]:
         first.append(Paragraph(support_sentence(fit.support)))
     first += [*map(Paragraph, fit.remarks), *_tables(fit), fit_figure(fit)]
     shown = [Section(f"The fit: {fit.model}, {fit.recipe}", first)]
-    if fit.contradictions:
-        shown.append(Section("Checks of the fit", [_contradictions(fit)]))
     if fit.structure is not None:
         shown.append(Section("The structure of the force", _structure(fit)))
     if fit.thermal is not None:
@@ -99,6 +97,8 @@ def sections(fit: Findings) -> list[Section]:
         shown.append(Section("The thermal motion", blocks))
     if force := _force(fit):
         shown.append(Section("The learned force", force))
+    if fit.contradictions:
+        shown.append(Section("Checks of the fit", [_contradictions(fit)]))
     return shown
 
 
