@@ -35,11 +35,12 @@ from validation.same_numbers import (
 FOLDER = Path(__file__).parent / "numbers"
 MODULES = ("tests/test_same_numbers.py", "tests/commands/test_every_command.py")
 
-TOLERANCE = 1e-3
+TOLERANCE = 3e-3
 """Relative difference up to which two numbers of a result are the same.
 
 Without the flags of tests/conftest.py, with two threads, or with the instructions of
-SSE4 alone, numbers of converged fits move by 1e-4 at most, most by less than 1e-6.
+SSE4 alone, numbers of converged fits move by 1e-4 at most, most by less than 1e-6;
+between two kinds of processors an error of a force against its truth moved by 1e-3.
 """
 
 CLOSED = 1e-4
@@ -56,7 +57,7 @@ READ = {*READERS, ".npz", ".html", ".txt"}
 
 UNTOLD = re.compile(
     r"\.array$|:\.format$|\.csv:.*\.\d+$|(^|/)track-\d+\.json:|tracks\[\d+\]\.rows"
-    r"|\.screened\[|\.computing\."
+    r"|\.screened\[|\.computing\.|\.contradictions\["
 )
 """Numbers that tell nothing new.
 
@@ -64,7 +65,7 @@ The shapes of arrays that are looked at themselves, numbers among the words of a
 the tracks of an identification one by one; and the criterion of laws that do not fit.
 """
 
-UNSTEADY = re.compile(r"\d[\d.]* × 10⁻¹\d|\d[\d.]* ms, the first one \d[\d.]* s")
+UNSTEADY = re.compile(r"\d[\d.]* × 10⁻¹[⁰¹²³⁴⁵⁶⁷⁸⁹]|\d[\d.]* ms, the first one \d[\d.]* s")
 """Numbers in texts that are zeros but for rounding, or that the machine decides."""
 
 EMBEDDED = re.compile(r'(?s)<script type="application/json"[^>]*>(.*?)</script>')

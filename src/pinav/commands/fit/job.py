@@ -193,7 +193,7 @@ def _contradictions(fit: Findings) -> Table:
     """Table of departures from what the system states."""
     columns: dict[str, Callable[[Contradiction], Cell]] = {
         "departure": lambda one: one.name,
-        "log evidence over the stated system (nats)": lambda one: number(one.gain, 3),
+        "log evidence over the stated system (nats)": lambda one: f"{one.gain:.1f}",
         "it would be": lambda one: one.clause,
     }
     return Table.of(

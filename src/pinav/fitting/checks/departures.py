@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector
 from pinav.dynamics import FixedStep, Swimmer
-from pinav.fitting.checks.column_evidence import ColumnWeigher
+from pinav.fitting.checks.column_evidence import SEEN, ColumnWeigher
 from pinav.fitting.matching.state import Observations
 from pinav.fitting.policy import POLICY
 from pinav.fitting.structure.response import (
@@ -249,8 +249,8 @@ def weigh_departures(
     best: dict[str, Contradiction] = {}
     for one, first, count in zip(tried, np.cumsum([1, *counts]), counts, strict=False):
         which = np.arange(first, first + count)
-        if not data[:, which].any():
-            continue  # a change of nothing, such as the course of no force
+        if np.linalg.norm(data[:, which]) <= SEEN * np.linalg.norm(data[:, 0]):
+            continue  # it changes nothing, as the delay of a constant thrust
         fit = weigher.fit(known=which) if one.is_known else weigher.fit(flat=which)
         gain = fit.log_evidence - stated.log_evidence
         if one.name not in best or gain > best[one.name].gain:
