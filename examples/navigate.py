@@ -26,7 +26,7 @@ from pinav.figures.images import save_figure
 from pinav.figures.navigation import plan_map
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.forces import KernelPotential
-from pinav.navigation.adaptive.prior import observed_places, with_prior_of
+from pinav.navigation.adaptive.prior import with_prior_of
 from pinav.navigation.adaptive.steering import AdaptiveController
 from pinav.navigation.adaptive.strategies import MEAN_FORCE
 from pinav.navigation.control.controller import StraightLine
@@ -110,7 +110,7 @@ known = with_prior_of(
     AdaptiveController.of(recorded, MEAN_FORCE),
     fit.model,
     fit.posterior,
-    observed_places(data),
+    data.seen_positions,
 )
 experiment = Experiment(recorded, Rectangle(start - 0.3, start + 0.3), duration=8.0)
 way = np.asarray(route.ys[::10, :2])

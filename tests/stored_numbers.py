@@ -65,7 +65,9 @@ The shapes of arrays that are looked at themselves, numbers among the words of a
 the tracks of an identification one by one; and the criterion of laws that do not fit.
 """
 
-UNSTEADY = re.compile(r"\d[\d.]* × 10⁻¹[⁰¹²³⁴⁵⁶⁷⁸⁹]|\d[\d.]* ms, the first one \d[\d.]* s")
+UNSTEADY = re.compile(
+    r"\d[\d.]* × 10⁻¹[⁰¹²³⁴⁵⁶⁷⁸⁹]|\d[\d.]* ms, the first one \d[\d.]* s"
+)
 """Numbers in texts that are zeros but for rounding, or that the machine decides."""
 
 EMBEDDED = re.compile(r'(?s)<script type="application/json"[^>]*>(.*?)</script>')
