@@ -193,14 +193,15 @@ def _contradictions(fit: Findings) -> Table:
     """Table of departures from what the system states."""
     columns: dict[str, Callable[[Contradiction], Cell]] = {
         "departure": lambda one: one.name,
-        "log evidence over the stated system (nats)": lambda one: f"{one.gain:.1f}",
+        "gain (nats)": lambda one: f"{one.gain:.1f}",
         "it would be": lambda one: one.clause,
     }
     return Table.of(
         fit.contradictions,
         columns,
-        "Departures from what the system states, each weighed beside kernels that are "
-        f"as free as those of the fit; one above {CREDIBLE:g} nats counts.",
+        "Departures from what the system states: the gain of log evidence over it, "
+        "beside kernels that are as free as those of the fit; one above "
+        f"{CREDIBLE:g} nats counts.",
     )
 
 

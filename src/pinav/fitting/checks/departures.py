@@ -112,7 +112,8 @@ def departures(
         return model.propulsion(t, x, v if has_inertia else jnp.zeros_like(x))
 
     if is_driven:
-        yield from _of_thrust(thrust, dim, float(np.median(np.diff(times, axis=1))))
+        steps = np.diff(times, axis=1)
+        yield from _of_thrust(thrust, dim, float(np.median(steps[steps > 0])))
     if has_inertia:
         yield Departure(
             "drag",
@@ -221,7 +222,6 @@ def weigh_departures(
     trajectories: Trajectories,
     *,
     noise: float | None = None,
-    solver: FixedStep | None = None,
 ) -> list[Contradiction]:
     """The likeliest departure of each name.
 
@@ -237,8 +237,7 @@ def weigh_departures(
         lambda leaf: leaf[chosen], Observations.of(trajectories, jnp.float64)
     )
     path = jnp.asarray(states[chosen])
-    solver = FixedStep() if solver is None else solver
-    response = force_response(model, path, observations, solver, dim)
+    response = force_response(model, path, observations, FixedStep(), dim)
     times = np.asarray(observations.times)
     size = float(np.sqrt(np.mean(response.forces**2)))
     tried = list(departures(model, dim, times, size))
