@@ -1,7 +1,11 @@
 """The verdict of a fit: which reason comes first, and its sentence."""
 
+import jax
+import numpy as np
 import pytest
+from tests.fitted_runs import trap_system
 
+from pinav import learn, simulate
 from pinav.fitting.checks.departures import Contradiction
 from pinav.learning.verdict import CREDIBLE, Standing, judge
 
@@ -50,3 +54,12 @@ def test_a_contradiction_comes_before_a_fit_that_did_not_converge():
 
 def test_a_fit_without_checks_says_so():
     assert "no check of the data contradicts" in verdict(against=()).says
+
+
+def test_particles_in_one_stiff_trap_are_no_copies():
+    """Their distance is below the diffusion of a unit of time, which is no length."""
+    system = trap_system(
+        stiffness=2000.0, thermal_energy=1.0, times=np.linspace(0.0, 0.2, 201)
+    )
+    data = simulate(system, key=jax.random.key(0))
+    assert "copies" not in learn(system, data).verdict.says

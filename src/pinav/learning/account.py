@@ -268,7 +268,8 @@ def account(plan: FitPlan, fit: Learned) -> findings.Findings:
         verdict=judge(
             outcome,
             contradictions,
-            copied_tracks(data, fit.noise),
+            # That of thermal motion is no length, and trapped particles stay close.
+            None if plan.thermal else copied_tracks(data, fit.noise),
             support=None if evidence is None else evidence.support,
             is_adequate=_is_adequate(fit),
             has_bands=evidence is not None,
