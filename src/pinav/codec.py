@@ -185,14 +185,14 @@ def _decode(path: str, wanted: Any, found: Json, left: Arrays) -> Any:
     if hasattr(wanted, "dim_str") or wanted is np.ndarray:
         return _decode_array(path, wanted, found, left)
     if origin in (tuple, list):
-        found = of_type(path, list, found)
+        found = require_type(path, list, found)
         parts = parts_of(wanted, len(found))
         if len(parts) != len(found):
             raise InputError(f"{path}: expected {len(parts)} values, got {len(found)}")
         both = enumerate(zip(parts, found, strict=True))
         return origin(_decode(_join(path, i), p, v, left) for i, (p, v) in both)
     if origin in (dict, Mapping):
-        items = of_type(path, dict, found).items()
+        items = require_type(path, dict, found).items()
         return {k: _decode(_join(path, k), arguments[1], v, left) for k, v in items}
     if issubclass(wanted, enum.Enum):
         words = {_word(member): member for member in wanted}
@@ -200,12 +200,12 @@ def _decode(path: str, wanted: Any, found: Json, left: Arrays) -> Any:
             raise InputError(f"{path}: expected one of {', '.join(words)}")
         return words[found]
     if issubclass(wanted, msgspec.Struct):
-        return made(path, lambda: msgspec.convert(found, wanted))
+        return construct(path, lambda: msgspec.convert(found, wanted))
     if not issubclass(wanted, bool | int | float | str):
-        return _decode_record(path, wanted, of_type(path, dict, found), left)
+        return _decode_record(path, wanted, require_type(path, dict, found), left)
     if wanted is float:
         return _decode_number(path, found)
-    return of_type(path, wanted, found)
+    return require_type(path, wanted, found)
 
 
 def _decode_record(path: str, wanted: type, found: dict, left: Arrays) -> Any:
@@ -227,7 +227,7 @@ def _decode_record(path: str, wanted: type, found: dict, left: Arrays) -> Any:
         if name in found
     }
     _check_shapes(path, hints, parts)
-    return made(path, lambda: cls(**parts))
+    return construct(path, lambda: cls(**parts))
 
 
 def _check_shapes(
@@ -255,7 +255,7 @@ def _decode_array(path: str, wanted: Any, found: Json, left: Arrays) -> Any:
             raise InputError(f"array {path}: expected {found['array']}")
     else:
         numbers = _map(lambda one: _decode_number(path, one, whole=True), found)
-        array = made(path, lambda: np.asarray(numbers))
+        array = construct(path, lambda: np.asarray(numbers))
     if array.dtype.kind not in "fiub":
         raise InputError(f"{path}: expected numbers")
     kinds = getattr(wanted, "dtypes", ())
@@ -274,11 +274,11 @@ def _decode_number(path: str, found: Json, *, whole: bool = False) -> Any:
         return found
     if isinstance(found, bool) or not isinstance(found, int | float):
         raise InputError(f"{path}: expected a number, got {shorten(found)}")
-    return made(path, lambda: float(found))
+    return construct(path, lambda: float(found))
 
 
-def of_type(path: str, wanted: type, found: Json) -> Any:
-    """What a document holds, if it is of this type.
+def require_type(path: str, wanted: type, found: Json) -> Any:
+    """Require that a part of a document is of a type, and return it.
 
     Raises:
         InputError: it is of another.
@@ -291,8 +291,8 @@ def of_type(path: str, wanted: type, found: Json) -> Any:
     raise InputError(f"{path}: expected {expected}, got {shorten(found)}")
 
 
-def made(path: str, make: Any) -> Any:
-    """What a constructor makes; its complaint becomes one line."""
+def construct(path: str, make: Any) -> Any:
+    """Call a constructor; its complaint becomes one line."""
     try:
         return make()
     except Exception as error:

@@ -97,6 +97,10 @@ class SearchPolicy(eqx.Module):
     least_data: tuple[int, int] = (6, 600)
     lawful: float = 1.25
 
+    def looked_at(self, count: int, dim: int) -> slice:
+        """Trajectories that a survey of so many looks at, equally far apart."""
+        return slice(None, None, -(-count // self.trajectories[dim == 3]))
+
 
 POLICY = SearchPolicy()
 """The policy that every search follows."""

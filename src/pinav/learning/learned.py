@@ -221,7 +221,7 @@ class Learned(AbstractLearned):
 
     @property
     def verdict(self) -> Verdict | None:
-        """Whether the force can be trusted; None of a run with several models."""
+        """The verdict of the fit; None of a run with several models."""
         if self.found is None and (MODEL not in self.models or not self._is_finished):
             return None
         return self.findings.verdict

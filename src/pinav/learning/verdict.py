@@ -13,7 +13,7 @@ from pinav.fitting.evidence.model_evidence import DECISIVE
 
 
 class Standing(enum.Enum):
-    """How far the force of a fit can be trusted; `str()` gives the words.
+    """Degree of trust in the force of a fit; `str()` gives the words.
 
     Attributes:
         TRUSTED: no check contradicts it.
@@ -35,7 +35,7 @@ class Standing(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """Whether a fit can be trusted, and the reason."""
+    """The degree of trust in a fit, and the reason."""
 
     DERIVED: ClassVar = ("says",)
 

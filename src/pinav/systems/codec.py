@@ -27,7 +27,7 @@ import numpy as np
 
 import pinav.forces
 import pinav.systems
-from pinav.codec import kebab, made, members, of_type, parts_of, shorten
+from pinav.codec import construct, kebab, members, parts_of, require_type, shorten
 from pinav.errors import InputError
 from pinav.forces.landscapes import NAMED
 from pinav.forces.law_force import LawForce
@@ -127,7 +127,7 @@ def decode(key: str, wanted: Any, value: Any, context: Context) -> Any:
             )
         return value
     if typing.get_origin(wanted) is tuple:
-        parts = parts_of(wanted, len(of_type(key, list, value)))
+        parts = parts_of(wanted, len(require_type(key, list, value)))
         if len(parts) != len(value):
             raise InputError(f"{key}: expected {len(parts)} values, got {len(value)}")
         pairs = enumerate(zip(parts, value, strict=True))
@@ -138,7 +138,7 @@ def decode(key: str, wanted: Any, value: Any, context: Context) -> Any:
         return decode_module(key, wanted, value, context)
     if wanted is float:
         return number(key, value)
-    return of_type(key, wanted, value)
+    return require_type(key, wanted, value)
 
 
 def number(key: str, value: Any) -> float:
@@ -197,7 +197,7 @@ def decode_module(key: str, family: type, value: Any, context: Context) -> Any:
             if takes_number
             else decode(place, wanted, part, context)
         )
-    return made(key, lambda: make(**parts))
+    return construct(key, lambda: make(**parts))
 
 
 def _class_of(key: str, family: type, value: TOML, context: Context) -> Callable:

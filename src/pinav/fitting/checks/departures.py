@@ -29,10 +29,10 @@ from pinav.fitting.structure.response import (
     columns,
     force_response,
     group_means,
+    parts_of,
     slopes,
 )
 from pinav.forces import AbstractForce, ZeroForce, split_structure
-from pinav.forces.kernel_mixtures import AbstractKernelSum
 from pinav.forces.priors import AbstractPrior, Matrix
 from pinav.trajectories import Trajectories
 
@@ -40,7 +40,7 @@ Columns = Callable[[Scalar, Vector, Vector], Float[Array, "column dim"]]
 """Forces [L T⁻²] by time, place and velocity."""
 
 Clause = Callable[[Float[np.ndarray, " column"]], str]
-"""What a departure would be, by the coefficients of its columns."""
+"""Clause on a departure by the coefficients of its columns."""
 
 
 class Departure(eqx.Module):
@@ -232,7 +232,7 @@ def weigh_departures(
         noise: standard deviation of the observations, where it is known.
     """
     dim = trajectories.dim
-    chosen = slice(None, None, -(-len(states) // POLICY.trajectories[dim == 3]))
+    chosen = POLICY.looked_at(len(states), dim)
     observations = jax.tree.map(
         lambda leaf: leaf[chosen], Observations.of(trajectories, jnp.float64)
     )
@@ -266,8 +266,7 @@ def _beside_kernels(
     """The evidence of columns beside kernels, with the terms of a fit or without."""
     terms, kernels = split_structure(force)
     free: Any = kernels
-    parts: Any = free.parts if isinstance(free, AbstractKernelSum) else (free,)
-    rows = np.concatenate([columns(part, response) for part in parts], axis=1)
+    rows = np.concatenate([columns(part, response) for part in parts_of(free)], axis=1)
     beside = [np.zeros((len(rows), 0))]
     if terms:
         by_terms = [slopes(term, response) for term in terms]

@@ -29,9 +29,9 @@ def weigh_outlier(
     squares, count = residuals**2, int(data.observed.sum())
     total = max(float(squares.sum()), np.finfo(float).tiny)
     track, row, channel = np.unravel_index(int(squares.argmax()), squares.shape)
-    share = min(float(squares[track, row, channel]) / total, 1.0 - 1e-12)
-    gain = -0.5 * count * np.log1p(-share) - np.log(count)
-    others = np.sqrt(total * (1.0 - share) / max(count - 1, 1))
+    fraction = min(float(squares[track, row, channel]) / total, 1.0 - 1e-12)
+    gain = -0.5 * count * np.log1p(-fraction) - np.log(count)
+    others = np.sqrt(total * (1.0 - fraction) / max(count - 1, 1))
     size = abs(float(residuals[track, row, channel])) / max(others, 1e-300)
     return Contradiction(
         OUTLIER,

@@ -23,6 +23,7 @@ from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.fitting.least_squares import Slopes
 from pinav.fitting.matching.state import Observations
 from pinav.forces import AbstractForce, AbstractTerm, ConstantForce, forces_at
+from pinav.forces.kernel_mixtures import AbstractKernelSum
 from pinav.forces.kernels import AbstractKernels
 
 MOST_GROUPS = 100
@@ -94,6 +95,14 @@ class ForceResponse(eqx.Module):
         residuals = self.change(forces) + self.targets.ravel()
         rows = np.vstack([self.change(slopes), np.zeros(len(theta))])
         return np.append(residuals, np.sqrt(self.squares)), rows
+
+
+def parts_of(kernels: Any) -> tuple[Linear, ...]:
+    """The forces of kernels that add up; one where there is no sum."""
+    parts: Any = (kernels,)
+    if isinstance(kernels, AbstractKernelSum):
+        parts = kernels.parts
+    return parts
 
 
 def columns(

@@ -15,6 +15,7 @@ from pinav.fitting.structure.response import (
     ForceResponse,
     force_quadratic,
     force_response,
+    parts_of,
 )
 from pinav.fitting.structure.search import Search, refine, simplify
 from pinav.fitting.structure.starts import Region
@@ -26,7 +27,6 @@ from pinav.forces import (
     as_learned_force,
     split_structure,
 )
-from pinav.forces.kernel_mixtures import AbstractKernelSum
 from pinav.trajectories import Trajectories
 
 
@@ -61,8 +61,7 @@ class Survey(eqx.Module):
         still = eqx.tree_at(lambda m: m.environment, specification.model, ZeroForce())
         if states is None:
             raise ValueError("Survey.of: expected a problem with states")
-        most = POLICY.trajectories[dim == 3]
-        chosen = slice(None, None, -(-len(data) // most))
+        chosen = POLICY.looked_at(len(data), dim)
         response = force_response(
             still if fit is None else fit.model,
             jnp.asarray(states)[chosen],
@@ -166,9 +165,7 @@ def _evidence_of(fit: EvidenceFit, response: ForceResponse) -> float:
     kernels = fit.model.environment
     if split_structure(kernels)[0]:
         return -np.inf
-    is_sum = isinstance(kernels, AbstractKernelSum)
-    parts: Any = kernels.parts if is_sum else (kernels,)
-    data = LinearisedObservations.of(force_quadratic(parts, response))
+    data = LinearisedObservations.of(force_quadratic(parts_of(kernels), response))
     shape = fit.hyperparameters.shape
     return at_shape(data, kernels.prior().covariance, shape).log_evidence
 
