@@ -160,6 +160,7 @@ class Regression(AbstractProblem):
     linearisation: Linearisation | None = None
     states: Float[Array, "trajectory time state"] | None = None
     teacher: LinearFit | None = None
+    visited: Float[np.ndarray, "place dim"] | None = None
 
     @classmethod
     def of(

@@ -177,12 +177,21 @@ class Evidence:
             support=support,
         )
 
-    def posterior(self, model: AbstractDynamics, choice: ModelChoice) -> Posterior:
-        """Posterior of the model; ValueError if it has other parameters."""
+    def posterior(
+        self,
+        model: AbstractDynamics,
+        choice: ModelChoice,
+        visited: Float[np.ndarray, "place dim"],
+    ) -> Posterior:
+        """Posterior of the model; ValueError if it has other parameters.
+
+        Args:
+            visited: observed positions [L].
+        """
         free, theta = ravel_model(model, choice.trainable)
         if theta.shape != self.mean.shape:
             raise ValueError(f"expected {self.mean.size} parameters, got {theta.size}")
-        return Posterior(free, self.mean, self.covariance, self.hyperparameters)
+        return Posterior(free, self.mean, self.covariance, visited)
 
 
 def _process(

@@ -271,7 +271,8 @@ class Learned(AbstractLearned):
     def _posterior(self) -> Posterior | None:
         if self.evidence is None:
             return None
-        return self.evidence.posterior(self.model, self.choice)
+        visited = self.data.seen_positions
+        return self.evidence.posterior(self.model, self.choice, visited)
 
     @property
     def noise(self) -> float:

@@ -102,6 +102,7 @@ class BayesProblem(AbstractProblem):
     scale: Float[np.ndarray, " state"]
     solver: FixedStep
     teacher: LinearFit | None = None
+    visited: Float[np.ndarray, "place dim"] | None = None
     least_noise: float = 0.0
 
     @classmethod
@@ -155,6 +156,7 @@ class BayesProblem(AbstractProblem):
             scale=_spread(states, trajectories.lengths),
             solver=solver,
             teacher=teacher,
+            visited=trajectories.seen_positions,
         )
 
     @property

@@ -1,5 +1,6 @@
 """The Laplace posterior of a fit: models drawn from it, and linear rollouts."""
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,10 +12,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from pinav.arguments import Scalar, State, Vector, on_device
-from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
+from pinav.dynamics import FixedStep
 from pinav.fitting.engine.local_model import ModelOfParameters, ParametricModel
 from pinav.fitting.engine.multiple_shooting import sensitivities
-from pinav.fitting.evidence.evidence import Hyperparameters
+from pinav.fitting.engine.unvisited import AbstractDoubt, doubts
 from pinav.fitting.evidence.quadratic import Parameters
 from pinav.forces import AbstractForce, SumForce, as_learned_force
 
@@ -55,14 +56,14 @@ class Posterior(eqx.Module):
         free: the model as a function of them.
         mean: their best values.
         covariance: their covariance, given the chosen hyperparameters.
-        hyperparameters: of the prior of the weights, for places without kernels; None
-            where the weights are all there is.
+        visited: observed positions [L], beyond which the force is unknown; None where
+            its form is known everywhere.
     """
 
     free: ParametricModel
     mean: Parameters
     covariance: Float[np.ndarray, "parameter parameter"]
-    hyperparameters: Hyperparameters | None = None
+    visited: Float[np.ndarray, "place dim"] | None = None
 
     @property
     def model(self) -> Any:
@@ -82,13 +83,13 @@ class Posterior(eqx.Module):
     def samples(self, count: int, *, key: PRNGKeyArray) -> list[Any]:
         """Models drawn from the posterior.
 
-        Where the box of the kernels has none, the force is drawn from the prior.
+        On unvisited ground their forces differ as `force_sd` says.
         """
         draws = self.draws(count, key=key)
         generator = np.random.default_rng(np.asarray(jax.random.key_data(key)))
         with jax.enable_x64(new_val=True):
             return [
-                self._with_prior_beyond(self.free(theta), generator) for theta in draws
+                self._with_doubt(self.free(theta), generator) for theta in draws
             ]
 
     def force_sd(
@@ -96,35 +97,44 @@ class Posterior(eqx.Module):
     ) -> Float[np.ndarray, "point dim"]:
         """Standard deviation of the environment's force [L T⁻²] on a swimmer at rest.
 
-        A band of 1.96 of them has a nominal probability of 95 %. Beyond the kernels it
-        is that of the prior.
+        A band of 1.96 of them has a nominal probability of 95 %. On unvisited ground
+        the force is as uncertain as it is large on visited ground; see `unvisited`.
 
         Args:
             positions: points, one a row [L].
             time: at which the force acts [T].
         """
         known = _spread(self.force_jacobians(positions, time), self.covariance)
-        return np.sqrt(known**2 + self._variance_beyond(np.asarray(positions, float)))
+        with jax.enable_x64(new_val=True):
+            points = np.asarray(positions, float)
+            unknown = [doubt.variance(points) for doubt in self._doubts]
+        return np.sqrt(known**2 + sum(unknown, np.zeros_like(known)))
 
-    def _variance_beyond(
-        self, positions: Float[np.ndarray, "point dim"]
-    ) -> Float[np.ndarray, "point dim"]:
-        """Prior variance of what kernels beyond those that there are would add."""
-        prior, force = self.hyperparameters, as_learned_force(self.model.environment)
-        if prior is None or force is None or not len(prior.shape):
-            return np.zeros_like(positions)
-        return prior.amplitude**2 * force.variance_beyond(prior.shape, positions)
+    @functools.cached_property
+    def _doubts(self) -> tuple[AbstractDoubt, ...]:
+        """What visited ground leaves unknown of other ground, part by part."""
+        force = as_learned_force(getattr(self.model, "environment", None))
+        if self.visited is None or force is None:
+            return ()
+        return tuple(doubts(force, self.visited, self._part_variance))
 
-    def _with_prior_beyond(self, model: Any, generator: np.random.Generator) -> Any:
-        """A model whose force has kernels, drawn from the prior, where it had none."""
-        prior = self.hyperparameters
-        if prior is None or not isinstance(model, Swimmer | OverdampedSwimmer):
+    def _part_variance(
+        self,
+        part: Callable[[Any], AbstractForce],
+        places: Float[np.ndarray, "place dim"],
+    ) -> Float[np.ndarray, "place dim"]:
+        """Variance of each component of a part of the force."""
+        points, times = on_device(places), jnp.zeros(len(places))
+        mean = on_device(self.mean)
+        slopes = np.asarray(force_jacobians(self.free, mean, points, times, part))
+        return _spread(slopes, self.covariance) ** 2
+
+    def _with_doubt(self, model: Any, generator: np.random.Generator) -> Any:
+        """A model whose force is drawn on unvisited ground, too."""
+        drawn = tuple(doubt.draw(generator) for doubt in self._doubts)
+        if not drawn:
             return model
-        force = as_learned_force(model.environment)
-        if force is None or not len(prior.shape):
-            return model
-        drawn = force.draw_beyond(prior.shape, prior.amplitude, generator)
-        return model.with_environment(SumForce((force, *drawn))) if drawn else model
+        return model.with_environment(SumForce((model.environment, *drawn)))
 
     def force_jacobians(
         self, positions: ArrayLike | Sequence, time: float = 0.0

@@ -238,6 +238,7 @@ class AbstractProblem(eqx.Module):
         first_noise: a guess of it, for the first step.
         least_noise: below which residuals are rounding.
         teacher: the fit that chose the prior of the weights, where it was another.
+        visited: observed positions [L]; None of residuals that are of no swimmer.
     """
 
     parametric: eqx.AbstractVar[ParametricModel]
@@ -253,6 +254,7 @@ class AbstractProblem(eqx.Module):
     first_noise: eqx.AbstractVar[float]
     least_noise: eqx.AbstractVar[float]
     teacher: eqx.AbstractVar[LinearFit | None]
+    visited: eqx.AbstractVar[Float[np.ndarray, "place dim"] | None]
 
     @abc.abstractmethod
     def linearise(self, theta: Parameters, states: States) -> AbstractLocalModel | None:
@@ -341,9 +343,7 @@ class AbstractProblem(eqx.Module):
             step.quadratic, step.hyperparameters, self.noise
         )
         covariance = step.covariance + step.block.lift(extra)
-        return Posterior(
-            self.parametric, step.move.theta, covariance, step.hyperparameters
-        )
+        return Posterior(self.parametric, step.move.theta, covariance, self.visited)
 
     def linear_fit(self, step: Step) -> LinearFit:
         """The linear problem of a step, for the evidence of the model."""

@@ -254,7 +254,9 @@ def diffusion_of(step: Step) -> Estimate:
     return Estimate(variance / 2, variance / 2 * float(np.sqrt(2 / left)))
 
 
-def mix_over_shapes(fit: EvidenceFit) -> EvidenceFit:
+def mix_over_shapes(
+    fit: EvidenceFit, visited: Float[np.ndarray, "place dim"]
+) -> EvidenceFit:
     """The fit whose force is the mean over all shapes, with the bands of them all.
 
     Each of 200 shapes asks for a decomposition. Forces with more than a share `OFTEN`
@@ -263,7 +265,11 @@ def mix_over_shapes(fit: EvidenceFit) -> EvidenceFit:
 
     Args:
         fit: linear in its weights, with nothing else to learn.
+        visited: observed positions [L], beyond which the bands are wide.
     """
+    fit = eqx.tree_at(
+        lambda f: f.posterior.visited, fit, visited, is_leaf=lambda x: x is None
+    )
     weights = fit.linear.weights
     few = len(fit.posterior.mean) <= OFTEN * MOST_WEIGHTS
     if not (few and isinstance(weights, GaussianWeights)):

@@ -195,7 +195,8 @@ def fit_langevin(
         tensor = belief.motion.diffusion
         field = DiffusionField(tensor, covariance)
         varies = tensor.weights.size or len(tensor.levels) > 1
-        fit = diffusion_share(belief, mix_over_shapes(fit), field)
+        mixed = mix_over_shapes(fit, trajectories.seen_positions)
+        fit = diffusion_share(belief, mixed, field)
         observed = () if observation is None else observed_axes(belief.motion, *spreads)
         result = ThermalResult(
             diffusion=field if varies else field.estimates()[0],
@@ -224,7 +225,7 @@ def _fit_exact(
     with jax.enable_x64(new_val=True):
         exact = with_dtype(swimmer, jnp.float64)
         fit, step = fit_force(exact, increments, noise, refine, trajectories)
-        fit = mix_over_shapes(fit)
+        fit = mix_over_shapes(fit, trajectories.seen_positions)
     value = diffusion_of(step) if diffusion is None else Estimate(diffusion, 0.0)
     constants = {"diffusion": value}
     return dataclasses.replace(fit, constants=constants, thermal=ThermalResult(value))
