@@ -9,6 +9,7 @@ import numpy as np
 
 from pinav import forces
 from pinav.actuation import LinearProgramme, RotatingField, SaturatingResponse
+from pinav.fitting.engine.unvisited import FieldDoubt, Ground, ProfileDoubt
 from pinav.forces import GaussianBarrier, KernelPotential, LinearDrag
 from pinav.forces.law_force import LawForce
 from pinav.forces.law_library import GAUSSIAN
@@ -32,6 +33,16 @@ def propulsion(moment=(0.0, 0.0, 1.0), axis=(0.0, 1.0)):
 def barrier():
     """A Gaussian hill."""
     return GaussianBarrier(height=2.0, center=MIDDLE, width=1.5)
+
+
+def ground(force, dim):
+    """What a force among some places tells of other places."""
+    return Ground.of(force, np.random.default_rng(0).uniform(0.5, 6.0, (60, dim)))
+
+
+def drawn(doubt):
+    """A force on unvisited ground."""
+    return doubt.draw(np.random.default_rng(1))
 
 
 def network(outputs):
@@ -119,6 +130,10 @@ FORCES: dict[str, Callable[[], Any]] = {
     },
     "ridge": lambda: forces.gaussian_ridge(
         2.0, MIDDLE, length=3.0, width=0.8, angle=0.6
+    ),
+    "drawn force": lambda: drawn(FieldDoubt(ground(barrier(), 2))),
+    "drawn profile": lambda: drawn(
+        ProfileDoubt(TERMS["central"](), ground(TERMS["central"](), 1), 0.4)
     ),
     "swirl": lambda: forces.gaussian_swirl(2.0, MIDDLE, width=1.5),
     "random barriers": lambda: forces.random_barriers(

@@ -11,12 +11,11 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from pinav.actuation import AbstractActuator, AbstractProgramme
 from pinav.arguments import Scalar, Vector, refuse_text
-from pinav.forces.priors import AbstractPrior, Centers, Points, Shape
+from pinav.forces.priors import AbstractPrior, Centers, Shape
 
 
 class AbstractForce(eqx.Module):
@@ -156,31 +155,6 @@ class AbstractLearnedForce(AbstractForce):
     def kernels(self) -> "KernelPlaces | None":
         """Its kernels on a grid that may be refined; None where there are none."""
         return None
-
-    def variance_beyond(self, shape: Shape, positions: Points) -> Points:
-        """Variance of the force that kernels beyond those that there are would make.
-
-        Kernels are laid about the data only; elsewhere the force is as uncertain as its
-        prior, which no weight states.
-
-        Returns:
-            Of each component; none where the force is not made of kernels on a grid.
-        """
-        return np.zeros_like(positions)
-
-    def draw_beyond(
-        self, shape: Shape, amplitude: float, generator: np.random.Generator
-    ) -> list[AbstractForce]:
-        """Forces, drawn from the prior, of kernels beyond those that there are.
-
-        They fill the box of its kernels: within it a variance of many draws is
-        `variance_beyond`.
-
-        Returns:
-            One force a part; nothing where it is not made of kernels on a grid, or
-            where more than `kernels.MOST_DRAWN` of them would fill it.
-        """
-        return []
 
     def length_scales(self, shape: Shape) -> list[float]:
         """Length scale of each part in widths; empty if too fine for any grid."""

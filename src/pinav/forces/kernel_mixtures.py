@@ -15,7 +15,6 @@ from jaxtyping import Array, Float, PyTree
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.forces.force import (
-    AbstractForce,
     AbstractLearnedForce,
     HelmholtzParts,
     KernelPlaces,
@@ -31,7 +30,6 @@ from pinav.forces.priors import (
     AbstractPrior,
     Centers,
     MixturePrior,
-    Points,
     Shape,
     TimedPrior,
     WeightPrior,
@@ -99,18 +97,6 @@ class KernelMixture(AbstractKernelSum):
     @property
     def helmholtz(self) -> HelmholtzParts:
         return HelmholtzParts(self.gradient, self.rotation)
-
-    def variance_beyond(self, shape: Shape, positions: Points) -> Points:
-        first, second, ratio = self.prior().split(shape)
-        rotation = self.rotation.variance_beyond(second, positions)
-        return self.gradient.variance_beyond(first, positions) + ratio**2 * rotation
-
-    def draw_beyond(
-        self, shape: Shape, amplitude: float, generator: np.random.Generator
-    ) -> list[AbstractForce]:
-        first, second, ratio = self.prior().split(shape)
-        rotation = self.rotation.draw_beyond(second, ratio * amplitude, generator)
-        return self.gradient.draw_beyond(first, amplitude, generator) + rotation
 
     @property
     def kernels(self) -> KernelPlaces:

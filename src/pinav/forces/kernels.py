@@ -8,89 +8,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector, check_positive, on_device
 from pinav.errors import InputError
 from pinav.forces.force import (
-    AbstractForce,
     AbstractLearnedForce,
     KernelPlaces,
     forces_at,
 )
-from pinav.forces.priors import Centers, Points, Shape, WeightPrior
+from pinav.forces.priors import Centers, Shape, WeightPrior
 from pinav.settings import POSITIVE
-
-REACH = 5.0
-"""Distance, in widths, beyond which a kernel is nothing."""
-
-ROUNDING = 1e-3
-"""Share of their spacing by which centres may miss the places of a grid."""
-
-
-class KernelGaps(eqx.Module):
-    """The places of a grid at which there is no kernel.
-
-    Attributes:
-        origin: one of the places [L].
-        spacing: of the grid [L].
-        filled: places with a kernel, in spacings from the origin.
-        around: places within the reach of a kernel of one of them, in spacings from it.
-    """
-
-    origin: Float[np.ndarray, " dim"]
-    spacing: float
-    filled: Int[np.ndarray, "kernel dim"]
-    around: Int[np.ndarray, "place dim"]
-
-    @classmethod
-    def of(
-        cls, centers: Float[np.ndarray, "kernel dim"], width: float
-    ) -> "KernelGaps | None":
-        """The gaps between kernels; None where these are on no square grid."""
-        gaps = [gap for axis in centers.T for gap in np.diff(np.unique(axis)).tolist()]
-        apart = [gap for gap in gaps if gap > ROUNDING * width]
-        if not apart:
-            return None
-        spacing, dim = min(apart), centers.shape[1]
-        places = (centers - centers[0]) / spacing
-        filled = np.round(places).astype(int)
-        if np.abs(places - filled).max() > ROUNDING:
-            return None
-        reach = int(np.ceil(REACH * width / spacing))
-        axes = [np.arange(-reach, reach + 1)] * dim
-        around = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
-        near = (around**2).sum(axis=1) <= reach**2
-        return cls(centers[0], spacing, filled, around[near])
-
-    def in_box(self) -> Float[np.ndarray, "place dim"]:
-        """Places without a kernel in the box of the kernels that there are [L]."""
-        low, high = self.filled.min(axis=0), self.filled.max(axis=0)
-        is_missing = np.ones(high - low + 1, bool)
-        is_missing[tuple((self.filled - low).T)] = False
-        return self.origin + self.spacing * (np.argwhere(is_missing) + low)
-
-    def about(
-        self, positions: Points
-    ) -> tuple[Float[np.ndarray, "point place dim"], Bool[np.ndarray, "point place"]]:
-        """Places about each position [L], and which of them have no kernel."""
-        nearest = np.round((positions - self.origin) / self.spacing).astype(int)
-        places = nearest[:, None] + self.around
-        every = np.concatenate([self.filled, places.reshape(-1, places.shape[-1])])
-        low = every.min(axis=0)
-        numbers = np.ravel_multi_index(
-            (every - low).T, tuple(np.ptp(every, axis=0) + 1)
-        )
-        is_filled = np.isin(numbers[len(self.filled) :], numbers[: len(self.filled)])
-        is_missing = ~is_filled.reshape(places.shape[:2])
-        return self.origin + self.spacing * places, is_missing
-
-
-AT_ONCE = 1000
-"""Positions whose variance is computed in one call."""
-
-MOST_DRAWN = 20_000
-"""Kernels beyond those that there are that are drawn: a map of more takes minutes."""
 
 Kernels = TypeVar("Kernels", bound="AbstractKernels")
 
@@ -159,33 +87,6 @@ class AbstractKernels(AbstractLearnedForce):
             empty = cls.with_zero_weights(np.zeros((1, offsets.shape[-1])), width)
             one = eqx.tree_at(lambda force: force.weights, empty, empty.weights + 1)
             return np.asarray(forces_at(one, np.zeros(offsets.shape[:-1]), offsets))
-
-    def variance_beyond(self, shape: Shape, positions: Points) -> Points:
-        variance, prior = np.zeros_like(positions), self.prior()
-        centers, width = np.asarray(self.centers), float(self.width)
-        gaps = KernelGaps.of(centers, width)
-        if gaps is None:
-            return variance
-        for begin in range(0, len(positions), AT_ONCE):
-            some = positions[begin : begin + AT_ONCE]
-            places, is_missing = gaps.about(some)
-            forces = self.kernel_forces(some[:, None] - places, width)
-            forces = np.where(is_missing[..., None], forces, 0.0)
-            variance[begin : begin + AT_ONCE] = prior.variance(shape, places, forces)
-        return variance
-
-    def draw_beyond(
-        self, shape: Shape, amplitude: float, generator: np.random.Generator
-    ) -> list[AbstractForce]:
-        centers, width = np.asarray(self.centers), float(self.width)
-        gaps = KernelGaps.of(centers, width)
-        places = centers[:0] if gaps is None else gaps.in_box()
-        if not 0 < len(places) <= MOST_DRAWN:
-            return []
-        empty = self.with_zero_weights(places, width)
-        weights = amplitude * self.prior().draw(shape, places, generator)
-        weights = on_device(weights.reshape(empty.weights.shape))
-        return [eqx.tree_at(lambda force: force.weights, empty, weights)]
 
     def prior(self) -> WeightPrior:
         # Not from the weights, which are left out of the fixed part of a model.

@@ -244,9 +244,6 @@ MIDDLE = 0.6
 """Share of the extent of kernels in which the middle of an envelope lies: as they are
 laid, a fifth of them or more on each side is beyond the data."""
 
-FEATURES = 256
-"""Waves of which weights of the prior are drawn."""
-
 
 class AbstractFadingPrior(AbstractProcessPrior):
     r"""Gaussian process that may fade away from a place, down to a floor.
@@ -285,12 +282,6 @@ class AbstractFadingPrior(AbstractProcessPrior):
         least = np.log(max(narrowest * self.extent, 1.0))
         middle = [(-half, half)] * self.centers.shape[1]
         return np.array([(-1.2, longest), (least, longest), *middle])
-
-    def _scale(
-        self, centers: Float[np.ndarray, "*place dim"]
-    ) -> Float[np.ndarray, "*place dim"]:
-        """Other places, in widths from the middle of the kernels."""
-        return (centers - _middle(self.centers)) / self.width
 
     @staticmethod
     def _envelope(
@@ -336,45 +327,6 @@ class WeightPrior(AbstractFadingPrior):
 
     def steepness(self, distances: Gram) -> Gram:
         return distances * distances
-
-    def variance(
-        self,
-        shape: Shape,
-        places: Float[np.ndarray, "point place dim"],
-        forces: Float[np.ndarray, "point place dim"],
-    ) -> Points:
-        r"""Prior variance of $\sum_j w_j f_j$ at points, with kernels at other places.
-
-        Args:
-            places: of kernels about each point, alike but for a shift [L].
-            forces: $f_j$ of each of them at the point.
-        """
-        scaled = self._scale(places)
-        faded = forces * self._envelope(shape, scaled)[..., None]
-        apart = np.linalg.norm(scaled[0][:, None] - scaled[0], axis=-1)
-        alike = self.correlation(apart / np.exp(shape[0]))
-        return np.sum(faded * np.einsum("ij,pjd->pid", alike, faded), axis=1)
-
-    def draw(
-        self, shape: Shape, centers: Centers, generator: np.random.Generator
-    ) -> Float[np.ndarray, "kernel component"]:
-        r"""Weights drawn from the prior for kernels at other places, however many.
-
-        $w = D\,M^{-1/2} \sum_m a_m \cos(\omega_m c) + b_m \sin(\omega_m c)$ with
-        standard normal $a$ and $b$, and $\omega$ normal with a deviation of $1/\ell$:
-        random Fourier features, whose covariance is that of the prior.
-
-        References:
-            Rahimi and Recht, Advances in Neural Information Processing Systems 20
-            (2007).
-        """
-        scaled = self._scale(centers)
-        waves = generator.normal(size=(scaled.shape[1], FEATURES)) / np.exp(shape[0])
-        phases = scaled @ waves
-        parts = np.concatenate([np.cos(phases), np.sin(phases)], axis=1)
-        normal = generator.normal(size=(2 * FEATURES, self.components))
-        envelope = self._envelope(shape, scaled)[:, None]
-        return envelope * (parts @ normal) / np.sqrt(FEATURES)
 
 
 class ProfilePrior(AbstractFadingPrior):

@@ -40,9 +40,7 @@ from pinav.forces.priors import (
     DistancePrior,
     IsotropicPrior,
     MixturePrior,
-    Points,
     ProfilePrior,
-    Shape,
 )
 
 Places = Float[Array, " kernel"]
@@ -324,16 +322,6 @@ class StructuredForce(AbstractLearnedForce):
         unit = self.terms[0].force_per_weight / self.remainder.force_per_weight
         terms, rest = prior_of(self.terms), self.remainder.prior().broad
         return MixturePrior(terms, rest, SMALL, LEAST, MOST, unit)
-
-    def variance_beyond(self, shape: Shape, positions: Points) -> Points:
-        _, rest, ratio = self.prior().split(shape)
-        return ratio**2 * self.remainder.variance_beyond(rest, positions)
-
-    def draw_beyond(
-        self, shape: Shape, amplitude: float, generator: np.random.Generator
-    ) -> list[AbstractForce]:
-        _, rest, ratio = self.prior().split(shape)
-        return self.remainder.draw_beyond(rest, ratio * amplitude, generator)
 
     def kernels_on(self, centers: Centers, width: float) -> "StructuredForce":
         """The terms stay as they are."""

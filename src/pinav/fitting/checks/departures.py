@@ -48,8 +48,8 @@ class Departure(eqx.Module):
 
     Attributes:
         name: of what departs, as tables print it.
-        forces: its columns, each in units of the range in which its coefficient lies.
-        is_known: the coefficient is one; otherwise it has a flat prior over the range.
+        forces: its columns, each in units of the deviation of its coefficient.
+        is_known: the coefficient is one; otherwise it has a normal prior.
     """
 
     name: str = eqx.field(static=True)
@@ -62,7 +62,8 @@ class Contradiction(eqx.Module):
     """A departure, and what the data say of it.
 
     Attributes:
-        gain: log evidence over what is stated [nats].
+        gain: log evidence over what is stated [nats]; none of one that does not predict
+            trajectories from the others better, or leaves more than the noise.
         clause: what it would be, such as "the thrust is 0.5 times the stated one".
     """
 
@@ -81,8 +82,8 @@ KNOTS = 8
 """Knots in time of a push that changes."""
 
 BROAD = 4.0
-"""Range of a push and of a change of the field, in units of the force along the data:
-from minus to plus twice that force. Factors of stated forces have the range 0 to 2."""
+"""Deviation of a push and of a change of the field, in units of the force along the
+data. Factors of stated forces have a mean of one and a deviation of two."""
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 """A quarter turn."""
@@ -245,16 +246,32 @@ def weigh_departures(
     data = np.column_stack([response.residuals_of_none, response.change(forces)])
     weigher = _beside_kernels(model.environment, response, data, noise)
     stated = weigher.fit()
+    alone = weigher.predictions(stated, len(path))
     best: dict[str, Contradiction] = {}
     for one, first, count in zip(tried, np.cumsum([1, *counts]), counts, strict=False):
         which = np.arange(first, first + count)
         if np.linalg.norm(data[:, which]) <= SEEN * np.linalg.norm(data[:, 0]):
             continue  # it changes nothing, as the delay of a constant thrust
-        fit = weigher.fit(known=which) if one.is_known else weigher.fit(flat=which)
+        fit = weigher.fit(known=which) if one.is_known else weigher.fit(normal=which)
         gain = fit.log_evidence - stated.log_evidence
+        if gain > 0.0:
+            added = weigher.predictions(fit, len(path)) - alone
+            explains = fit.noise <= POLICY.content * response.least_noise
+            gain *= explains and _is_shared(added)
         if one.name not in best or gain > best[one.name].gain:
             best[one.name] = Contradiction(one.name, gain, one.clause(fit.values))
     return list(best.values())
+
+
+def _is_shared(gains: Float[np.ndarray, " trajectory"]) -> bool:
+    """Whether trajectories gain, beyond two standard errors; of one nothing is asked.
+
+    What repairs a fit in one place, as beside the edge of a field that no kernels
+    follow, helps some trajectories and harms others.
+    """
+    if len(gains) < 2:
+        return True
+    return bool(gains.mean() > 2.0 * gains.std(ddof=1) / np.sqrt(len(gains)))
 
 
 def _beside_kernels(

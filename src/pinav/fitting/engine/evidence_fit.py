@@ -129,6 +129,10 @@ SIGNIFICANT = 4.0
 """Standard deviations of chance beyond which a statistic counts as a misfit."""
 
 
+MOST_CORRELATED = 0.95
+"""Correlation of neighbours beyond which residuals are no first-order process."""
+
+
 class GoodnessOfFit(eqx.Module):
     r"""Two statistics of the residuals, divided by the standard deviation of the noise.
 
@@ -161,6 +165,18 @@ class GoodnessOfFit(eqx.Module):
         excess = (self.reduced_chi2 - 1) * np.sqrt(self.num_free / 2)
         too_large = self.noise_known and excess > SIGNIFICANT
         return bool(least <= self.lag1 <= chance and not too_large)
+
+    @property
+    def inflation(self) -> float:
+        r"""Factor of the posterior covariance for residuals that neighbours share.
+
+        $(1 + \rho)/(1 - \rho)$ of a first-order process with their correlation: as many
+        times fewer data as there seem to be. One where chance explains it.
+        """
+        if self.lag1 <= SIGNIFICANT / np.sqrt(self.num_free):
+            return 1.0
+        correlation = min(self.lag1, MOST_CORRELATED)
+        return (1 + correlation) / (1 - correlation)
 
     @property
     def statement(self) -> str:
@@ -259,6 +275,13 @@ def evidence_fit(
     last = steps[-1]
     posterior, states = problem.posterior(last), last.move.states
     series, chosen = problem.residual_series(last), last.hyperparameters
+    goodness = None
+    if series is not None:
+        num_free = last.quadratic.num_free - last.num_determined
+        known = problem.noise is not None
+        goodness = goodness_of_fit(series, chosen.noise, num_free, noise_known=known)
+        covariance = goodness.inflation * posterior.covariance
+        posterior = eqx.tree_at(lambda p: p.covariance, posterior, covariance)
     sd = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0))
     return EvidenceFit(
         model=posterior.model,
@@ -272,12 +295,5 @@ def evidence_fit(
         },
         states=None if states is None else np.asarray(states),
         linear=problem.linear_fit(last),
-        goodness=None
-        if series is None
-        else goodness_of_fit(
-            series,
-            chosen.noise,
-            last.quadratic.num_free - last.num_determined,
-            noise_known=problem.noise is not None,
-        ),
+        goodness=goodness,
     )

@@ -88,9 +88,7 @@ class Posterior(eqx.Module):
         draws = self.draws(count, key=key)
         generator = np.random.default_rng(np.asarray(jax.random.key_data(key)))
         with jax.enable_x64(new_val=True):
-            return [
-                self._with_doubt(self.free(theta), generator) for theta in draws
-            ]
+            return [self._with_doubt(self.free(theta), generator) for theta in draws]
 
     def force_sd(
         self, positions: ArrayLike | Sequence, time: float = 0.0
@@ -113,8 +111,10 @@ class Posterior(eqx.Module):
     @functools.cached_property
     def _doubts(self) -> tuple[AbstractDoubt, ...]:
         """What visited ground leaves unknown of other ground, part by part."""
-        force = as_learned_force(getattr(self.model, "environment", None))
-        if self.visited is None or force is None:
+        if self.visited is None:
+            return ()
+        force = as_learned_force(self.model.environment)
+        if force is None:
             return ()
         return tuple(doubts(force, self.visited, self._part_variance))
 

@@ -45,6 +45,9 @@ APART = 0.1
 """Least distance between visited places, as a share of the length over which forces
 change."""
 
+MOST_ROUGH = 1e6
+"""Largest roughness, relative to that of one change over the extent of the data."""
+
 NUGGET = 1e-9
 """Variance of the process at visited places, relative to that elsewhere: numerics."""
 
@@ -89,13 +92,15 @@ class Ground(eqx.Module):
         some = on_device(thin(visited, extent / np.sqrt(MOST_PLACES)))
         values, gradients = map(np.asarray, _values_and_gradients(force, some))
         squares, steepness = np.sum(values**2), np.sum(gradients**2)
-        rough = np.sqrt(5 / 3 * visited.shape[1] * squares)
-        length = min(extent, rough / max(np.sqrt(steepness), np.finfo(float).tiny))
-        length = max(float(length), 1e-3 * extent)
+        # A force that is the same everywhere may change over the extent of the data.
+        roughness = 0.6 * steepness / max(squares, np.finfo(float).tiny)
+        least = visited.shape[1] / extent**2
+        roughness = np.clip(roughness, least, MOST_ROUGH * least)
+        length = np.sqrt(visited.shape[1] / roughness)
         places = thin(visited, APART * length)
         alike = _correlation(places, places, length) + NUGGET * np.eye(len(places))
         size = float(np.sqrt(np.mean(values**2) + np.mean(variance)))
-        return cls(places, size, length, np.linalg.cholesky(alike))
+        return cls(places, size, float(length), np.linalg.cholesky(alike))
 
     def variance(
         self, points: Float[np.ndarray, "point dim"]
@@ -103,7 +108,9 @@ class Ground(eqx.Module):
         """Variance of each component at points."""
         parts = []
         for begin in range(0, len(points), AT_ONCE):
-            some = _correlation(self.places, points[begin : begin + AT_ONCE], self.length)
+            some = _correlation(
+                self.places, points[begin : begin + AT_ONCE], self.length
+            )
             known = scipy.linalg.solve_triangular(self.factor, some, lower=True)
             parts.append(1.0 - np.sum(known**2, axis=0))
         return self.size**2 * np.maximum(np.concatenate([np.zeros(0), *parts]), 0.0)
@@ -118,8 +125,14 @@ class Ground(eqx.Module):
         heights = generator.normal(size=(WAVES, components)) * np.sqrt(2 / WAVES)
         there = np.cos(self.places @ waves.T + phases) @ heights
         pulls = scipy.linalg.cho_solve((self.factor, True), there)
-        numbers = waves, phases, self.size * heights, self.places, self.size * pulls
-        return DrawnField(*map(on_device, numbers), on_device(self.length))
+        return DrawnField(
+            waves=on_device(waves),
+            phases=on_device(phases),
+            heights=on_device(self.size * heights),
+            places=on_device(self.places),
+            pulls=on_device(self.size * pulls),
+            length=on_device(self.length),
+        )
 
 
 @eqx.filter_jit
@@ -174,8 +187,8 @@ class DrawnField(eqx.Module):
     length: Float[Array, ""]
 
     def __call__(self, x: Float[Array, " dim"]) -> Float[Array, " component"]:
-        squares = jnp.sum((x - self.places) ** 2, axis=1)
-        a = jnp.sqrt(5.0 * squares / self.length**2 + 1e-12)
+        squares = jnp.sum((x[None] - self.places) ** 2, axis=1)
+        a = jnp.sqrt(5.0 * squares / self.length**2 + 1e-12)  # smooth at a place
         alike = (1 + a + a * a / 3) * jnp.exp(-a)
         return jnp.cos(self.waves @ x + self.phases) @ self.heights - alike @ self.pulls
 
@@ -276,7 +289,9 @@ class DrawnProfile(AbstractForce):
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         def profile(z: Scalar) -> Float[Array, ""]:
-            return self.field(z[None])[0] + self.bend * _bend(self.term, self.least, z)
+            return self.field(jnp.reshape(z, 1))[0] + self.bend * _bend(
+                self.term, self.least, z
+            )
 
         z, pull = jax.vjp(self.term.coordinates, x)
         (force,) = pull(jax.vmap(profile)(z))

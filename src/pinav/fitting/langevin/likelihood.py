@@ -91,6 +91,7 @@ class DiffusionProblem(AbstractProblem):
     first_noise: float = 1.0
     least_noise: float = 1e-12
     teacher: LinearFit | None = None
+    visited: Float[np.ndarray, "place dim"] | None = None
 
     @classmethod
     def of(
