@@ -161,6 +161,7 @@ BAD = [
         GOOD + '[unknown]\nmodel = "kernels"\n',
         "unknown.model: expected one of .* got 'kernels'",
     ),
+    (GOOD + "[unknown]\ndecays = 3\n", "unknown.decays: expected"),
     (GOOD + "[unknown]\nwidth = 3\n", "unknown.width: this key is unknown"),
     (GOOD + "[[forces]]\nforce = [0.0, 1.0]\n", r"forces\[0\].kind: expected one of"),
     (

@@ -1,5 +1,6 @@
 """Systems there and back through TOML, and the gallery of examples."""
 
+import dataclasses
 from pathlib import Path
 
 import equinox as eqx
@@ -241,6 +242,14 @@ def test_what_is_in_words_of_a_laboratory_is_read_and_written():
         f"energy = {bead.thermal_energy!r}", "diffusion = 0.5"
     )
     assert systems.parse_system(text).diffusion == pytest.approx(0.5)
+
+
+def test_that_a_force_decays_is_read_and_written():
+    system = dataclasses.replace(scenario("box"), decays=True)
+    text = systems.system_text(system)
+    assert "decays = true" in text
+    assert systems.parse_system(text).decays
+    assert not systems.parse_system(text.replace("true", "false")).decays
 
 
 def test_kernels_can_be_stated_and_a_network_stays_in_python(tmp_path):

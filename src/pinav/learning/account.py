@@ -232,6 +232,12 @@ FAR_BETTER = 3.0
 """Ratio of errors beyond which a simpler model is recommended."""
 
 
+DECAYS = (
+    "That the force decays beyond the data is stated ([unknown] decays), not learned: "
+    "bands there are narrow for that reason alone."
+)
+
+
 def account(plan: FitPlan, fit: Learned) -> findings.Findings:
     """The account of a fit: rollouts, errors, the force, and remarks."""
     data, model, evidence = plan.data, fit.model, fit.evidence
@@ -258,6 +264,7 @@ def account(plan: FitPlan, fit: Learned) -> findings.Findings:
             *narrow_prior(model, chosen),
             *assumed_potential(plan, model, search.rotation if search else np.nan),
             *thermal_remarks(plan.thermal, data),
+            *([DECAYS] if plan.system.decays else []),
         )
     commanded = needs_kalman_filter(plan.system)
     contradictions = weigh_contradictions(fit, plan)

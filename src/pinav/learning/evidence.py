@@ -181,12 +181,12 @@ class Evidence:
         self,
         model: AbstractDynamics,
         choice: ModelChoice,
-        visited: Float[np.ndarray, "place dim"],
+        visited: Float[np.ndarray, "place dim"] | None,
     ) -> Posterior:
         """Posterior of the model; ValueError if it has other parameters.
 
         Args:
-            visited: observed positions [L].
+            visited: observed positions [L]; None where the force decays beyond them.
         """
         free, theta = ravel_model(model, choice.trainable)
         if theta.shape != self.mean.shape:

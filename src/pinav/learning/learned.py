@@ -271,7 +271,7 @@ class Learned(AbstractLearned):
     def _posterior(self) -> Posterior | None:
         if self.evidence is None:
             return None
-        visited = self.data.seen_positions
+        visited = None if self.system.decays else self.data.seen_positions
         return self.evidence.posterior(self.model, self.choice, visited)
 
     @property

@@ -50,7 +50,10 @@ KEYS = (
 """Tables and keys that a file may have."""
 
 THERMAL = ThermalSettings.__struct_fields__
-"""Keys of [unknown] beside the model."""
+"""Keys of [unknown] on thermal motion."""
+
+DECAYS = "decays"
+"""Key of [unknown] by which a system states that the force ends where the data do."""
 
 
 def read_system(path: str | os.PathLike[str]) -> System:
@@ -173,6 +176,7 @@ def parse_system(text: str, *, folder: Path | None = None, name: str = "") -> Sy
         times=_times(table),
         base_units=units,
         model=_model(table, context),
+        decays=_decays(table, context),
         thermal=_thermal(table, order, context),
         learn=_learn(table, context),
     )
@@ -183,7 +187,7 @@ def _plain(cls: Any, key: str, table: TOML, context: Context) -> Any:
 
 
 def _model(table: TOML, context: Context) -> str:
-    unknown = section_of(table, "unknown", ("model", *THERMAL))
+    unknown = section_of(table, "unknown", ("model", DECAYS, *THERMAL))
     default = System.__dataclass_fields__["model"].default
     model = decode("unknown.model", str, unknown.get("model", default), context)
     if model not in MODELS:
@@ -191,6 +195,11 @@ def _model(table: TOML, context: Context) -> str:
             f"unknown.model: expected one of {', '.join(MODELS)}; got {model!r}"
         )
     return model
+
+
+def _decays(table: TOML, context: Context) -> bool:
+    stated = table.get("unknown", {}).get(DECAYS, False)
+    return decode(f"unknown.{DECAYS}", bool, stated, context)
 
 
 def _thermal(table: TOML, order: int, context: Context) -> ThermalSettings:
@@ -338,7 +347,9 @@ def _document(system: System) -> TOML:
         document["learn"] = {
             one.path: encode(f"learn.{one.path}", one.prior) for one in system.learn
         }
-    document["unknown"] = {"model": system.model} | _state_thermal(system.thermal)
+    decays: TOML = {DECAYS: True} if system.decays else {}
+    unknown = {"model": system.model} | decays | _state_thermal(system.thermal)
+    document["unknown"] = unknown
     if system.environment is not None:
         document["truth"] = _state_forces("truth", system.environment)
     return document | _state_sampling(system)

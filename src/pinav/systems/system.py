@@ -151,6 +151,8 @@ class System(eqx.Module):
         starts: initial states, one per trajectory; none by default.
         rule: rule by which the starts were drawn.
         times: observation times [T], the same for every trajectory; none by default.
+        decays: the unknown force is stated to decay beyond the data, so that bands end
+            there; otherwise it is as large elsewhere as where the data are.
         thermal: description of the unknown in thermal motion.
         learn: numbers of the swimmer that are learned with the environment.
 
@@ -174,6 +176,7 @@ class System(eqx.Module):
     )
     base_units: Units = Units()
     model: str = eqx.field(static=True, default="kernel-potential")
+    decays: bool = eqx.field(static=True, default=False)
     thermal: ThermalSettings = eqx.field(static=True, default=ThermalSettings())
     learn: tuple[FreeNumber, ...] = ()
 

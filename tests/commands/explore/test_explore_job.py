@@ -125,8 +125,8 @@ def test_a_factor_of_few_directions_keeps_the_field(run):
     points = np.random.default_rng(0).uniform(0, 10, (20, 2))
     rows = fit.posterior.force_jacobians(points)
     sd = np.sqrt(np.einsum("pdi,ik,pdk->pd", rows, factor @ factor.T, rows))
-    # a page draws weights, which know nothing of places without kernels
-    of_weights = dataclasses.replace(fit.posterior, hyperparameters=None)
+    # a page draws weights, which know nothing of unvisited ground
+    of_weights = dataclasses.replace(fit.posterior, visited=None)
     np.testing.assert_allclose(sd, of_weights.force_sd(points), rtol=0.01)
 
 

@@ -105,7 +105,7 @@ def test_draws_spread_as_the_variance_says(doubt):
     expected = doubt.variance(points)
     scale = np.sqrt(expected.max())
     np.testing.assert_allclose(
-        forces.std(axis=0), np.sqrt(expected), rtol=0.2, atol=0.02 * scale
+        forces.std(axis=0), np.sqrt(expected), rtol=0.15, atol=0.02 * scale
     )
     assert np.all(
         np.abs(forces.mean(axis=0)) < 5 * np.sqrt(expected / 400) + 0.01 * scale

@@ -54,6 +54,9 @@ NUGGET = 1e-9
 WAVES = 128
 """Waves of which a draw is made."""
 
+WIDER = (1.0, 3.0, 9.0)
+"""Factors of the wave numbers that are drawn equally often."""
+
 AT_ONCE = 2000
 """Points whose variance is computed in one call."""
 
@@ -117,12 +120,10 @@ class Ground(eqx.Module):
 
     def draw(self, components: int, generator: np.random.Generator) -> "DrawnField":
         """One draw of the process: waves, less what they are at the places."""
-        dim = self.places.shape[1]
-        # Matern's spectrum of order 5/2 is Student's distribution of five degrees.
-        spread = np.sqrt(5 / generator.chisquare(5, WAVES))
-        waves = generator.normal(size=(WAVES, dim)) * spread[:, None] / self.length
-        phases = generator.uniform(0.0, 2 * np.pi, WAVES)
-        heights = generator.normal(size=(WAVES, components)) * np.sqrt(2 / WAVES)
+        waves, shares = _matern_waves(self.places.shape[1], generator)
+        waves, phases = waves / self.length, generator.uniform(0.0, 2 * np.pi, WAVES)
+        heights = generator.normal(size=(WAVES, components))
+        heights *= np.sqrt(2 * shares / WAVES)[:, None]
         there = np.cos(self.places @ waves.T + phases) @ heights
         pulls = scipy.linalg.cho_solve((self.factor, True), there)
         return DrawnField(
@@ -133,6 +134,25 @@ class Ground(eqx.Module):
             pulls=on_device(self.size * pulls),
             length=on_device(self.length),
         )
+
+
+def _matern_waves(
+    dim: int, generator: np.random.Generator
+) -> tuple[Float[np.ndarray, "wave dim"], Float[np.ndarray, " wave"]]:
+    """Waves of a process of length one, and the variance of each, one in the mean.
+
+    The spectrum of Matern's process of order 5/2 is Student's distribution of five
+    degrees. What is left of the process between visited places is its shortest waves,
+    of which that draws few: so they are drawn from wider distributions, too.
+    """
+    spread = np.sqrt(5 / generator.chisquare(5, WAVES)) * np.resize(WIDER, WAVES)
+    waves = generator.normal(size=(WAVES, dim)) * spread[:, None]
+
+    def density(factor: float) -> Float[np.ndarray, " wave"]:
+        squares = np.sum((waves / factor) ** 2, axis=1)
+        return factor**-dim * (1 + squares / 5) ** (-(5 + dim) / 2)
+
+    return waves, density(1.0) / np.mean([density(one) for one in WIDER], axis=0)
 
 
 @eqx.filter_jit
@@ -179,14 +199,14 @@ def _correlation(
 class DrawnField(eqx.Module):
     """A draw of a `Ground`: a sum of waves and of kernels at the visited places."""
 
-    waves: Float[Array, "wave dim"]
+    waves: Float[Array, "wave coordinate"]
     phases: Float[Array, " wave"]
     heights: Float[Array, "wave component"]
-    places: Float[Array, "place dim"]
+    places: Float[Array, "place coordinate"]
     pulls: Float[Array, "place component"]
     length: Float[Array, ""]
 
-    def __call__(self, x: Float[Array, " dim"]) -> Float[Array, " component"]:
+    def __call__(self, x: Float[Array, " coordinate"]) -> Float[Array, " component"]:
         squares = jnp.sum((x[None] - self.places) ** 2, axis=1)
         a = jnp.sqrt(5.0 * squares / self.length**2 + 1e-12)  # smooth at a place
         alike = (1 + a + a * a / 3) * jnp.exp(-a)
