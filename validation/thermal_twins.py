@@ -176,6 +176,7 @@ def judge_wall(seed):
         data,
         diffusion=KernelDiffusion((axis,), groups=((0, 1), (2,))),
         observation=LearnedObservation(),
+        einstein=True,
     )
     return _wall_misses(fit, tracks[..., 2])
 

@@ -67,6 +67,7 @@ def fit_wall(
         data,
         diffusion=KernelDiffusion((axis,), groups=((0, 1), (2,))),
         observation=LearnedObservation(),
+        einstein=True,
         reference=slow_reference(data, 2) if reference is None else reference,
     )
 

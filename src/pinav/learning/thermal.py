@@ -79,11 +79,6 @@ class ThermalChoice:
             einstein=varies and heat is not None and float(heat) > 0,
         )
 
-    @property
-    def is_plain(self) -> bool:
-        """True if positions are exact and the diffusion is one number."""
-        return (self.diffusion, self.observation, self.reference) == (None, None, None)
-
     def profile(self, data: Trajectories) -> KernelProfile:
         """The untrained force along the coordinates, on which alone it depends."""
         across = ACROSS.get(len(self.axes), min(ACROSS.values()))
@@ -336,14 +331,12 @@ def _relative(estimate: Estimate, unit: float) -> Estimate:
 
 def fit_thermal(
     chosen: ThermalChoice, model: Any, system: System, data: Trajectories
-) -> tuple[EvidenceFit, ThermalFindings | None]:
+) -> tuple[EvidenceFit, ThermalFindings]:
     """The fit of thermal motion, and what else it says.
 
     The residuals are those of steps, whatever the observation is, so that the noise of
     the fit is that of a step in unit time.
     """
-    if chosen.is_plain:
-        return fit_langevin(model, data), None
     if chosen.einstein:
         model = system.with_noise_of(model)
     fit = fit_langevin(

@@ -189,6 +189,7 @@ def round_the_ring():
         data,
         diffusion=fitting.KernelDiffusion(axes, across=10),
         observation=fitting.LearnedObservation(),
+        einstein=True,
     )
 
 

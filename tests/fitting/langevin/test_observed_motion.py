@@ -115,9 +115,9 @@ def test_what_does_not_fit_together_is_refused():
     model = OverdampedSwimmer(ZeroForce(), environment, 1.0)
     seen = LearnedObservation()
     with pytest.raises(InputError, match="expected a BrownianSwimmer"):
-        fit_langevin(model, data, observation=seen)
+        fit_langevin(model, data, observation=seen, einstein=True)
     with pytest.raises(InputError, match="expected a thermal energy > 0"):
-        fit_langevin(BrownianSwimmer(model, 0.0), data, observation=seen)
+        fit_langevin(BrownianSwimmer(model, 0.0), data, observation=seen, einstein=True)
     wide = ConstantDiffusion(((0, 1), (2,)))
     with pytest.raises(InputError, match="expected each of 1 axes once"):
         fit(data, TURN, diffusion=wide)

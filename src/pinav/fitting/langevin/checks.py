@@ -135,7 +135,7 @@ def thinned_diffusion(
 
     Args:
         residuals: increments of each track less their mean, in the order of time [L].
-        expected: $D\tau$ of each of them [L²].
+        expected: half of the variance by diffusion of each of them [L²].
         every: how many intervals make a step.
 
     Returns:

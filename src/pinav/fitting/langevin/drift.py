@@ -1,16 +1,12 @@
-r"""The drift given the diffusion: exact positions, or causal generalised least squares.
+r"""The drift given the diffusion, by causal generalised least squares.
 
 Row n of $L^{-1}(\Delta - m)$ is the innovation of the position $y_{n+1}$ given all
 before it, so that columns at past positions are legitimate in whitened rows although
 these positions hold the same errors and the same blur as the increments.
-
-Without inertia $dX = (u + M F)\,dt + \sqrt{2D}\,dW$. From one observation to the next
-an increment is nearly normal about the drift: divided by $\sqrt{\Delta t}$, all have
-the variance 2D, and kernels are linear in their weights. So the evidence chooses prior
-and diffusion as `fit_bayes` chooses prior and noise.
 """
 
 import dataclasses
+import math
 from typing import Any
 
 import equinox as eqx
@@ -19,35 +15,53 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from pinav.arguments import on_device
 from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
-from pinav.fitting.engine.posterior import Estimate
+from pinav.fitting.engine.local_model import ParametricModel
 from pinav.fitting.engine.problem import FullStep, Step
 from pinav.fitting.environments.kernels import MOST_WEIGHTS, OFTEN
 from pinav.fitting.environments.refinement import Refinement, iterate_refined
 from pinav.fitting.evidence.evidence import LinearisedObservations
 from pinav.fitting.evidence.hyperparameter_uncertainty import mix_shapes
+from pinav.fitting.evidence.quadratic import Parameters
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.langevin.covariance import TridiagonalFactor, whiten
 from pinav.fitting.langevin.increments import Increments, Padding, Relation
-from pinav.fitting.least_squares import Regression
+from pinav.fitting.least_squares import TANGENTS, Regression, Slopes
 from pinav.forces import KernelTensor
 from pinav.trajectories import Trajectories
 
 
 class WhitenedIncrements(eqx.Module):
-    """Innovations as residuals of a model of the drift.
+    r"""Innovations as residuals of a model of the drift, linear in it.
+
+    Each of them has a second residual: its square tells of the variance of the step,
+    which depends on the slope of the drift. About a belief, $r^2/V - 1$ less the change
+    of $\log V$ has the variance 2.
 
     Attributes:
         increments: positions from the reference.
         targets: increments less all of their mean that is not the model's [L].
+        gains: see `Transition`.
+        widening: derivatives of the logarithm of the variance by the same.
+        excess: what the squares say of that logarithm, beside what is the model's.
+        diffusion: D along each axis at the start of each increment [L² T⁻¹].
         factor: root of their covariance.
+        groups: the group of each axis whose diffusion is learned: what the squares say
+            of all variances of a group alike is told by its diffusion; None where it
+            is known.
     """
 
     increments: Increments
     targets: Float[Array, "increment dim"]
+    gains: Float[Array, "increment dim feature"]
+    widening: Float[Array, "increment dim feature"]
+    excess: Float[Array, "increment dim"]
+    diffusion: Float[Array, "increment dim"]
     factor: TridiagonalFactor
     padding: Padding
+    groups: Float[np.ndarray, "axis group"] | None
 
     @property
     def log_determinant(self) -> float:
@@ -56,121 +70,292 @@ class WhitenedIncrements(eqx.Module):
 
     def __call__(self, model: OverdampedSwimmer) -> Float[Array, " residual"]:
         """Predicted less observed innovations, of variance one."""
+
+        def predict(row: Row) -> tuple[Array, Array]:
+            return _predict(model, row)
+
+        means, widths = jax.lax.map(predict, self._rows, batch_size=AT_ONCE)
+        return self._stack(means - self.targets, widths - self.excess)
+
+    def linearise(self, parametric: ParametricModel, theta: Parameters) -> Slopes:
+        """The innovations, and their slopes by the weights of the model."""
+        return jax.tree.map(
+            np.asarray, _linearise_innovations(self, parametric, on_device(theta))
+        )
+
+    def slopes(
+        self, parametric: ParametricModel, theta: Float[Array, " parameter"]
+    ) -> Float[Array, "residual parameter"]:
+        """The slopes, of an increment after the other and then whitened."""
+
+        def at(row: Row) -> tuple[Array, Array]:
+            return jax.jacrev(lambda theta: _predict(parametric(theta), row))(theta)
+
+        columns = jax.lax.map(at, self._rows, batch_size=FEW)
+        columns = jax.tree.map(lambda each: jnp.moveaxis(each, 2, 0), columns)
+        stack = lambda both: self._stack(*both)  # noqa: E731
+        return jax.lax.map(stack, columns, batch_size=TANGENTS).T
+
+    @property
+    def _rows(self) -> "Row":
         rows = self.increments
-        drift = jax.vmap(model)(jnp.asarray(rows.times), jnp.asarray(rows.positions))
-        means = drift * jnp.asarray(rows.intervals)[:, None]
-        residuals = self.padding.pad(means - self.targets)
-        whitened = whiten(self.factor, residuals * self.padding.mask[..., None])
-        return self.padding.flatten(whitened).reshape(-1)
+        arrays = rows.times, rows.positions, self.diffusion, self.gains, self.widening
+        return tuple(map(jnp.asarray, arrays))
+
+    def _stack(
+        self,
+        means: Float[Array, "increment dim"],
+        widths: Float[Array, "increment dim"],
+    ) -> Float[Array, " residual"]:
+        padded = self.padding.pad(means) * self.padding.mask[..., None]
+        white = self.padding.flatten(whiten(self.factor, padded))
+        if self.groups is not None:
+            shares = self.groups / self.groups.sum(axis=0)
+            widths = widths - (widths.mean(axis=0) @ shares @ self.groups.T)[None]
+        return jnp.concatenate([white.reshape(-1), widths.reshape(-1) / np.sqrt(2.0)])
 
     def in_time(
         self, residuals: Float[np.ndarray, " residual"]
     ) -> list[Float[np.ndarray, "_ channel"]]:
-        """Residuals of each trajectory in the order of time."""
-        return self.increments.in_time(residuals)
+        """Innovations of each trajectory in the order of time."""
+        return self.increments.in_time(residuals[: self.increments.steps.size])
 
 
-class SecondOrder(eqx.Module):
-    r"""What the curvature of drift and diffusion adds within one step.
+Row = tuple[Array, Array, Array, Array, Array]
+"""Time, position, diffusion, gains and widening of an increment."""
 
-    With $\mathcal L = v\cdot\nabla + \sum_i D_i\partial_i^2$ the mean has
-    $\tfrac12\tau^2\mathcal L v$ more, and the variance is
-    $2D_i\tau[1 + \tau(\mathcal L D_i/2D_i + \partial_i v_i)]$.
+AT_ONCE, FEW = 4096, 256
+"""Increments whose transitions are computed at once, and their slopes by weights."""
+
+
+@eqx.filter_jit
+def _linearise_innovations(
+    rows: WhitenedIncrements,
+    parametric: ParametricModel,
+    theta: Float[Array, " parameter"],
+) -> tuple[Float[Array, " residual"], Float[Array, "residual parameter"]]:
+    return rows(parametric(theta)), rows.slopes(parametric, theta)
+
+
+def _predict(model: OverdampedSwimmer, row: Row) -> tuple[Array, Array]:
+    """Mean and log variance of an increment, beside what no model changes."""
+    time, x, diffusion, gains, widening = row
+    features = _features(lambda x: model(time, x), x, diffusion)
+    return gains @ features, widening @ features
+
+
+def _features(
+    field: Any, x: Float[Array, " dim"], diffusion: Float[Array, " dim"]
+) -> Float[Array, " feature"]:
+    r"""A field $v$, its slopes $\partial_i v_j$, and $\sum_i D_i \partial_i^2 v_j$."""
+
+    def along(unit: Array) -> tuple[Array, Array]:
+        def slope(x: Array) -> Array:
+            return jax.jvp(field, (x,), (unit,))[1]
+
+        return jax.jvp(slope, (x,), (unit,))
+
+    slopes, bends = jax.vmap(along)(jnp.eye(x.shape[0], dtype=x.dtype))
+    return jnp.concatenate([field(x), slopes.ravel(), diffusion @ bends])
+
+
+class Transition(eqx.Module):
+    r"""The step from one observation to the next, the drift linearised at its start.
+
+    With the slope $A = \tau \nabla v$ of the drift $v$, the functions
+    $\varphi_1(A) = A^{-1}(e^A - 1)$ and $\varphi_2(A) = A^{-2}(e^A - 1 - A)$, and
+    $(Lv)_j = \sum_i D_i\,\partial_i^2 v_j$, the mean of the increment is
+    $\tau\varphi_1 v + \tau^2\varphi_2 L v$ and its covariance
+    $2\tau\int_0^1 e^{As} D e^{A^\top s}\,ds$: exact for linear drifts, of second order
+    for others. A diffusion that varies adds
+    $\tfrac12\tau\,(v\cdot\nabla + \sum_i D_i\partial_i^2) D / D$ to the variance,
+    relative to it.
 
     Attributes:
+        gains: derivatives of the mean by $v$, its slopes and $Lv$.
+        offsets: the mean less what these make of the swimmer, to first order [L].
+        widening: derivatives of the logarithm of the variance by the same.
+        widths: what these make of the swimmer.
         means: of each increment [L].
-        factors: of its variance.
+        factors: of its variance $2 D_i \tau$.
         slopes: of the logarithm of these, the mean over the axes of each group, by
             level and weights of the group.
+
+    References:
+        Shoji and Ozaki, Biometrika 85, 240 (1998).
     """
 
+    gains: Float[Array, "increment dim feature"]
+    offsets: Float[Array, "increment dim"]
+    widening: Float[Array, "increment dim feature"]
+    widths: Float[Array, "increment dim"]
     means: Float[Array, "increment dim"]
     factors: Float[Array, "increment dim"]
     slopes: Float[Array, "increment group parameter"]
 
     @classmethod
-    def none(cls, increments: Increments, tensor: KernelTensor) -> "SecondOrder":
-        """Steps that are short."""
+    def of_short_steps(
+        cls, increments: Increments, tensor: KernelTensor
+    ) -> "Transition":
+        """That of Euler and Maruyama, of a diffusion that is the same everywhere."""
         count, dim = increments.steps.shape
         groups, kernels = tensor.weights.shape
+        gains = np.zeros((count, dim, 2 * dim + dim * dim))
+        gains[:, :, :dim] = increments.intervals[:, None, None] * np.eye(dim)
+        none = jnp.zeros((count, dim))
         slopes = jnp.zeros((count, groups, 1 + kernels))
-        return cls(jnp.zeros((count, dim)), jnp.ones((count, dim)), slopes)
+        return cls(
+            gains=jnp.asarray(gains),
+            offsets=none,
+            widening=jnp.zeros_like(gains),
+            widths=none,
+            means=none,
+            factors=none + 1.0,
+            slopes=slopes,
+        )
 
 
-LARGEST_MEAN, FACTORS = 0.3, (0.6, 1.6)
-"""Largest correction of a mean, in steps by diffusion, and of a variance: where there
-are hardly any data the curvature of a first guess is nothing to go by."""
+STEEPEST = 3.0
+"""Largest slope of the drift, times the interval, that is believed: where there are
+hardly any data the slope of a first guess is nothing to go by."""
 
-AT_ONCE = 4096
-"""Increments whose corrections are computed at once."""
+LARGEST_MEAN, FACTORS = 1.0, (0.05, 3.0)
+"""Largest part of a mean by the curvature of the drift, in steps by diffusion, and
+factors of a variance that are believed."""
+
+TERMS = 18
+"""Of the series of a matrix function, which is then exact to 1e-8 at `STEEPEST`."""
 
 
 @eqx.filter_jit
-def second_order(
+def transitions(
     swimmer: OverdampedSwimmer,
     tensor: KernelTensor,
     increments: Increments,
     relation: Relation,
-) -> SecondOrder:
-    """Corrections for steps that are not short, at positions from the reference."""
+) -> Transition:
+    """The steps that belong to a swimmer, at positions from the reference."""
 
-    def at(row: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def at(row: tuple[Array, Array, Array]) -> Transition:
         time, x, interval = row
+        model = relation.swimmer_in(swimmer, tensor)
+        diffusion = tensor.diagonal(x)
 
-        def logarithms(levels: Array, weights: Array) -> tuple[Array, Any]:
+        def drift(x: Array) -> Array:
+            known = model(time, x)
+            return known + divergence(tensor, x) if relation.einstein else known
+
+        def mean_of(features: Array) -> tuple[Array, Array]:
+            mean = _mean(features, diffusion, interval)
+            return mean, mean
+
+        features = _features(drift, x, diffusion)
+        gains, mean = jax.jacfwd(mean_of, has_aux=True)(features)
+        own = _features(lambda x: model(time, x), x, diffusion)
+
+        def logarithms(levels: Array, weights: Array) -> tuple[Array, Array]:
             there = KernelTensor(levels, weights, tensor.basis, tensor.groups)
-            mean, factors = _terms(swimmer, there, relation, time, x, interval)
+            factors = _factors(swimmer, there, relation, time, x, interval)
             each = jnp.log(factors)
             means = [each[np.array(axes)].mean() for axes in tensor.groups]
-            return jnp.stack(means), (mean, factors)
+            return jnp.stack(means), factors
 
         by_numbers = jax.jacrev(logarithms, argnums=(0, 1), has_aux=True)
-        (levels, weights), terms = by_numbers(tensor.levels, tensor.weights)
+        (levels, weights), factors = by_numbers(tensor.levels, tensor.weights)
         # What the diffusion of another group changes is left to the next turn.
         alone = jnp.arange(len(tensor.groups))
         alone_levels, alone_weights = levels[alone, alone], weights[alone, alone]
         slopes = jnp.concatenate([alone_levels[:, None], alone_weights], axis=1)
-        return (*terms, slopes)
+
+        def log_factors(features: Array) -> Array:
+            return jnp.log(_factor_of(features, tensor, x, interval))
+
+        widening = jax.jacfwd(log_factors)(features)
+        return Transition(
+            gains=gains,
+            offsets=mean - gains @ own,
+            widening=widening,
+            widths=widening @ own,
+            means=mean,
+            factors=factors,
+            slopes=slopes,
+        )
 
     rows = tuple(
         map(jnp.asarray, (increments.times, increments.positions, increments.intervals))
     )
-    return SecondOrder(*jax.lax.map(at, rows, batch_size=AT_ONCE))
+    return jax.lax.map(at, rows, batch_size=AT_ONCE)
 
 
-def _terms(
+def _steepness(
+    features: Float[Array, " feature"], dim: int, interval: Array
+) -> Float[Array, "dim dim"]:
+    r"""$A$, no larger than is believed."""
+    steepness = interval * features[dim:-dim].reshape(dim, dim).T
+    size = jnp.linalg.norm(steepness + TINY)
+    return steepness * STEEPEST / jnp.maximum(size, STEEPEST)
+
+
+def _mean(
+    features: Float[Array, " feature"],
+    diffusion: Float[Array, " dim"],
+    interval: Array,
+) -> Float[Array, " dim"]:
+    dim = diffusion.shape[0]
+    steepness = _steepness(features, dim, interval)
+    most = LARGEST_MEAN * jnp.sqrt(2 * diffusion * interval)
+    change = interval**2 * _series(steepness, 2) @ features[-dim:]
+    ahead = interval * _series(steepness, 1) @ features[:dim]
+    return ahead + jnp.clip(change, -most, most)
+
+
+def _factors(
     swimmer: OverdampedSwimmer,
     tensor: KernelTensor,
     relation: Relation,
     time: Array,
     x: Array,
     interval: Array,
-) -> tuple[Array, Array]:
-    """Correction of the mean and factors of the variance of one increment."""
-    model = relation.swimmer_in(swimmer, tensor)
-    units = jnp.eye(x.shape[0], dtype=x.dtype)
+) -> Float[Array, " dim"]:
+    """Factors of the variance of one increment."""
+    model, diffusion = relation.swimmer_in(swimmer, tensor), tensor.diagonal(x)
 
     def drift(x: Array) -> Array:
         known = model(time, x)
         return known + divergence(tensor, x) if relation.einstein else known
 
-    def generator(field: Any) -> tuple[Array, Array]:
-        def along(unit: Array) -> tuple[Array, Array]:
-            def slope(x: Array) -> Array:
-                return jax.jvp(field, (x,), (unit,))[1]
+    return _factor_of(_features(drift, x, diffusion), tensor, x, interval)
 
-            return jax.jvp(slope, (x,), (unit,))
 
-        slopes, bends = jax.vmap(along)(units)
-        return drift(x) @ slopes + diffusion @ bends, jnp.diagonal(slopes)
+def _factor_of(
+    features: Float[Array, " feature"], tensor: KernelTensor, x: Array, interval: Array
+) -> Float[Array, " dim"]:
+    """Factors of the variance by the features of the drift."""
+    dim, diffusion = x.shape[0], tensor.diagonal(x)
+    steepness = _steepness(features, dim, interval)
+    change = _features(tensor.diagonal, x, diffusion)
+    ahead = features[:dim] @ change[dim:-dim].reshape(dim, dim)
+    growth = 0.5 * interval * (ahead + change[-dim:]) / diffusion
+    spread = sum(
+        0.5 * weight * (_series(0.5 * (1 + place) * steepness, 0) ** 2 @ diffusion)
+        for place, weight in zip(PLACES, WEIGHTS, strict=True)
+    )
+    return jnp.clip(spread / diffusion + growth, *FACTORS)
 
-    diffusion = tensor.diagonal(x)
-    change, strain = generator(drift)
-    growth, _ = generator(tensor.diagonal)
-    most = LARGEST_MEAN * jnp.sqrt(2 * diffusion * interval)
-    mean = jnp.clip(0.5 * interval**2 * change, -most, most)
-    excess = interval * (0.5 * growth / diffusion + strain)
-    return mean, jnp.clip(1 + excess, *FACTORS)
+
+TINY = 1e-30
+"""Added where a norm of zero would have no derivative."""
+
+PLACES, WEIGHTS = np.polynomial.legendre.leggauss(6)
+"""Of Gauss' and Legendre's rule between -1 and 1."""
+
+
+def _series(matrix: Float[Array, "dim dim"], order: int) -> Float[Array, "dim dim"]:
+    r"""$\sum_k A^k / (k + n)!$ of a matrix, its exponential at n = 0."""
+    total = unit = jnp.eye(len(matrix), dtype=matrix.dtype)
+    for power in range(TERMS, 0, -1):
+        total = unit + matrix @ total / (power + order)
+    return total / math.factorial(order)
 
 
 def divergence(tensor: KernelTensor, x: Float[Array, " dim"]) -> Float[Array, " dim"]:
@@ -184,20 +369,13 @@ def divergence(tensor: KernelTensor, x: Float[Array, " dim"]) -> Float[Array, " 
 
 @eqx.filter_jit
 def at_each(function: Any, *rows: Array) -> Array:
-    """A function of positions, or of times and positions, at many of them."""
+    """A function of positions at many of them."""
     return jax.vmap(function)(*rows)
-
-
-def divergences(
-    tensor: KernelTensor, positions: Float[Array, "increment dim"]
-) -> Float[Array, "increment dim"]:
-    """The divergence at many positions."""
-    return at_each(eqx.Partial(divergence, tensor), positions)
 
 
 def fit_force(
     swimmer: OverdampedSwimmer,
-    residuals: Increments | WhitenedIncrements,
+    residuals: WhitenedIncrements,
     noise: float | None,
     refine: Refinement | None,
     trajectories: Trajectories,
@@ -224,7 +402,7 @@ def fit_force(
 
 def force_problem(
     model: OverdampedSwimmer,
-    residuals: Increments | WhitenedIncrements,
+    residuals: WhitenedIncrements,
     noise: float | None,
 ) -> Regression:
     """The regression of a force; it is linear, and solved about no force."""
@@ -239,19 +417,12 @@ def force_problem(
         noise=noise,
         step_rule=FullStep(),
         is_linear=True,
+        linearisation=residuals.linearise,
         log_determinant=residuals.log_determinant,
     )
 
 
 NOT_FINITE = "its drift is not finite at the observed positions; check the known forces"
-
-
-def diffusion_of(step: Step) -> Estimate:
-    """Diffusion from the noise; its deviation from the degrees of freedom left."""
-    variance = step.hyperparameters.noise**2
-    # Each direction that the data determine takes one observation from the variance.
-    left = max(step.quadratic.num_free - step.num_determined, 1.0)
-    return Estimate(variance / 2, variance / 2 * float(np.sqrt(2 / left)))
 
 
 def mix_over_shapes(

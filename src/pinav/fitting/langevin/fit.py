@@ -28,7 +28,7 @@ from pinav.fitting.langevin.diffusion import (
     begin_motion,
     observed_axes,
 )
-from pinav.fitting.langevin.drift import diffusion_of, fit_force, mix_over_shapes
+from pinav.fitting.langevin.drift import mix_over_shapes
 from pinav.fitting.langevin.increments import (
     Increments,
     LearnedObservation,
@@ -43,6 +43,7 @@ from pinav.fitting.langevin.rounds import (
     fit_drift,
     fit_motion,
     langevin_checks,
+    levels_share,
     motion_covariance,
 )
 from pinav.fitting.langevin.tracking import (
@@ -66,7 +67,7 @@ class ThermalResult(eqx.Module):
         observation: exposure and error of each group of axes; empty where positions
             count as exact.
         reference: the path of the frame of reference, where it drifts.
-        checks: of the innovations; None where positions count as exact.
+        checks: of the innovations.
         thermal_energy: $k_BT$ [F L] where Einstein's relation was used.
     """
 
@@ -77,10 +78,10 @@ class ThermalResult(eqx.Module):
     thermal_energy: float | None = None
 
 
-ROUNDS = 5
+ROUNDS = 10
 """Turns of diffusion and drift at most."""
 
-NEGLIGIBLE = 0.1
+NEGLIGIBLE = 0.01
 """Change of the means of all increments, in squares of standard deviations, that ends
 the turns: it is that of a tenth of one parameter's standard deviation."""
 
@@ -91,7 +92,7 @@ def fit_langevin(
     *,
     diffusion: Diffusion | None = None,
     observation: Observation | LearnedObservation | None = None,
-    einstein: bool = True,
+    einstein: bool = False,
     reference: SlowReference | None = None,
     refine: Refinement | None = AS_FINE_AS_BUMPS,
 ) -> EvidenceFit:
@@ -105,20 +106,15 @@ def fit_langevin(
     the force. The second is a free drift: the model's mobility is kept, and D does not
     tell of it; with a mobility of one F is v itself.
 
-    *With neither observation nor reference, and a diffusion that is None or a number*
-    positions are exact and the likelihood is that of Euler and Maruyama's scheme with
-    the model's mobility, whatever `einstein` is: intervals must be short against the
-    time in which the force changes, and a localisation error s adds about
-    $s^2/\Delta t$ to D.
-
-    *Otherwise* increments are those of positions that a camera averages over an
-    exposure and errs about, and diffusion, drift and reference take turns: the
-    diffusion and observation by maximum likelihood given the drift, the force by
-    causal generalised least squares given them, both with priors that the evidence
-    chooses, and terms of second order for steps that are not short. Times may be
-    irregular and samples missing. There may be one coordinate, two or three, with any
-    channel names; those in which the environment (`KernelProfile`) or the diffusion is
-    periodic may be wrapped or not.
+    Increments are those of positions that a camera averages over an exposure and errs
+    about, unless positions are exact: then an error s adds about $s^2/\Delta t$ to D.
+    Diffusion, drift and reference take turns: the diffusion and observation by maximum
+    likelihood given the drift, the force by causal generalised least squares given
+    them, both with priors that the evidence chooses. Steps follow the drift linearised
+    at their start (`Transition`), so that intervals may be as long as the time in
+    which the force relaxes. Times may be irregular and samples missing. There may be
+    one coordinate, two or three, with any channel names; those in which the
+    environment (`KernelProfile`) or the diffusion is periodic may be wrapped or not.
 
     Args:
         model: an `OverdampedSwimmer`, or a `BrownianSwimmer` that has one; its
@@ -131,8 +127,8 @@ def fit_langevin(
         observation: `Observation(noise, exposure)` where it is known,
             `LearnedObservation()` to learn both for each group of axes; None counts
             positions as exact.
-        einstein: whether mobility is $D/k_BT$, with the `thermal_energy` of the
-            `BrownianSwimmer`; see above for the default likelihood.
+        einstein: whether mobility is $D/k_BT$, with the `thermal_energy` of a
+            `BrownianSwimmer`; otherwise it is that of the model.
         reference: a coordinate whose zero drifts slowly; fields depend on the
             coordinate from there.
         refine: when kernels of the force turn out too coarse, and finer ones are laid;
@@ -163,9 +159,6 @@ def fit_langevin(
             "leave it out to estimate it"
         )
     increments = Increments.of(trajectories)
-    is_number = diffusion is None or known is not None
-    if is_number and observation is None and reference is None:
-        return _fit_exact(swimmer, increments, known, refine, trajectories)
     relation = Relation(
         thermal_energy=_thermal_energy(model) if einstein else None,
         learn_diffusion=known is None,
@@ -192,6 +185,9 @@ def fit_langevin(
             if reference is not None and path is not None:
                 belief, path = track_reference(belief, increments, reference, path)
         covariance, *spreads = motion_covariance(problem, step, belief.motion)
+        if relation.learn_diffusion:
+            groups = len(belief.motion.diffusion.groups)
+            covariance[:groups, :groups] += levels_share(belief, fit)
         tensor = belief.motion.diffusion
         field = DiffusionField(tensor, covariance)
         varies = tensor.weights.size or len(tensor.levels) > 1
@@ -207,28 +203,6 @@ def fit_langevin(
         )
         constants = fit.constants | _numbers(field, observed)
         return dataclasses.replace(fit, constants=constants, thermal=result)
-
-
-def _fit_exact(
-    swimmer: OverdampedSwimmer,
-    increments: Increments,
-    diffusion: float | None,
-    refine: Refinement | None,
-    trajectories: Trajectories,
-) -> EvidenceFit:
-    """The force, and one diffusion coefficient unless it is known, in one step.
-
-    Without blur and error all increments over the root of their interval have the
-    variance 2D, so that the evidence chooses D as it chooses the noise elsewhere.
-    """
-    noise = None if diffusion is None else float(np.sqrt(2 * diffusion))
-    with jax.enable_x64(new_val=True):
-        exact = with_dtype(swimmer, jnp.float64)
-        fit, step = fit_force(exact, increments, noise, refine, trajectories)
-        fit = mix_over_shapes(fit, trajectories.seen_positions)
-    value = diffusion_of(step) if diffusion is None else Estimate(diffusion, 0.0)
-    constants = {"diffusion": value}
-    return dataclasses.replace(fit, constants=constants, thermal=ThermalResult(value))
 
 
 def _numbers(

@@ -22,13 +22,12 @@ from pinav.fitting.langevin.checks import (
 from pinav.fitting.langevin.covariance import cut, factorise, increment_bands
 from pinav.fitting.langevin.diffusion import DiffusionField, ThermalMotion
 from pinav.fitting.langevin.drift import (
-    SecondOrder,
+    Transition,
     WhitenedIncrements,
     at_each,
-    divergences,
     fit_force,
     force_problem,
-    second_order,
+    transitions,
 )
 from pinav.fitting.langevin.increments import (
     Increments,
@@ -50,15 +49,17 @@ class RoundResult(eqx.Module):
         means: of the increments [L].
         increments: with positions from the reference.
         relation: what is learned, and how drift and diffusion hang together.
+        determined: numbers of the drift that the increments determine.
     """
 
     swimmer: OverdampedSwimmer
     motion: ThermalMotion
-    second: SecondOrder
+    transition: Transition
     means: Float[Array, "increment dim"]
     increments: Increments
     relation: Relation
     padding: Padding
+    determined: float = 0.0
 
     @classmethod
     def first(
@@ -69,20 +70,21 @@ class RoundResult(eqx.Module):
         relation: Relation,
     ) -> "RoundResult":
         """Constant diffusion and no drift."""
-        second = SecondOrder.none(increments, motion.diffusion)
+        short = Transition.of_short_steps(increments, motion.diffusion)
         padding = Padding.of(increments.counts)
-        return cls(swimmer, motion, second, second.means, increments, relation, padding)
+        return cls(swimmer, motion, short, short.means, increments, relation, padding)
 
-    def follow(self, swimmer: Any) -> "RoundResult":
-        """With another force, and the means and corrections that follow from it."""
+    def follow(self, swimmer: Any, determined: float) -> "RoundResult":
+        """With another force, and the transitions that follow from it."""
         increments, diffusion = self.increments, self.motion.diffusion
-        second = second_order(swimmer, diffusion, increments, self.relation)
-        positions = jnp.asarray(increments.positions)
-        speeds = at_each(swimmer, jnp.asarray(increments.times), positions)
-        if self.relation.einstein:
-            speeds = speeds + divergences(diffusion, positions)
-        means = speeds * jnp.asarray(increments.intervals)[:, None] + second.means
-        return dataclasses.replace(self, swimmer=swimmer, second=second, means=means)
+        step = transitions(swimmer, diffusion, increments, self.relation)
+        return dataclasses.replace(
+            self,
+            swimmer=swimmer,
+            transition=step,
+            means=step.means,
+            determined=determined,
+        )
 
     def moved_from(self, before: "RoundResult") -> float:
         """Squared change of all means, in variances of the increments."""
@@ -99,19 +101,22 @@ class RoundResult(eqx.Module):
 
 def fluctuations(belief: RoundResult) -> Fluctuations:
     """Increments about the means of a belief."""
-    increments, second, padding = belief.increments, belief.second, belief.padding
+    increments, step, padding = belief.increments, belief.transition, belief.padding
     tensor = belief.motion.diffusion
     residuals = padding.pad(jnp.asarray(increments.steps) - belief.means)
+    # What the drift follows of the noise is missing from its residuals.
+    left = max(1.0 - belief.determined / increments.steps.size, LEAST_LEFT)
+    residuals = residuals / np.sqrt(left)
     kernels = at_each(tensor.basis, jnp.asarray(increments.positions))
     ones = jnp.ones((len(kernels), 1))
-    design = jnp.concatenate([ones, kernels], axis=1)[:, None] + second.slopes
+    design = jnp.concatenate([ones, kernels], axis=1)[:, None] + step.slopes
     start = jnp.concatenate([tensor.levels[:, None], tensor.weights], axis=1)
     # The factors are linear in level and weights about the belief: without their
     # slopes, an error of the curvature of log D would feed itself from turn to turn.
-    shifts = jnp.einsum("ngp,gp->ng", second.slopes, start)[:, tensor.group_of_axis]
+    shifts = jnp.einsum("ngp,gp->ng", step.slopes, start)[:, tensor.group_of_axis]
     return Fluctuations(
         residuals=residuals * padding.mask[..., None],
-        offsets=padding.pad(jnp.log(second.factors) - shifts),
+        offsets=padding.pad(jnp.log(step.factors) - shifts),
         intervals=padding.pad(jnp.asarray(increments.intervals)),
         design=design,
         padding=padding,
@@ -142,15 +147,53 @@ def whiten_increments(belief: RoundResult) -> WhitenedIncrements:
     increments, motion = belief.increments, belief.motion
     positions = jnp.asarray(increments.positions)
     intervals = jnp.asarray(increments.intervals)
-    targets = jnp.asarray(increments.steps) - belief.second.means
-    if belief.relation.einstein:
-        spread = divergences(motion.diffusion, positions)
-        # With Ito's convention a mobility that varies in space adds its divergence to
-        # the drift.
-        targets = targets - spread * intervals[:, None]
-    factors, padding = belief.second.factors, belief.padding
-    factor = _factor(motion, positions, intervals, factors, padding)
-    return WhitenedIncrements(increments, targets, factor, padding)
+    step, padding = belief.transition, belief.padding
+    targets = jnp.asarray(increments.steps) - step.offsets
+    factor = _factor(motion, positions, intervals, step.factors, padding)
+    diffusion = at_each(motion.diffusion.diagonal, positions)
+    # Where a camera errs, a part of the variance is that of the step.
+    steps = 2 * diffusion * step.factors * intervals[:, None]
+    bands = padding.flatten(factor.diagonal**2)
+    share = jnp.minimum(steps / bands, 1.0)
+    excess = (jnp.asarray(increments.steps) - step.means) ** 2 / bands - 1.0
+    moved = jnp.any(step.widening)  # the first round knows no slope
+    return WhitenedIncrements(
+        increments=increments,
+        targets=targets,
+        gains=step.gains,
+        widening=share[..., None] * step.widening,
+        excess=moved * (excess + share * step.widths),
+        diffusion=diffusion,
+        factor=factor,
+        padding=padding,
+        groups=_groups(motion) if belief.relation.learn_diffusion else None,
+    )
+
+
+def _groups(motion: ThermalMotion) -> Float[np.ndarray, "axis group"]:
+    """One where an axis belongs to a group, else zero."""
+    return np.eye(len(motion.diffusion.groups))[motion.diffusion.group_of_axis]
+
+
+def levels_share(
+    belief: RoundResult, fit: EvidenceFit
+) -> Float[np.ndarray, "group group"]:
+    """Covariance of the levels of log D that follows from that of the drift.
+
+    Where steps are not short a steeper drift narrows them, and more diffusion widens
+    them.
+    """
+    posterior, groups = fit.posterior, _groups(belief.motion)
+    white = dataclasses.replace(whiten_increments(belief), groups=None)
+    _, slopes = white.linearise(posterior.free, np.asarray(posterior.mean))
+    widths = np.sqrt(2.0) * slopes[belief.increments.steps.size :]
+    mean = widths.reshape(len(belief.increments.steps), len(groups), -1).mean(axis=0)
+    by_level = (groups / groups.sum(axis=0)).T @ mean
+    return by_level @ posterior.covariance @ by_level.T
+
+
+LEAST_LEFT = 0.1
+"""Share of the increments that the drift leaves to the diffusion, at least."""
 
 
 @eqx.filter_jit
@@ -177,8 +220,8 @@ def fit_drift(
     """The force given diffusion and observation, and what follows from it."""
     swimmer = belief.relation.swimmer_in(belief.swimmer, belief.motion.diffusion)
     innovations = whiten_increments(belief)
-    fit, _ = fit_force(swimmer, innovations, 1.0, refine, trajectories)
-    return belief.follow(fit.model), fit
+    fit, step = fit_force(swimmer, innovations, 1.0, refine, trajectories)
+    return belief.follow(fit.model, step.num_determined), fit
 
 
 def diffusion_share(
@@ -192,6 +235,7 @@ def diffusion_share(
     means = []
     for tensor in field.samples(DRAWS):
         there = eqx.tree_at(lambda b: b.motion.diffusion, belief, tensor)
+        there = there.follow(fit.model, belief.determined)
         swimmer = relation.swimmer_in(fit.model, tensor)
         problem = force_problem(swimmer, whiten_increments(there), 1.0)
         local = problem.linearise(problem.theta, None)
@@ -218,6 +262,7 @@ def langevin_checks(
     innovations = white.in_time(np.asarray(eqx.filter_jit(white)(belief.swimmer)))
     residuals = increments.in_time(np.asarray(increments.steps - belief.means).ravel())
     expected = belief.local_diffusion * increments.intervals[:, None]
+    expected = expected * np.asarray(belief.transition.factors)
     motions = increments.in_time(expected.ravel())
     groups = belief.motion.diffusion.groups
     return LangevinChecks(
