@@ -3,12 +3,15 @@ r"""Covariance of blurred, noisy increments: three bands, and what is done with 
 $\Delta_n = y_{n+1} - y_n$ of positions that a camera averages over the exposure T
 before $t_n$, with an error of standard deviation $\sigma$, have
 
-$$\operatorname{var}\Delta_n = 2 D_n(\tau_n - \tfrac23 T) + \tfrac23 D_{n-1}T
-  + 2\sigma^2,\quad
-  \operatorname{cov}(\Delta_n, \Delta_{n+1}) = \tfrac13 D_n T - \sigma^2,$$
+$$\operatorname{var}\Delta_n = 2 D_n(\tau_n - \tfrac23 T)
+  + \tfrac23 \kappa_n^2 D_{n-1}T + (1 + \kappa_n^2)\sigma^2,\quad
+  \operatorname{cov}(\Delta_n, \Delta_{n+1})
+  = \kappa_{n+1}(\tfrac13 D_n T - \sigma^2),$$
 
-and nothing beyond. Everything is linear in their number: the factor, solutions and the
-bands of the inverse are recursions in time, for all tracks and axes at once.
+and nothing beyond, where the drift leaves a share $\kappa_n$ of a displacement: what a
+position lacks and errs is in the mean of the next increment, too. Everything is
+linear in their number: the factor, solutions and the bands of the inverse are
+recursions in time, for all tracks and axes at once.
 
 References:
     Berglund, Phys. Rev. E 82, 011917 (2010); Vestergaard, Blainey and Flyvbjerg,
@@ -58,7 +61,11 @@ class TridiagonalFactor(eqx.Module):
 
 
 def increment_bands(
-    diffusion: Rows, intervals: Rows, exposure: Scalar | Rows, variance: Scalar | Rows
+    diffusion: Rows,
+    intervals: Rows,
+    exposure: Scalar | Rows,
+    variance: Scalar | Rows,
+    kept: Rows,
 ) -> Tridiagonal:
     r"""Covariance of increments.
 
@@ -67,12 +74,17 @@ def increment_bands(
         intervals: $\tau_n$ [T]; an exposure longer than one counts as that long.
         exposure: T.
         variance: $\sigma^2$ [L²].
+        kept: share of a displacement that is left after an interval, one where the
+            drift does not relax it.
     """
     blurred = diffusion * jnp.minimum(exposure, intervals) / 3
     before = jnp.concatenate([blurred[:1], blurred[:-1]])
     return Tridiagonal(
-        2 * diffusion * intervals - 4 * blurred + 2 * before + 2 * variance,
-        blurred - variance,
+        2 * diffusion * intervals
+        + 2 * kept**2 * before
+        - 4 * blurred
+        + (1 + kept**2) * variance,
+        jnp.concatenate([kept[1:], kept[-1:]]) * (blurred - variance),
     )
 
 

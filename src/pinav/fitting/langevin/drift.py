@@ -178,6 +178,7 @@ class Transition(eqx.Module):
         widths: what these make of the swimmer.
         means: of each increment [L].
         factors: of its variance $2 D_i \tau$.
+        kept: share of a displacement along each axis that is left after it.
         slopes: of the logarithm of these, the mean over the axes of each group, by
             level and weights of the group.
 
@@ -191,6 +192,7 @@ class Transition(eqx.Module):
     widths: Float[Array, "increment dim"]
     means: Float[Array, "increment dim"]
     factors: Float[Array, "increment dim"]
+    kept: Float[Array, "increment dim"]
     slopes: Float[Array, "increment group parameter"]
 
     @classmethod
@@ -211,6 +213,7 @@ class Transition(eqx.Module):
             widths=none,
             means=none,
             factors=none + 1.0,
+            kept=none + 1.0,
             slopes=slopes,
         )
 
@@ -278,6 +281,7 @@ def transitions(
             widths=widening @ own,
             means=mean,
             factors=factors,
+            kept=jnp.diagonal(_series(_steepness(features, len(x), interval), 0)),
             slopes=slopes,
         )
 

@@ -60,11 +60,13 @@ class Fluctuations(eqx.Module):
         residuals: increments less their mean, time first [L]; zero in the padding.
         offsets: of the logarithm of 2D over the increment, from the terms of second
             order at level and weights of zero.
+        kept: share of a displacement that is left after each increment.
         design: derivatives of that logarithm by level and weights of each group.
     """
 
     residuals: Float[Array, "time track dim"]
     offsets: Float[Array, "time track dim"]
+    kept: Float[Array, "time track dim"]
     intervals: Float[Array, "time track"]
     design: Float[Array, "increment group parameter"]
     padding: Padding
@@ -237,7 +239,8 @@ def local_terms(
     intervals = jnp.broadcast_to(data.intervals[..., None], mask.shape)
 
     def bands(logs: Array, exposure: Array, variance: Array) -> Tridiagonal:
-        local = increment_bands(jnp.exp(logs), intervals, exposure, variance)
+        kept = data.kept[..., columns]
+        local = increment_bands(jnp.exp(logs), intervals, exposure, variance, kept)
         return cut(local, mask)
 
     # The score of the bands is known in closed form; only its way back through the

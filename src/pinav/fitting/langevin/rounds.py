@@ -117,6 +117,7 @@ def fluctuations(belief: RoundResult) -> Fluctuations:
     return Fluctuations(
         residuals=residuals * padding.mask[..., None],
         offsets=padding.pad(jnp.log(step.factors) - shifts),
+        kept=padding.pad(step.kept),
         intervals=padding.pad(jnp.asarray(increments.intervals)),
         design=design,
         padding=padding,
@@ -149,7 +150,7 @@ def whiten_increments(belief: RoundResult) -> WhitenedIncrements:
     intervals = jnp.asarray(increments.intervals)
     step, padding = belief.transition, belief.padding
     targets = jnp.asarray(increments.steps) - step.offsets
-    factor = _factor(motion, positions, intervals, step.factors, padding)
+    factor = _factor(motion, positions, intervals, step, padding)
     diffusion = at_each(motion.diffusion.diagonal, positions)
     # Where a camera errs, a part of the variance is that of the step.
     steps = 2 * diffusion * step.factors * intervals[:, None]
@@ -201,17 +202,19 @@ def _factor(
     motion: ThermalMotion,
     positions: Float[Array, "increment dim"],
     intervals: Float[Array, " increment"],
-    factors: Float[Array, "increment dim"],
+    step: Transition,
     padding: Padding,
 ) -> Any:
     groups = motion.diffusion.group_of_axis
-    local = padding.pad(jax.vmap(motion.diffusion.diagonal)(positions) * factors)
+    local = padding.pad(jax.vmap(motion.diffusion.diagonal)(positions) * step.factors)
     shape = local.shape
     mask = jnp.broadcast_to(padding.mask[..., None], shape)
     durations = jnp.broadcast_to(padding.pad(intervals)[..., None], shape)
     exposures = jnp.broadcast_to(motion.exposures[groups][None, None], shape)
     variances = jnp.broadcast_to(motion.variances[groups][None, None], shape)
-    return factorise(cut(increment_bands(local, durations, exposures, variances), mask))
+    kept = padding.pad(step.kept)
+    bands = increment_bands(local, durations, exposures, variances, kept)
+    return factorise(cut(bands, mask))
 
 
 def fit_drift(
