@@ -64,4 +64,3 @@ def test_the_recipe_suits_model_and_data(paper):
     bead = scenario("brownian", count=1)
     thermal = plan_fit(bead, simulate(bead, key=jax.random.key(0)))
     assert thermal.recipe == Langevin(observation="exact", diffusion="constant")
-    assert thermal.thermal.is_plain

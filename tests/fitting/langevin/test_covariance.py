@@ -22,12 +22,14 @@ COUNT = 9
 DIFFUSION = RNG.uniform(0.5, 2.0, (COUNT, 1))
 INTERVALS = RNG.uniform(0.5, 1.5, (COUNT, 1))
 EXPOSURE, VARIANCE = 0.4, 0.3
+KEPT = jnp.asarray(RNG.uniform(0.3, 1.0, (COUNT, 1)))
 
 
 def bands(exposure=EXPOSURE, variance=VARIANCE, share=1.0):
     """Of a diffusion that varies, times a share."""
     diffusion = share * jnp.asarray(DIFFUSION)
-    return increment_bands(diffusion, jnp.asarray(INTERVALS), exposure, variance)
+    intervals = jnp.asarray(INTERVALS)
+    return increment_bands(diffusion, intervals, exposure, variance, KEPT)
 
 
 def dense(matrix):
@@ -37,21 +39,29 @@ def dense(matrix):
 
 def test_blur_and_error_of_equal_intervals_follow_the_law_of_berglund():
     constant, equal = jnp.full((COUNT, 1), 0.7), jnp.full((COUNT, 1), 0.9)
-    matrix = increment_bands(constant, equal, EXPOSURE, VARIANCE)
+    matrix = increment_bands(constant, equal, EXPOSURE, VARIANCE, jnp.ones((COUNT, 1)))
     share = EXPOSURE / (6 * 0.9)
     variance = 2 * 0.7 * 0.9 * (1 - 2 * share) + 2 * VARIANCE
     np.testing.assert_allclose(matrix.diagonal, variance)
     np.testing.assert_allclose(matrix.beside, 2 * 0.7 * 0.9 * share - VARIANCE)
 
 
-def test_the_law_is_that_of_simulated_paths():
-    fine, frames = 40, 40_000
-    kicks = RNG.normal(size=fine * frames) * np.sqrt(2 * 0.7 * 0.9 / fine)
-    path = np.cumsum(kicks).reshape(frames, fine)
+@pytest.mark.parametrize("rate", [0.0, 0.2, 0.6])
+def test_the_law_is_that_of_simulated_paths(rate):
+    """Also where a trap of the rate relaxes what a position lacks and errs."""
+    from scipy.signal import lfilter
+
+    fine, frames, interval, diffusion = 40, 40_000, 0.9, 0.7
+    left = np.exp(-rate * interval / fine)
+    kicks = RNG.normal(size=fine * frames) * np.sqrt(2 * diffusion * interval / fine)
+    path = lfilter([1.0], [1.0, -left], kicks).reshape(frames, fine)
     seen = path[:, fine // 2 :].mean(axis=1) + 0.5 * RNG.normal(size=frames)
-    steps = np.diff(seen)
-    matrix = increment_bands(jnp.full((3, 1), 0.7), jnp.full((3, 1), 0.9), 0.45, 0.25)
-    assert np.var(steps) == pytest.approx(float(matrix.diagonal[1, 0]), rel=0.03)
+    kept = np.exp(-rate * interval)
+    steps = seen[1:] - kept * seen[:-1]
+    factor = (1 - kept**2) / (2 * rate * interval) if rate else 1.0
+    local, each = jnp.full((3, 1), diffusion * factor), jnp.full((3, 1), interval)
+    matrix = increment_bands(local, each, 0.45, 0.25, jnp.full((3, 1), kept))
+    assert np.var(steps) == pytest.approx(float(matrix.diagonal[1, 0]), rel=0.025)
     neighbours = np.mean(steps[1:] * steps[:-1])
     assert neighbours == pytest.approx(float(matrix.beside[1, 0]), abs=0.02)
 

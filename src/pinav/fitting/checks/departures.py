@@ -32,6 +32,7 @@ from pinav.fitting.structure.response import (
     parts_of,
     slopes,
 )
+from pinav.fitting.structure.starts import Region, linear_term
 from pinav.forces import AbstractForce, ZeroForce, split_structure
 from pinav.forces.priors import AbstractPrior, Matrix
 from pinav.trajectories import Trajectories
@@ -280,14 +281,17 @@ def _beside_kernels(
     data: Float[np.ndarray, "datum column"],
     noise: float | None,
 ) -> ColumnWeigher:
-    """The evidence of columns beside kernels, with the terms of a fit or without."""
+    """The evidence of columns beside kernels and a linear force, or terms, too."""
     terms, kernels = split_structure(force)
     free: Any = kernels
     rows = np.concatenate([columns(part, response) for part in parts_of(free)], axis=1)
-    beside = [np.zeros((len(rows), 0))]
-    if terms:
-        by_terms = [slopes(term, response) for term in terms]
-        beside.append(np.concatenate(by_terms, axis=1))
+    # A thrust that never turns acts as a uniform force of the environment would.
+    places = np.asarray(response.points).reshape(-1, response.points.shape[-1])
+    linear = linear_term(Region.of(places))
+    beside = [
+        np.concatenate([slopes(term, response) for term in some], axis=1)
+        for some in ([linear], [linear, *terms])[: 2 if terms else 1]
+    ]
     return ColumnWeigher.of(
         rows,
         data,

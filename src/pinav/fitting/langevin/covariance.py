@@ -3,13 +3,15 @@ r"""Covariance of blurred, noisy increments: three bands, and what is done with 
 $\Delta_n = y_{n+1} - y_n$ of positions that a camera averages over the exposure T
 before $t_n$, with an error of standard deviation $\sigma$, have
 
-$$\operatorname{var}\Delta_n = 2 D_n(\tau_n - \tfrac23 T)
+$$\operatorname{var}\Delta_n = 2 D_n f_n \tau_n - \tfrac13(1 + 3\kappa_n^2) D_n T
   + \tfrac23 \kappa_n^2 D_{n-1}T + (1 + \kappa_n^2)\sigma^2,\quad
   \operatorname{cov}(\Delta_n, \Delta_{n+1})
   = \kappa_{n+1}(\tfrac13 D_n T - \sigma^2),$$
 
-and nothing beyond, where the drift leaves a share $\kappa_n$ of a displacement: what a
-position lacks and errs is in the mean of the next increment, too. Everything is
+and nothing beyond, where the drift leaves a share $\kappa_n$ of a displacement and
+$f_n = (1 - \kappa_n^2)/(-2\log\kappa_n)$ of the variance: what a position lacks and
+errs is in the mean of the next increment, too. It is that of a trap to first order in
+the relaxation within an exposure. Everything is
 linear in their number: the factor, solutions and the bands of the inverse are
 recursions in time, for all tracks and axes at once.
 
@@ -70,22 +72,32 @@ def increment_bands(
     r"""Covariance of increments.
 
     Args:
-        diffusion: $D_n$ over each interval [L² T⁻¹].
+        diffusion: $D_n f_n$ over each interval [L² T⁻¹].
         intervals: $\tau_n$ [T]; an exposure longer than one counts as that long.
         exposure: T.
         variance: $\sigma^2$ [L²].
         kept: share of a displacement that is left after an interval, one where the
             drift does not relax it.
     """
-    blurred = diffusion * jnp.minimum(exposure, intervals) / 3
+    # What is blurred is motion at the end of an interval, which nothing relaxed yet.
+    rate = -jnp.log(kept)
+    is_short = jnp.abs(rate) < SHORT
+    relaxed = jnp.where(
+        is_short, 1 - rate, (1 - kept**2) / jnp.where(is_short, 1.0, 2 * rate)
+    )
+    blurred = diffusion / relaxed * jnp.minimum(exposure, intervals) / 3
     before = jnp.concatenate([blurred[:1], blurred[:-1]])
     return Tridiagonal(
         2 * diffusion * intervals
-        + 2 * kept**2 * before
-        - 4 * blurred
+        + kept**2 * (2 * before - 3 * blurred)
+        - blurred
         + (1 + kept**2) * variance,
         jnp.concatenate([kept[1:], kept[-1:]]) * (blurred - variance),
     )
+
+
+SHORT = 1e-4
+"""Relaxation in an interval below which its variance is that of its first order."""
 
 
 def cut(bands: Tridiagonal, mask: Rows) -> Tridiagonal:

@@ -48,6 +48,7 @@ class WhitenedIncrements(eqx.Module):
         excess: what the squares say of that logarithm, beside what is the model's.
         diffusion: D along each axis at the start of each increment [L² T⁻¹].
         factor: root of their covariance.
+        surplus: sum of the squares of the second residuals at the belief.
         groups: the group of each axis whose diffusion is learned: what the squares say
             of all variances of a group alike is told by its diffusion; None where it
             is known.
@@ -61,12 +62,18 @@ class WhitenedIncrements(eqx.Module):
     diffusion: Float[Array, "increment dim"]
     factor: TridiagonalFactor
     padding: Padding
+    surplus: Float[Array, ""]
     groups: Float[np.ndarray, "axis group"] | None
 
     @property
     def log_determinant(self) -> float:
-        r"""$\log\det$ of the change from innovations to displacements."""
-        return float(self.factor.log_determinant)
+        r"""$\log\det$ of the change from innovations to displacements.
+
+        Less what the second residuals add to the density at the belief: they tell of
+        the drift, and are no data of their own.
+        """
+        added = self.increments.steps.size * np.log(2 * np.pi) + self.surplus
+        return float(self.factor.log_determinant - added)
 
     def __call__(self, model: OverdampedSwimmer) -> Float[Array, " residual"]:
         """Predicted less observed innovations, of variance one."""
@@ -109,16 +116,25 @@ class WhitenedIncrements(eqx.Module):
     ) -> Float[Array, " residual"]:
         padded = self.padding.pad(means) * self.padding.mask[..., None]
         white = self.padding.flatten(whiten(self.factor, padded))
-        if self.groups is not None:
-            shares = self.groups / self.groups.sum(axis=0)
-            widths = widths - (widths.mean(axis=0) @ shares @ self.groups.T)[None]
-        return jnp.concatenate([white.reshape(-1), widths.reshape(-1) / np.sqrt(2.0)])
+        widths = without_level(widths, self.groups) / np.sqrt(2.0)
+        return jnp.concatenate([white.reshape(-1), widths.reshape(-1)])
 
     def in_time(
         self, residuals: Float[np.ndarray, " residual"]
     ) -> list[Float[np.ndarray, "_ channel"]]:
         """Innovations of each trajectory in the order of time."""
         return self.increments.in_time(residuals[: self.increments.steps.size])
+
+
+def without_level(
+    widths: Float[Array, "increment dim"],
+    groups: Float[np.ndarray, "axis group"] | None,
+) -> Float[Array, "increment dim"]:
+    """Logarithms of variances less their mean over each group of axes."""
+    if groups is None:
+        return widths
+    shares = groups / groups.sum(axis=0, keepdims=True)
+    return widths - (widths.mean(axis=0) @ shares @ groups.T)[None]
 
 
 Row = tuple[Array, Array, Array, Array, Array]

@@ -191,7 +191,7 @@ def fit_langevin(
         tensor = belief.motion.diffusion
         field = DiffusionField(tensor, covariance)
         varies = tensor.weights.size or len(tensor.levels) > 1
-        mixed = mix_over_shapes(fit, trajectories.seen_positions)
+        mixed = mix_over_shapes(fit, belief.increments.positions)
         fit = diffusion_share(belief, mixed, field)
         observed = () if observation is None else observed_axes(belief.motion, *spreads)
         result = ThermalResult(

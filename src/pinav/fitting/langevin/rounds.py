@@ -28,6 +28,7 @@ from pinav.fitting.langevin.drift import (
     fit_force,
     force_problem,
     transitions,
+    without_level,
 )
 from pinav.fitting.langevin.increments import (
     Increments,
@@ -75,7 +76,11 @@ class RoundResult(eqx.Module):
         return cls(swimmer, motion, short, short.means, increments, relation, padding)
 
     def follow(self, swimmer: Any, determined: float) -> "RoundResult":
-        """With another force, and the transitions that follow from it."""
+        """With another force, and the transitions that follow from it.
+
+        Args:
+            determined: numbers of it that the increments determine.
+        """
         increments, diffusion = self.increments, self.motion.diffusion
         step = transitions(swimmer, diffusion, increments, self.relation)
         return dataclasses.replace(
@@ -157,17 +162,20 @@ def whiten_increments(belief: RoundResult) -> WhitenedIncrements:
     bands = padding.flatten(factor.diagonal**2)
     share = jnp.minimum(steps / bands, 1.0)
     excess = (jnp.asarray(increments.steps) - step.means) ** 2 / bands - 1.0
-    moved = jnp.any(step.widening)  # the first round knows no slope
+    # The first round knows no slope.
+    excess = jnp.where(jnp.any(step.widening), excess, 0.0)
+    groups = _groups(motion) if belief.relation.learn_diffusion else None
     return WhitenedIncrements(
         increments=increments,
         targets=targets,
         gains=step.gains,
         widening=share[..., None] * step.widening,
-        excess=moved * (excess + share * step.widths),
+        excess=excess + share * step.widths,
         diffusion=diffusion,
         factor=factor,
         padding=padding,
-        groups=_groups(motion) if belief.relation.learn_diffusion else None,
+        surplus=0.5 * jnp.sum(without_level(excess, groups) ** 2),
+        groups=groups,
     )
 
 

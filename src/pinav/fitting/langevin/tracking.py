@@ -175,7 +175,7 @@ def track_reference(
         reference.axis, path.times, values - values.mean(), covariance
     )
     there = eqx.tree_at(lambda b: b.increments, belief, from_reference(recorded, moved))
-    return there.follow(belief.swimmer), moved
+    return there.follow(belief.swimmer, there.determined), moved
 
 
 def _by_height(belief: RoundResult, axis: int) -> tuple[np.ndarray, np.ndarray]:
