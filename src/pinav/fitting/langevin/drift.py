@@ -106,8 +106,8 @@ class WhitenedIncrements(eqx.Module):
     @property
     def _rows(self) -> "Row":
         rows = self.increments
-        arrays = rows.times, rows.positions, self.diffusion, self.gains, self.widening
-        return tuple(map(jnp.asarray, arrays))
+        times, positions = jnp.asarray(rows.times), jnp.asarray(rows.positions)
+        return times, positions, self.diffusion, self.gains, self.widening
 
     def _stack(
         self,
