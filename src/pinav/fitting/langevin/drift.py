@@ -356,10 +356,12 @@ def _factor_of(
     change = _features(tensor.diagonal, x, diffusion)
     ahead = features[:dim] @ change[dim:-dim].reshape(dim, dim)
     growth = 0.5 * interval * (ahead + change[-dim:]) / diffusion
-    spread = sum(
-        0.5 * weight * (_series(0.5 * (1 + place) * steepness, 0) ** 2 @ diffusion)
-        for place, weight in zip(PLACES, WEIGHTS, strict=True)
-    )
+
+    def widen(place: Array) -> Array:
+        return _series(place * steepness, 0) ** 2 @ diffusion
+
+    places = jnp.asarray(0.5 * (1 + PLACES), x.dtype)
+    spread = jnp.asarray(0.5 * WEIGHTS, x.dtype) @ jax.vmap(widen)(places)
     return jnp.clip(spread / diffusion + growth, *FACTORS)
 
 
@@ -372,9 +374,14 @@ PLACES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 def _series(matrix: Float[Array, "dim dim"], order: int) -> Float[Array, "dim dim"]:
     r"""$\sum_k A^k / (k + n)!$ of a matrix, its exponential at n = 0."""
-    total = unit = jnp.eye(len(matrix), dtype=matrix.dtype)
-    for power in range(TERMS, 0, -1):
-        total = unit + matrix @ total / (power + order)
+    unit = jnp.eye(len(matrix), dtype=matrix.dtype)
+
+    def term(total: Array, power: Array) -> tuple[Array, None]:
+        return unit + matrix @ total / (power + order), None
+
+    # A loop in the program, in place of one that writes it, compiles in a tenth.
+    powers = jnp.arange(TERMS, 0, -1, dtype=matrix.dtype)
+    total, _ = jax.lax.scan(term, unit, powers)
     return total / math.factorial(order)
 
 
