@@ -174,6 +174,9 @@ def fit_langevin(
         motion = begin_motion(kind, observation, first)
         swimmer = with_dtype(swimmer, jnp.float64)
         belief = RoundResult.first(swimmer, motion, first, relation)
+        # The drift comes first: where steps are long, what it relaxes looks like errors
+        # of the camera until it is known.
+        belief, _ = fit_drift(belief, refine, trajectories)
         turns = 0
         while True:
             before, turns = belief, turns + 1
