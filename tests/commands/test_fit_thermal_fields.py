@@ -66,8 +66,6 @@ def test_a_period_makes_increments_of_a_constant_diffusion_short():
     chosen = plan(period=("x=2.5",), observation="exact").thermal
     assert isinstance(chosen.diffusion, fitting.ConstantDiffusion)
     assert [axis.period for axis in chosen.axes] == [2.5, None, None]
-    assert not chosen.is_plain
-    assert plan(observation="exact").thermal.is_plain
 
 
 def test_a_known_camera_is_that_of_the_system():

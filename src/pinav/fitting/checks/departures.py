@@ -233,6 +233,16 @@ def weigh_departures(
         trajectories: of the fit, with the channels of the states.
         noise: standard deviation of the observations, where it is known.
     """
+    with jax.enable_x64(new_val=True):
+        return _weigh(model, states, trajectories, noise)
+
+
+def _weigh(
+    model: Any,
+    states: Float[np.ndarray, "trajectory time state"],
+    trajectories: Trajectories,
+    noise: float | None,
+) -> list[Contradiction]:
     dim = trajectories.dim
     chosen = POLICY.looked_at(len(states), dim)
     observations = jax.tree.map(

@@ -100,7 +100,10 @@ class WhitenedIncrements(eqx.Module):
 
         columns = jax.lax.map(at, self._rows, batch_size=FEW)
         columns = jax.tree.map(lambda each: jnp.moveaxis(each, 2, 0), columns)
-        stack = lambda both: self._stack(*both)  # noqa: E731
+
+        def stack(both: tuple[Array, Array]) -> Float[Array, " residual"]:
+            return self._stack(*both)
+
         return jax.lax.map(stack, columns, batch_size=TANGENTS).T
 
     @property
