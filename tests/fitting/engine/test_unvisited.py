@@ -47,14 +47,14 @@ def structured(*terms):
 
 
 def central(low=0.25, high=5.0):
-    places = np.arange(low, high, 0.25)
-    weights = np.exp(-0.5 * (places - 2.0) ** 2)
+    places = jnp.arange(low, high, 0.25)
+    weights = jnp.exp(-0.5 * (places - 2.0) ** 2)
     return CentralTerm(jnp.asarray(weights), jnp.asarray([2.0, 2.0]), places, 0.5)
 
 
 def wall():
-    places = np.arange(-2.0, 7.0, 0.5)
-    weights = np.exp(-0.5 * (places - 1.0) ** 2)
+    places = jnp.arange(-2.0, 7.0, 0.5)
+    weights = jnp.exp(-0.5 * (places - 1.0) ** 2)
     return WallTerm(jnp.asarray(weights), 0.3, jnp.zeros(2), places, 0.7)
 
 
@@ -126,7 +126,8 @@ def test_a_force_that_goes_on_into_an_unvisited_core_lies_in_the_band():
     seen = np.exp(-0.5 * ((distances[:, None] - places) / 0.4) ** 2)
     ridge = seen.T @ seen + 1e-3 * np.eye(len(places))
     weights = np.linalg.solve(ridge, seen.T @ contact(distances))
-    term = CentralTerm(jnp.asarray(weights), jnp.asarray([2.0, 2.0]), places, 0.4)
+    middle = jnp.asarray([2.0, 2.0])
+    term = CentralTerm(jnp.asarray(weights), middle, jnp.asarray(places), 0.4)
     *_, doubt = doubts(structured(term), visited, lambda _, x: np.zeros_like(x))
     radii = np.array([0.05, 0.5, 1.0, 1.5, 2.0])
     points = np.stack([2.0 + radii, np.full(5, 2.0)], axis=1)

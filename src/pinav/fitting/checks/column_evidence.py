@@ -59,7 +59,7 @@ class Products(eqx.Module):
     """
 
     beside: Float[np.ndarray, "datum direction"]
-    root: Float[np.ndarray, "weight column"]
+    root: Float[np.ndarray, "weight rank"]
     ratios: Float[np.ndarray, " ratio"]
     grams: Float[np.ndarray, "ratio column column"]
     log_determinants: Float[np.ndarray, " ratio"]

@@ -84,7 +84,7 @@ class Ground(eqx.Module):
         cls,
         force: AbstractForce,
         visited: Places,
-        variance: Float[np.ndarray, "place component"] | float = 0.0,
+        variance: Float[np.ndarray, "some component"] | float = 0.0,
     ) -> "Ground":
         """The process of a force, or of the profile of a term, at visited places.
 
@@ -175,7 +175,7 @@ def _extent(places: Places) -> float:
     return float(np.linalg.norm(np.ptp(places, axis=0))) or 1.0
 
 
-def thin(places: Places, apart: float) -> Places:
+def thin(places: Places, apart: float) -> Float[np.ndarray, "kept dim"]:
     """Places of which no more than a few are nearer to each other than `apart` [L]."""
     while True:
         cells = np.floor((places - places.min(axis=0)) / apart).astype(int)

@@ -63,7 +63,7 @@ class WhitenedIncrements(eqx.Module):
     factor: TridiagonalFactor
     padding: Padding
     surplus: Float[Array, ""]
-    groups: Float[np.ndarray, "axis group"] | None
+    groups: Float[Any, "axis group"] | None
 
     @property
     def log_determinant(self) -> float:
@@ -131,7 +131,7 @@ class WhitenedIncrements(eqx.Module):
 
 def without_level(
     widths: Float[Array, "increment dim"],
-    groups: Float[np.ndarray, "axis group"] | None,
+    groups: Float[Any, "axis group"] | None,
 ) -> Float[Array, "increment dim"]:
     """Logarithms of variances less their mean over each group of axes."""
     if groups is None:
@@ -258,7 +258,7 @@ def transitions(
 ) -> Transition:
     """The steps that belong to a swimmer, at positions from the reference."""
 
-    def at(row: tuple[Array, Array, Array]) -> Transition:
+    def at(row: tuple[Array, Array, Array]) -> tuple[Array, ...]:
         time, x, interval = row
         model = relation.swimmer_in(swimmer, tensor)
         diffusion = tensor.diagonal(x)
@@ -293,21 +293,14 @@ def transitions(
             return jnp.log(_factor_of(features, tensor, x, interval))
 
         widening = jax.jacfwd(log_factors)(features)
-        return Transition(
-            gains=gains,
-            offsets=mean - gains @ own,
-            widening=widening,
-            widths=widening @ own,
-            means=mean,
-            factors=factors,
-            kept=jnp.diagonal(_series(_steepness(features, len(x), interval), 0)),
-            slopes=slopes,
-        )
+        kept = jnp.diagonal(_series(_steepness(features, len(x), interval), 0))
+        offset, width = mean - gains @ own, widening @ own
+        return gains, offset, widening, width, mean, factors, kept, slopes
 
     rows = tuple(
         map(jnp.asarray, (increments.times, increments.positions, increments.intervals))
     )
-    return jax.lax.map(at, rows, batch_size=AT_ONCE)
+    return Transition(*jax.lax.map(at, rows, batch_size=AT_ONCE))
 
 
 def _steepness(
