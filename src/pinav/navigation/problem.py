@@ -78,7 +78,10 @@ class NavigationProblem:
         task, draws = way.task(model, known, "way", corners), []
         if fit.posterior is not None and samples:
             key = jax.random.fold_in(jax.random.key(seed), 1)
-            draws = fit.posterior.samples(samples, key=key)
+            # Far from the data the force may be as large as the thrust: a plan
+            # that counts it as risk would reach no goal there.
+            known = dataclasses.replace(fit.posterior, visited=None)
+            draws = known.samples(samples, key=key)
         return cls(
             task=task,
             model=steered_swimmer(task, model),
