@@ -154,8 +154,8 @@ class ColumnWeigher(eqx.Module):
             )
             values = -solved[..., 0]
             left = np.maximum(whole + np.sum(pull * values, axis=1), 1e-300)
-            held = left / free if self.noise is None else 0 * left + self.noise**2
-        variance = left / free if self.noise is None else 0 * left + self.noise**2
+            held = self._variance(left / free)
+        variance = self._variance(left / free)
         log_evidence = -0.5 * (
             free * np.log(2 * np.pi * variance)
             + left / variance
@@ -172,6 +172,14 @@ class ColumnWeigher(eqx.Module):
             products=products,
             ratio=float(products.ratios[best]),
         )
+
+    def _variance(
+        self, estimated: Float[np.ndarray, " ratio"]
+    ) -> Float[np.ndarray, " ratio"]:
+        """The variance of the noise at each ratio: the estimated one unless known."""
+        if self.noise is None:
+            return estimated
+        return np.full_like(estimated, self.noise**2)
 
     def predictions(
         self, fit: ColumnFit, trajectories: int

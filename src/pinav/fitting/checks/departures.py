@@ -268,14 +268,14 @@ def _weigh(
         if gain > 0.0:
             added = weigher.predictions(fit, len(path)) - alone
             explains = fit.noise <= POLICY.content * response.least_noise
-            gain *= explains and _is_shared(added)
+            gain *= explains and _helps_most(added)
         if one.name not in best or gain > best[one.name].gain:
             best[one.name] = Contradiction(one.name, gain, one.clause(fit.values))
     return list(best.values())
 
 
-def _is_shared(gains: Float[np.ndarray, " trajectory"]) -> bool:
-    """Whether trajectories gain, beyond two standard errors; of one nothing is asked.
+def _helps_most(gains: Float[np.ndarray, " trajectory"]) -> bool:
+    """True if trajectories gain, beyond two standard errors; of one nothing is asked.
 
     What repairs a fit in one place, as beside the edge of a field that no kernels
     follow, helps some trajectories and harms others.

@@ -110,7 +110,7 @@ class Posterior(eqx.Module):
 
     @functools.cached_property
     def _doubts(self) -> tuple[AbstractDoubt, ...]:
-        """What visited ground leaves unknown of other ground, part by part."""
+        """The doubts that visited ground leaves of other ground, part by part."""
         if self.visited is None:
             return ()
         force = as_learned_force(self.model.environment)

@@ -214,7 +214,7 @@ class DrawnField(eqx.Module):
 
 
 class AbstractDoubt(eqx.Module):
-    """What is unknown of a part of a force where nobody has been."""
+    """The doubt of a part of a force where nobody has been."""
 
     @abc.abstractmethod
     def variance(self, points: Places) -> Places:
@@ -226,7 +226,7 @@ class AbstractDoubt(eqx.Module):
 
 
 class FieldDoubt(AbstractDoubt):
-    """Of a part that is a field in space."""
+    """The doubt of a part that is a field in space."""
 
     ground: Ground
 
@@ -238,7 +238,7 @@ class FieldDoubt(AbstractDoubt):
 
 
 class ProfileDoubt(AbstractDoubt):
-    """Of a term with a profile, in its coordinate.
+    """The doubt of a term with a profile, in its coordinate.
 
     Attributes:
         least: visited distance, where the profile is one of distances [L]; else minus

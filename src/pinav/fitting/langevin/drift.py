@@ -218,7 +218,7 @@ class Transition(eqx.Module):
     def of_short_steps(
         cls, increments: Increments, tensor: KernelTensor
     ) -> "Transition":
-        """That of Euler and Maruyama, of a diffusion that is the same everywhere."""
+        """Short steps, as of Euler and Maruyama, beside a constant diffusion."""
         count, dim = increments.steps.shape
         groups, kernels = tensor.weights.shape
         gains = np.zeros((count, dim, 2 * dim + dim * dim))
@@ -263,21 +263,26 @@ def transitions(
         model = relation.swimmer_in(swimmer, tensor)
         diffusion = tensor.diagonal(x)
 
-        def drift(x: Array) -> Array:
-            known = model(time, x)
-            return known + divergence(tensor, x) if relation.einstein else known
+        def features_beside(there: KernelTensor) -> Array:
+            moved = relation.swimmer_in(swimmer, there)
+
+            def drift(x: Array) -> Array:
+                known = moved(time, x)
+                return known + divergence(there, x) if relation.einstein else known
+
+            return _features(drift, x, there.diagonal(x))
 
         def mean_of(features: Array) -> tuple[Array, Array]:
             mean = _mean(features, diffusion, interval)
             return mean, mean
 
-        features = _features(drift, x, diffusion)
+        features = features_beside(tensor)
         gains, mean = jax.jacfwd(mean_of, has_aux=True)(features)
-        own = _features(lambda x: model(time, x), x, diffusion)
+        of_model = _features(lambda x: model(time, x), x, diffusion)
 
         def logarithms(levels: Array, weights: Array) -> tuple[Array, Array]:
             there = KernelTensor(levels, weights, tensor.basis, tensor.groups)
-            factors = _factors(swimmer, there, relation, time, x, interval)
+            factors = _factor_of(features_beside(there), there, x, interval)
             each = jnp.log(factors)
             means = [each[np.array(axes)].mean() for axes in tensor.groups]
             return jnp.stack(means), factors
@@ -294,7 +299,7 @@ def transitions(
 
         widening = jax.jacfwd(log_factors)(features)
         kept = jnp.diagonal(_series(_steepness(features, len(x), interval), 0))
-        offset, width = mean - gains @ own, widening @ own
+        offset, width = mean - gains @ of_model, widening @ of_model
         return gains, offset, widening, width, mean, factors, kept, slopes
 
     rows = tuple(
@@ -323,24 +328,6 @@ def _mean(
     change = interval**2 * _series(steepness, 2) @ features[-dim:]
     ahead = interval * _series(steepness, 1) @ features[:dim]
     return ahead + jnp.clip(change, -most, most)
-
-
-def _factors(
-    swimmer: OverdampedSwimmer,
-    tensor: KernelTensor,
-    relation: Relation,
-    time: Array,
-    x: Array,
-    interval: Array,
-) -> Float[Array, " dim"]:
-    """Factors of the variance of one increment."""
-    model, diffusion = relation.swimmer_in(swimmer, tensor), tensor.diagonal(x)
-
-    def drift(x: Array) -> Array:
-        known = model(time, x)
-        return known + divergence(tensor, x) if relation.einstein else known
-
-    return _factor_of(_features(drift, x, diffusion), tensor, x, interval)
 
 
 def _factor_of(

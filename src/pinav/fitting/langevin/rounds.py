@@ -160,7 +160,7 @@ def whiten_increments(belief: RoundResult) -> WhitenedIncrements:
     # Where a camera errs, a part of the variance is that of the step.
     steps = 2 * diffusion * step.factors * intervals[:, None]
     bands = padding.flatten(factor.diagonal**2)
-    share = jnp.minimum(steps / bands, 1.0)
+    by_steps = jnp.minimum(steps / bands, 1.0)
     excess = (jnp.asarray(increments.steps) - step.means) ** 2 / bands - 1.0
     # The first round knows no slope.
     excess = jnp.where(jnp.any(step.widening), excess, 0.0)
@@ -169,8 +169,8 @@ def whiten_increments(belief: RoundResult) -> WhitenedIncrements:
         increments=increments,
         targets=targets,
         gains=step.gains,
-        widening=share[..., None] * step.widening,
-        excess=excess + share * step.widths,
+        widening=by_steps[..., None] * step.widening,
+        excess=excess + by_steps * step.widths,
         diffusion=diffusion,
         factor=factor,
         padding=padding,
